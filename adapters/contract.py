@@ -201,13 +201,39 @@ class TimedWriter(Protocol):
         ...
 
 
+class DriverLog(Protocol):
+    """The log of one driver. The controller and the epoch of the leader are added to every line."""
+
+    def info(self, text: str, **fields: Any) -> None:
+        """Log an event that is a part of normal operation."""
+        ...
+
+    def warning(self, text: str, **fields: Any) -> None:
+        """Log an event that an operator should know: lost replies, garbled lines, values that do not read back."""
+        ...
+
+
+class _NullLog:
+    """A log that discards its lines."""
+
+    def info(self, text: str, **fields: Any) -> None:
+        del text, fields
+
+    def warning(self, text: str, **fields: Any) -> None:
+        del text, fields
+
+
+NULL_LOG: DriverLog = _NullLog()
+
+
 @dataclass(frozen=True, slots=True)
 class DriverSetup:
     """What a driver receives when it is created.
 
     options: validated by the make's own model.
     shared: one mapping for all drivers whose controllers are on the same link; the make's package keeps their common
-    state in it."""
+    state in it.
+    log: for reconnects, repeated exchanges, values that do not read back and refusals; not for every poll."""
 
     controller: str
     config: Controller
@@ -216,6 +242,7 @@ class DriverSetup:
     open_link: OpenLink
     timed_writer: TimedWriter
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
+    log: DriverLog = NULL_LOG
 
 
 def require_start_class(start: StartOptions, known: Sequence[StartClass], why: str) -> None:
@@ -337,7 +364,7 @@ class Driver(ABC):
         """Wait for the end of the started move and return its outcome. `poll` may be called meanwhile."""
 
     @abstractmethod
-    async def stop(self, abort: bool) -> None:
+    async def stop(self, *, abort: bool) -> None:
         """Stop all axes and everything armed: by ramp, or with `abort` as fast as the controller can.
 
         Returns when the command is sent; never waits for an outstanding reply, and may be called concurrently with any
@@ -354,7 +381,7 @@ class Driver(ABC):
         return False
 
     @abstractmethod
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         """Switch motors on or off. Raises `Refusal`."""
 
     @abstractmethod
@@ -393,7 +420,7 @@ class Driver(ABC):
         del limits
 
     @abstractmethod
-    async def set_output(self, number: int, on: bool) -> None: ...
+    async def set_output(self, number: int, *, on: bool) -> None: ...
 
     @abstractmethod
     async def clear_faults(self) -> None:

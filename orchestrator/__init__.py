@@ -1,1 +1,1 @@
-"""Tutti: the service, and the words everybody shares."""
+"""Tutti: the service, and the terms that all its parts share."""

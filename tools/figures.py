@@ -25,10 +25,10 @@ BEFORE: dict[str, str] = {
     "longest circle of imports, files": "24",
     "exceptions outside the tree": "42",
     "classes over 250 lines": "32",
-    "functions over complexity 12": "19",
+    "functions over complexity 12": "28",
     "asserts for 'connected'": "50",
     "files outside a make's folder that name a make": "25",
-    "log calls per 1,000 lines of adapters": "0.3",
+    "log calls per 1,000 lines of adapters": "0.9",
     "product lines": "76656",
 }
 
@@ -123,6 +123,14 @@ def folder_graph(graph: dict[str, set[str]]) -> dict[str, set[str]]:
     return folders
 
 
+def files_per_folder() -> dict[Path, int]:
+    """Python files in each folder of the product."""
+    found: dict[Path, int] = {}
+    for path in product_files():
+        found[path.parent] = found.get(path.parent, 0) + 1
+    return found
+
+
 def exceptions_outside_tree() -> list[str]:
     """Exception classes that do not derive from `TuttiError`."""
     bases: dict[str, list[str]] = {}
@@ -134,7 +142,10 @@ def exceptions_outside_tree() -> list[str]:
     def roots(name: str) -> set[str]:
         return {name} | {root for base in bases.get(name, ()) for root in roots(base)}
 
-    builtin = {name for name in dir(__builtins__) if name.endswith(("Error", "Exception"))} | {"Exception", "ValueError"}
+    builtin = {name for name in dir(__builtins__) if name.endswith(("Error", "Exception"))} | {
+        "Exception",
+        "ValueError",
+    }
     return [name for name in bases if roots(name) & builtin and "TuttiError" not in roots(name)]
 
 
@@ -156,13 +167,10 @@ def measure() -> dict[str, str]:
         asserts += len(re.findall(r"assert self\.\w+ is not None|assert \w+ is not None", text))
         if relative.parts[0] == "adapters":
             adapter_lines += len(text.splitlines())
-            logs += len(re.findall(r"\blog(?:ger)?\.(?:debug|info|warning|error)\(", text))
+            logs += len(re.findall(r"log(?:ger)?\.(?:debug|info|warning|error)\(", text))
         own = set(relative.parts) & {*MAKES, "yaskawa"}
         if not own and any(re.search(rf"\b{make}\b", text, re.IGNORECASE) for make in MAKES):
             naming_makes += 1
-    per_folder: dict[Path, int] = {}
-    for path in product_files():
-        per_folder[path.parent] = per_folder.get(path.parent, 0) + 1
     circles = find_circles(import_graph())
     one_word = [is_one_word(each.name) for each in functions]
     return {
@@ -170,7 +178,7 @@ def measure() -> dict[str, str]:
         "classes with a one-word name": f"{100 * sum(is_one_word(c.name) for c in classes) / len(classes):.0f} %",
         "median length of a function's name": f"{median(len(each.name) for each in functions):.0f}",
         "README, lines": str(len((ROOT / "README.md").read_text(encoding="utf-8").splitlines())),
-        "most files in one folder": str(max(per_folder.values())),
+        "most files in one folder": str(max(files_per_folder().values())),
         "circles of imports": str(len(circles)),
         "longest circle of imports, files": str(max((len(circle) for circle in circles), default=0)),
         "exceptions outside the tree": str(len(exceptions_outside_tree())),

@@ -39,7 +39,7 @@ class BusNode(Protocol):
         """Handle a frame of the node. function: its identifier without the node number."""
         ...
 
-    def handle_bus_off(self, off: bool) -> None:
+    def handle_bus_off(self, *, off: bool) -> None:
         """Handle that this computer has left the bus, or has returned to it."""
         ...
 
@@ -114,21 +114,21 @@ class Cia402Bus:
 
     def send_frames(self, *frames: CanFrame) -> int:
         """Pass frames to the CAN controller; return the host time. Raises `LinkClosed`."""
-        return self.can_link.send(*frames)
+        return self.can_link.send_frames(*frames)
 
     def send_stop(self, node: int, frames: Sequence[CanFrame]) -> int:
         """Like `send_frames`; frames that a CAN controller discards while it is off the bus are repeated when it
         returns."""
         if self.is_off:
             self._pending_stops[node] = tuple(frames)
-        return self.can_link.send(*frames)
+        return self.can_link.send_frames(*frames)
 
     async def _send_heartbeats(self, can: CanLink) -> None:
         """Send the heartbeat of this computer, often enough for the shortest watchdog of a drive to tolerate losses."""
         every_ns = min(self.watchdogs_ms.values()) * NS_PER_MS // _BEATS
         with suppress(LinkClosed):
             while True:
-                can.send(CanFrame(HEARTBEAT + self.host_node, bytes([OPERATIONAL])))
+                can.send_frames(CanFrame(HEARTBEAT + self.host_node, bytes([OPERATIONAL])))
                 await sleep_ns(self.clock, every_ns)
 
     # Reception
@@ -136,7 +136,7 @@ class Cia402Bus:
     async def _read_frames(self, can: CanLink) -> None:
         try:
             while True:
-                received = await can.read()
+                received = await can.read_frame()
                 if received.frame.error:
                     self._handle_bus_state(received.frame.id)
                 elif not received.frame.extended and not received.frame.rtr:
@@ -145,7 +145,7 @@ class Cia402Bus:
             self._handle_link_loss(can, error)
         except ValueError as error:
             # The frame boundaries are lost.
-            self._handle_link_loss(can, LinkClosed(f"{can.place}: the received data are not CAN frames: {error}"))
+            self._handle_link_loss(can, LinkClosed(f"{can.endpoint}: the received data are not CAN frames: {error}"))
             await can.close()
 
     def _handle_link_loss(self, can: CanLink, error: LinkClosed) -> None:
@@ -165,10 +165,10 @@ class Cia402Bus:
             self.is_off = True
         elif what & ERROR_RESTARTED:
             self.is_off = False
-            owed, self._pending_stops = self._pending_stops, {}
-            for frames in owed.values():
-                self.can_link.send(*frames)
+            pending, self._pending_stops = self._pending_stops, {}
+            for frames in pending.values():
+                self.can_link.send_frames(*frames)
         else:
             return
         for hearer in list(self._nodes.values()):
-            hearer.handle_bus_off(self.is_off)
+            hearer.handle_bus_off(off=self.is_off)

@@ -21,8 +21,8 @@ from adapters.cia402.fleetaxes import (
     ramp_s,
 )
 from adapters.cia402.hand import Cia402ManualMotion
-from adapters.cia402.lowering import BusTimes, Cia402Lowered, lower_step
-from adapters.cia402.moves import Cia402Mover
+from adapters.cia402.lowering import BusTimes, Cia402Lowered, ConnectionTraits, lower_step
+from adapters.cia402.moves import Cia402Mover, EndLimits
 from adapters.cia402.node import BusDrive
 from adapters.cia402.objects import CONSUMER, CYCLIC_MODE, FOLLOWED, DictionaryObject, point_bit
 from adapters.cia402.options import Cia402Options
@@ -41,6 +41,7 @@ from adapters.contract import (
     Lowered,
 )
 from adapters.toolkit.connection import ConnectedDriver
+from adapters.toolkit.refusals import log_refusals
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import LinkClosed
@@ -78,7 +79,9 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         assert isinstance(link, CanBusLink)
         self._bus: Cia402Bus = setup.shared.setdefault(SHARED, Cia402Bus(setup.clock, link.bitrate))
         self._bus.register_drive(self._number, options.start_us * NS_PER_US)
-        self._sync_scheduler: SyncScheduler = setup.shared.setdefault(_STARTS, SyncScheduler(self._bus))
+        self._sync_scheduler: SyncScheduler = setup.shared.setdefault(
+            _STARTS, SyncScheduler(self._bus, setup.timed_writer)
+        )
         self._sync_scheduler.mark_unknown(self._number)
         self._ramp, self._ramp_s = ramp_in_units(axis, drive_units(options)), ramp_s(axis)
         self._settle_ns = round(axis.in_position_timeout_s * NS_PER_S)
@@ -125,6 +128,9 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         await self._find_following_mode(found)
         self._was_unmapped = await startup.map_and_start(found, self._sync_scheduler, self._options, self._pdos)
         self._boots = found.boots
+        if self._was_unmapped:
+            self._log.info("the PDOs were mapped differently; they are mapped again")
+        self.log_identity(found.name, identity)
         return identity
 
     async def _attach_node(self) -> Cia402Connection:
@@ -133,10 +139,10 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         name = f"node {self._number}"
         node = BusDrive(self._bus, self._number, name, answer_ns, outputs=bool(self._config.outputs))
         await self._bus.attach_node(self._number, node, self._setup.open_link)
+        node.log = self._log
+        self._log.info("attached to the bus", place=self._config.link.endpoint, node=self._number)
         power = PowerStage(node, passive_outputs(self._config))
-        mover = Cia402Mover(
-            self._options, node, self._sync_scheduler, self._setup.timed_writer, power, self._settle_ns, self._ramp
-        )
+        mover = Cia402Mover(self._options, self._sync_scheduler, node, power, EndLimits(self._settle_ns, self._ramp))
         manual = Cia402ManualMotion(self._config, self._options, node, power, lambda: mover.move is not None)
         mover.busy = lambda: manual.homing or manual.is_jogging
         connection = self._connection = Cia402Connection(node=node, power=power, mover=mover, manual=manual)
@@ -200,17 +206,18 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         if found.boots != self._boots:
             restarted = True
             await self._reload_drive(found)
-        return self._make_reading(found, restarted)
+        return self._make_reading(found, restarted=restarted)
 
     async def _reload_drive(self, found: BusDrive) -> None:
         """Load again what the drive has lost by a power cycle."""
+        self._log.warning("the drive was restarted; its mapping and settings are loaded again", boots=found.boots)
         self.connection.mover.cancel_waits()
         boots = found.boots
         await startup.map_and_start(found, self._sync_scheduler, self._options, self._pdos)
         await startup.compare_settings(found, self._config, self._options)
         self._boots = boots
 
-    def _make_reading(self, found: BusDrive, restarted: bool) -> ControllerReading:
+    def _make_reading(self, found: BusDrive, *, restarted: bool) -> ControllerReading:
         moving = self._is_moving(found)
         axis = AxisReading(
             commanded_counts=found.demand,
@@ -264,28 +271,30 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
     ) -> Cia402Lowered:
         longest_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
         times = BusTimes(self._bus.bitrate, self._bus.start_ns, len(self._bus.units))
-        return lower_step(
-            self._config, self._options, times, self._step_costs(longest_s), profiles, start, self._following
-        )
+        traits = ConnectionTraits(times, self._step_costs(longest_s), self._following)
+        return lower_step(self._config, self._options, traits, profiles, start)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, Cia402Lowered)
-        return await self.connection.mover.arm_move(lowered, t0_ns)
+        with log_refusals(self._log, "arming"):
+            return await self.connection.mover.arm_move(lowered, t0_ns)
 
-    async def stop(self, abort: bool) -> None:
+    async def stop(self, *, abort: bool) -> None:
         """Stop by halt, with the deceleration of the profile; or by quick stop, with the drive's own."""
-        self.connection.mover.record_stop(self.connection.power.write_stop(abort))
+        self.connection.mover.record_stop(self.connection.power.write_stop(abort=abort))
+        self._log.info("stop written", abort=abort)
 
     async def stop_before_connect(self) -> bool:
-        (await self._attach_node()).power.write_stop(False)
+        (await self._attach_node()).power.write_stop(abort=False)
         return True
 
     # Manual operation
 
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         power = self.connection.power
         if axes:
-            await power.set_enabled(on)
+            with log_refusals(self._log, "switching the power stage"):
+                await power.set_enabled(on=on)
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
         manual = self.connection.manual
@@ -297,7 +306,7 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
         if axes:
-            self.connection.power.write_stop(False)
+            self.connection.power.write_stop(abort=False)
 
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
         """Load 607Dh; the whole range for an axis whose position is unknown."""
@@ -307,7 +316,7 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
             await startup.load_object(found, o.LIMIT_LOW, low)
             await startup.load_object(found, o.LIMIT_HIGH, high)
 
-    async def set_output(self, number: int, on: bool) -> None:
+    async def set_output(self, number: int, *, on: bool) -> None:
         found = self.connection.node
         mover = self.connection.mover
         if mover.move is not None and mover.move.lowered.drive is not None:
@@ -331,7 +340,8 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
             )
 
     async def clear_faults(self) -> None:
-        await self.connection.power.clear_fault()
+        with log_refusals(self._log, "clearing the fault"):
+            await self.connection.power.clear_fault()
 
     async def send_raw(self, command: str) -> str:
         """Execute a raw command: `6041:0/16` reads an object of 16 bits, `6081:0/32=1000` writes it (hexadecimal index
@@ -347,6 +357,7 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         ended, self._connection = self._connection, None
         if ended is None:
             return
+        self._log.info("detached from the bus")
         self._sync_scheduler.mark_unknown(self._number)
         with suppress(ControllerFault, LinkClosed):
             await ended.mover.halt_drive()

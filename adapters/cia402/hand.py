@@ -75,7 +75,7 @@ class Cia402ManualMotion:
         except BaseException:
             try:
                 if node.is_enabled:
-                    self._power.write_stop(False)
+                    self._power.write_stop(abort=False)
             except LinkClosed:
                 pass
             raise
@@ -223,5 +223,5 @@ class Cia402ManualMotion:
             raise Refusal("stopped", f"a stop came while axis {self._name} was being started", "")
         node.send_control(states.ENABLE)
         if not taken:
-            self._power.write_stop(False)
+            self._power.write_stop(abort=False)
             raise Refusal("not-taken", f"{node.name} has not accepted a set-point", "check its state")

@@ -73,16 +73,24 @@ class BusTimes:
     drives: int
 
 
+@dataclass(frozen=True, slots=True)
+class ConnectionTraits:
+    """Bus and drive of a step. following: the mode in which the drive follows positions; None: it has none."""
+
+    bus: BusTimes
+    costs: StepCosts
+    following: int | None
+
+
 def lower_step(
     config: Controller,
     options: Cia402Options,
-    bus: BusTimes,
-    costs: StepCosts,
+    traits: ConnectionTraits,
     profiles: Mapping[str, Profile],
     start: StartOptions,
-    following: int | None,
 ) -> Cia402Lowered:
-    """Lower a step. following: the mode in which the drive follows positions; None: it has none. Raises `Refusal`."""
+    """Lower a step. Raises `Refusal`."""
+    bus = traits.bus
     if start.wait is not None or start.start_class == "line":
         raise Refusal(
             "start-class",
@@ -103,7 +111,7 @@ def lower_step(
         terms=terms,
         edge=terms if drive is not None else (),
         tick_ns=0.0,
-        costs=costs,
+        costs=traits.costs,
         commands=_output_commands(drive),
         clock_ppm=options.clock_ppm,
         axis=name,
@@ -116,7 +124,7 @@ def lower_step(
     _require_range(name, profile)
     # A single count has no path.
     if any(profile.jerks) and abs(profile.end_counts - profile.start_counts) > 1:
-        return _lower_stream(done, config, options, bus, profile, following)
+        return _lower_stream(done, config, options, traits, profile)
     return _lower_set_point(done, config, options, profile, start)
 
 
@@ -150,11 +158,11 @@ def _lower_stream(
     done: Cia402Lowered,
     config: Controller,
     options: Cia402Options,
-    bus: BusTimes,
+    traits: ConnectionTraits,
     profile: Profile,
-    following: int | None,
 ) -> Cia402Lowered:
     """Lower to positions that come with SYNC."""
+    bus, following = traits.bus, traits.following
     if not needs_stream(config):
         raise Refusal(
             "jerk",

@@ -10,7 +10,7 @@ from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import required_pdos
 from adapters.cia402.power import quick_stop_by_sdo
 from adapters.contract import DriverSetup
-from orchestrator.link.can import CanFrame, encode
+from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.fleet import Controller
 
 
@@ -43,4 +43,4 @@ class Cia402Make:
         waiting = CONTROLWORD.encode(states.QUICK_STOP)
         if config.outputs:
             waiting += OUTPUTS.encode(fleetaxes.passive_outputs(config))
-        return encode(CanFrame(RPDO[0] + node, waiting), quick_stop_by_sdo(node))
+        return encode_frames(CanFrame(RPDO[0] + node, waiting), quick_stop_by_sdo(node))

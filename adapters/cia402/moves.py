@@ -20,9 +20,9 @@ from adapters.cia402.sdo import bus_off_fault
 from adapters.cia402.starts import SyncScheduler, SyncStart
 from adapters.cia402.states import DriveState
 from adapters.cia402.stream import COPIES, TAIL_SYNCS
-from adapters.contract import HostInterval, MoveOutcome, TimedWriter
+from adapters.contract import HostInterval, MoveOutcome
 from adapters.toolkit.firing import missed_write_fault
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Timer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, ClockTimer
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 
@@ -54,7 +54,7 @@ class DriveStep:
     followed: bool = False
     started: HostInterval | None = None
     stopped_ns: int | None = None
-    release: Timer | None = None
+    release: ClockTimer | None = None
 
     @property
     def waits_for_sync(self) -> bool:
@@ -62,27 +62,32 @@ class DriveStep:
         return self.released and not self.sync_start.fired.done()
 
 
+@dataclass(frozen=True, slots=True)
+class EndLimits:
+    """How a step may end. settle_ns: how long the axis may move after its planned end. ramp: the deceleration of a
+    drive that follows a stream (6084h)."""
+
+    settle_ns: int
+    ramp: int
+
+
 class Cia402Mover:
-    """Arm, start and follow the steps of one connection. ramp: the deceleration of a drive that follows a stream
-    (6084h)."""
+    """Arm, start and follow the steps of one connection."""
 
     def __init__(
         self,
         options: Cia402Options,
-        node: BusDrive,
         sync_scheduler: SyncScheduler,
-        timed_writer: TimedWriter,
+        node: BusDrive,
         power: PowerStage,
-        settle_ns: int,
-        ramp: int,
+        limits: EndLimits,
     ) -> None:
         self._options = options
         self._node = node
         self._sync_scheduler = sync_scheduler
-        self._timed_writer = timed_writer
         self._power = power
-        self._settle_ns = settle_ns
-        self._ramp = ramp
+        self._settle_ns = limits.settle_ns
+        self._ramp = limits.ramp
         self.move: DriveStep | None = None
         self.busy: Callable[[], bool] = lambda: False
         """Whether another motion of the axis is in progress."""
@@ -215,20 +220,18 @@ class Cia402Mover:
         outputs = node.outputs
         if lowered.drive is not None:
             outputs = lowered.drive.outputs_with(outputs, active=True)
-            self._power.set_driving(True, lowered.drive.outputs_with(outputs, active=False))
+            self._power.set_driving(driving=True, passive=lowered.drive.outputs_with(outputs, active=False))
         move.released = node.loaded = True
         frames = [node.control_at_sync(control, outputs)]
         if course is not None:
             ride = move.streamed_move = StreamedMove(node, course, lambda: self._handle_stream_failure(move))
-            self._sync_scheduler.join_stream(
-                node.number, move.sync_start, ride, self._timed_writer, at_ns, course.period_ns
-            )
+            self._sync_scheduler.join_stream(node.number, move.sync_start, ride, at_ns, course.period_ns)
             frames += [ride.position_frame(0)] * COPIES
         elif node.followed == o.TARGET and lowered.target is not None:
             # The SYNC also applies a waiting position: it must not be an older one.
             frames.append(node.position_frame(lowered.target))
         latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns if move.sync_start.stream is None else 0)
-        self._sync_scheduler.load_frames(node.number, move.sync_start, frames, self._timed_writer, at_ns, latest_ns)
+        self._sync_scheduler.load_frames(node.number, move.sync_start, frames, at_ns, latest_ns)
 
     async def disarm_move(self) -> None:
         """Cancel the command that waits in the drive, and the SYNC unless other drives need it: nothing starts
@@ -257,7 +260,7 @@ class Cia402Mover:
             move.release = None
         drive, node = move.lowered.drive, self._node
         if drive is not None:
-            self._power.set_driving(False, 0)
+            self._power.set_driving(driving=False, passive=0)
             node.outputs = drive.outputs_with(node.outputs, active=False)
             if move.released and node.mapped:
                 node.send_control(
@@ -280,7 +283,7 @@ class Cia402Mover:
         """Handle a stream that cannot continue: the drive brakes."""
         with suppress(LinkClosed):
             if move.stopped_ns is None and self.move is move:
-                self._power.write_stop(False)
+                self._power.write_stop(abort=False)
             self._sync_scheduler.remove_drive(self._node.number, move.sync_start)
             self._sync_scheduler.apply_waiting()
 
@@ -320,7 +323,7 @@ class Cia402Mover:
             raise ControllerFault("not-started", "the timed write was cancelled", "")
         if fired.late:
             self._cancel_start(move)
-            raise missed_write_fault("the SYNC", node.bus.can_link.link, fired)
+            raise missed_write_fault("the SYNC", node.bus.can_link.byte_link, fired)
         if lowered.drive is not None:
             self._keep_output_active(move)
         if lowered.target is None:
@@ -338,12 +341,12 @@ class Cia402Mover:
         if not accepted_ns() and move.stopped_ns is None:
             # The drive may be slow, and start with a later SYNC: stop it, so that it does not start unexpectedly.
             await node.wait_until(lambda: not self._power.is_stopping, latest_ns + node.answer_ns)
-            raise self._not_started_fault(move, taken)
+            raise self._not_started_fault(move, said=taken)
         # On a limit a set-point is accepted, and nothing moves.
         gone_ns = node.clock.now_ns() + _FIRST_COUNT_NS
         await node.wait_until(lambda: self._interrupted_now(move) or node.demand != lowered.start_counts, gone_ns)
         if move.stopped_ns is None and self._failure_text(move) and node.demand == lowered.start_counts:
-            raise self._not_started_fault(move, True)
+            raise self._not_started_fault(move, said=True)
         if accepted_ns():
             # It has not reported motion yet.
             latest_ns = max(earliest_ns, min(latest_ns, accepted_ns() + self._after_taking_ns))
@@ -366,7 +369,7 @@ class Cia402Mover:
         wire_ns = options.wire_jitter_us * NS_PER_US + full_frame_ns(bitrate) + sync_ns(bitrate)
         return earliest_ns, written_ns + wire_ns + self._after_taking_ns
 
-    def _not_started_fault(self, move: DriveStep, said: bool) -> ControllerFault:
+    def _not_started_fault(self, move: DriveStep, *, said: bool) -> ControllerFault:
         node = self._node
         if node.bus.is_off or move.left != node.left_bus:
             return bus_off_fault(node.name)

@@ -25,6 +25,7 @@ from adapters.cia402.objects import (
 from adapters.cia402.sdo import SdoClient, bus_off_fault
 from adapters.cia402.states import DriveState, drive_state_of
 from adapters.cia402.words import emergency_text
+from adapters.contract import NULL_LOG
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame
@@ -46,6 +47,7 @@ class BusDrive:
 
     def __init__(self, bus: Cia402Bus, number: int, name: str, answer_ns: int, *, outputs: bool) -> None:
         self.bus = bus
+        self.log = NULL_LOG
         self.number = number
         self.name = name
         self.answer_ns = answer_ns
@@ -126,6 +128,8 @@ class BusDrive:
         if code == 0:
             self.emergencies.clear()
         else:
+            if code not in self.emergencies:
+                self.log.warning(f"emergency {code:#06x}: {emergency_text(code)}")
             self.emergencies[code] = emergency_text(code)
 
     def _handle_heartbeat(self, state: int, at_ns: int) -> None:
@@ -135,13 +139,15 @@ class BusDrive:
 
     def _handle_boot_up(self) -> None:
         """Handle a boot-up: the drive was power-cycled and has lost everything, its PDO mapping first."""
+        self.log.info("the drive has sent a boot-up message")
         self.boots += 1
         self.drops += self.is_enabled
         self.mapped = self.loaded = False
         self.control = self.wanted_mode = self.outputs = self.status = 0
         self.emergencies.clear()
 
-    def handle_bus_off(self, off: bool) -> None:
+    def handle_bus_off(self, *, off: bool) -> None:
+        self.log.warning("this computer has left the bus" if off else "this computer is on the bus again")
         if off:
             self.left_bus += 1
             self.sdo.fail_request(bus_off_fault(self.name))

@@ -14,14 +14,14 @@ from adapters.cia402.objects import DictionaryObject
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.sdo import SdoAborted, SdoClient
 from adapters.cia402.words import NOT_THERE, WRONG_STATE, abort_text
-from orchestrator.model.errors import ControllerFault
+from orchestrator.model.errors import ControllerFault, TuttiError
 
 _OFF = 1 << 31
 _COB_MASK = 0x7FF
 SYNCHRONOUS, AT_ONCE = 1, 255
 
 
-class MappingNotAllowed(Exception):
+class MappingNotAllowed(TuttiError):
     """The drive accepts no mapping in its present NMT state."""
 
 

@@ -31,7 +31,7 @@ class PowerStage:
         self._passive_outputs = passive_outputs
         self._stopping: set[asyncio.Task[None]] = set()
 
-    async def set_enabled(self, on: bool) -> None:
+    async def set_enabled(self, *, on: bool) -> None:
         """Enable or disable. Raises `Refusal`, `ControllerFault`."""
         await self.wait_for_stops()
         node = self._node
@@ -104,7 +104,7 @@ class PowerStage:
 
     # Stops
 
-    def write_stop(self, abort: bool) -> int:
+    def write_stop(self, *, abort: bool) -> int:
         """Write a stop at once and complete it; return the host time. Raises `LinkClosed`."""
         node = self._node
         node.stops += 1
@@ -130,7 +130,7 @@ class PowerStage:
 
     _driving = False
 
-    def set_driving(self, driving: bool, passive: int) -> None:
+    def set_driving(self, passive: int, *, driving: bool) -> None:
         """Set whether a step drives an output. passive: 60FEh to set at a stop."""
         self._driving, self._passive_outputs = driving, passive
 

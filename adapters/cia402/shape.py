@@ -80,7 +80,7 @@ def fit_trapezoid(
     best: DriveTrapezoid | None = None
     error_s = float("inf")
     for reach in _ACCELERATIONS:
-        for candidate in _trapezoid_candidates(distance, duration_s, peak, most, units, reach):
+        for candidate in _trapezoid_candidates(_MoveGoal(distance, duration_s, peak), most, units, reach):
             off_s = abs(candidate.duration_s - duration_s)
             if off_s < error_s - _GOOD_ENOUGH_S / 2:
                 best, error_s = candidate, off_s
@@ -89,6 +89,14 @@ def fit_trapezoid(
         if error_s <= _ENOUGH_S:
             break
     return best
+
+
+class _MoveGoal(NamedTuple):
+    """The planned move: distance, duration and peak velocity."""
+
+    distance: int
+    duration_s: float
+    peak: float
 
 
 class DriveLimits(NamedTuple):
@@ -108,8 +116,10 @@ class DriveLimits(NamedTuple):
 
 
 def _trapezoid_candidates(
-    distance: int, duration_s: float, peak: float, most: DriveLimits, units: DriveUnits, reach: int
+    goal: _MoveGoal, most: DriveLimits, units: DriveUnits, reach: int
 ) -> Iterator[DriveTrapezoid]:
+    distance, duration_s, peak = goal
+
     def make_trapezoid(velocity: int, acceleration: int, deceleration: int) -> DriveTrapezoid:
         return DriveTrapezoid(distance, velocity, acceleration, deceleration, units)
 

@@ -15,7 +15,7 @@ from adapters.cia402.stream import PositionStream, StreamFollower
 from adapters.contract import TimedWrite, TimedWriter, WriteResult
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed
-from orchestrator.link.can import CanFrame, encode
+from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.errors import Refusal
 
 START_SPACING_NS = 20 * NS_PER_MS
@@ -47,8 +47,9 @@ class SyncStart:
 class SyncScheduler:
     """All pending starts of one bus."""
 
-    def __init__(self, bus: Cia402Bus) -> None:
+    def __init__(self, bus: Cia402Bus, timed_writer: TimedWriter) -> None:
         self._bus = bus
+        self._timed_writer = timed_writer
         self._starts: list[SyncStart] = []
         self._unknown: set[int] = set()
 
@@ -94,7 +95,6 @@ class SyncScheduler:
         node: int,
         start: SyncStart,
         frames: Sequence[CanFrame],
-        timed_writer: TimedWriter,
         at_ns: int,
         latest_ns: int,
     ) -> None:
@@ -104,7 +104,9 @@ class SyncScheduler:
         """
         start.pending_frames[node] = tuple(frames)
         if start.order is None:
-            start.order = timed_writer.schedule_write(self._bus.can_link.link, encode(SYNC), at_ns, latest_ns)
+            start.order = self._timed_writer.schedule_write(
+                self._bus.can_link.byte_link, encode_frames(SYNC), at_ns, latest_ns
+            )
             start.following = asyncio.get_running_loop().create_task(self._follow_start(start, start.order))
         self._send_next_frames()
 
@@ -113,14 +115,13 @@ class SyncScheduler:
         node: int,
         start: SyncStart,
         follower: StreamFollower,
-        timed_writer: TimedWriter,
         at_ns: int,
         period_ns: int,
     ) -> None:
         """Add a drive to the stream: more SYNCs, with its positions, follow the one of `start`, which is written at
         `at_ns`."""
         if start.stream is None:
-            start.stream = PositionStream(self._bus, timed_writer, at_ns, period_ns)
+            start.stream = PositionStream(self._bus, self._timed_writer, at_ns, period_ns)
         start.stream.add_follower(node, follower)
 
     def remove_drive(self, node: int, start: SyncStart) -> bool:

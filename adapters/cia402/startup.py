@@ -41,6 +41,7 @@ async def identify_drive(node: BusDrive, boot_ms: int) -> ControllerIdentity:
         except ControllerFault as error:
             if error.code != "no-answer" or node.clock.now_ns() >= until_ns:
                 raise
+            node.log.info("no answer yet: the drive may still be booting")
     if device & 0xFFFF != _DRIVE_PROFILE:
         raise ControllerFault(
             "wrong-make",
@@ -84,6 +85,7 @@ async def map_and_start(
     try:
         stranger = await pdo.map_all(node.sdo, node.number, node.name, wanted)
     except pdo.MappingNotAllowed:
+        node.log.info("the drive accepts a mapping only in the pre-operational state")
         stranger = True
         await _map_pre_operational(node, wanted)
     await _start_node(node, options)
@@ -93,6 +95,7 @@ async def map_and_start(
     node.handle_status(await node.sdo.read_value(o.STATUSWORD), node.clock.now_ns())
     node.control = await node.sdo.read_value(o.CONTROLWORD) & ~NEW_SET_POINT
     if node.state is DriveState.QUICK_STOP:
+        node.log.info("the drive is in quick stop; it stays there until it is enabled")
         # It may have stopped by itself, and the controlword that enabled it would enable it again.
         node.control = QUICK_STOP
     node.mode, node.wanted_mode = await node.sdo.read_value(o.MODE_DISPLAY), await node.sdo.read_value(o.MODE)

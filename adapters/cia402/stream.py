@@ -12,7 +12,7 @@ from typing import Protocol
 from adapters.cia402.bus import SYNC, Cia402Bus
 from adapters.contract import TimedWrite, TimedWriter
 from orchestrator.clock.base import sleep_until_ns
-from orchestrator.link.can import CanFrame, encode
+from orchestrator.link.can import CanFrame, encode_frames
 
 PERIODS_AHEAD = 5
 """Periods that are scheduled ahead."""
@@ -95,7 +95,7 @@ class PositionStream:
             ):
                 while ordered < number + PERIODS_AHEAD:
                     ordered += 1
-                    self._schedule_write(self._at_ns(ordered), encode(SYNC) + self._position_bytes(ordered + 1))
+                    self._schedule_write(self._at_ns(ordered), encode_frames(SYNC) + self._position_bytes(ordered + 1))
                 await sleep_until_ns(self._bus.clock, self._at_ns(number) + self._period_ns // 2)
                 if not self._followers:
                     return
@@ -120,7 +120,7 @@ class PositionStream:
     def _schedule_write(self, at_ns: int, data: bytes) -> None:
         """Schedule a write; a delay of more than a quarter of the period could collide with the next write."""
         self._writes.append(
-            self._timed_writer.schedule_write(self._bus.can_link.link, data, at_ns, at_ns + self._period_ns // 4)
+            self._timed_writer.schedule_write(self._bus.can_link.byte_link, data, at_ns, at_ns + self._period_ns // 4)
         )
 
     def _position_bytes(self, number: int) -> bytes:
@@ -129,7 +129,7 @@ class PositionStream:
             for rider in self._followers.values()
             if number < rider.position_count + TAIL_SYNCS
         ]
-        return encode(*frames * COPIES)
+        return encode_frames(*frames * COPIES)
 
     def _check_answers(self, number: int, written_ns: int) -> None:
         late_ns = self._bus.clock.now_ns() - self._at_ns(number) - self._period_ns // 2

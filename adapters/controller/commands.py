@@ -17,11 +17,11 @@ from adapters.controller.publisher import StatePublisher, first_error_text
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
-from orchestrator.bus.answers import Answers
-from orchestrator.bus.base import RequestRefused, Sample
+from orchestrator.bus.answers import AnswerCache
+from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.link.trace import Direction
+from orchestrator.link.trace import TraceDirection
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import (
@@ -67,7 +67,7 @@ class SupervisorActions(Protocol):
         """Read the controller and publish at once, after a change."""
         ...
 
-    async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
+    async def stop(self, reason: str, *, abort: bool, follow: bool = False) -> None:
         """Stop the controller, bypassing everything else. follow: keep following a moving step until it is at rest."""
         ...
 
@@ -104,7 +104,7 @@ class ControllerCommands:
         self._components = components
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
         self._supervisor = supervisor
-        self._answers = Answers()
+        self._answers = AnswerCache()
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (AdoptRequest, AdoptedReply, self._handle_adopt),
@@ -126,7 +126,7 @@ class ControllerCommands:
             "trace": (Request, TraceReply, self._handle_trace),
         }
 
-    async def answer_command(self, sample: Sample) -> bytes:
+    async def answer_command(self, sample: BusSample) -> bytes:
         """Answer one command. A repeated request id gets the same reply without a second execution."""
         verb = self._context.keys.verb_of(sample.key)
         if verb not in self._verbs:
@@ -136,7 +136,7 @@ class ControllerCommands:
             request = model.model_validate_json(sample.payload)
         except ValidationError as error:
             raise RequestRefused(f"{verb}: {first_error_text(error)}") from None
-        return await self._answers.once(
+        return await self._answers.answer_once(
             verb, request.request_id, lambda: self._execute_request(verb, reply, handler, request)
         )
 
@@ -182,7 +182,7 @@ class ControllerCommands:
 
     async def _handle_stop(self, request: StopRequest) -> Reply:
         reason = request.reason or f"stopped by {request.actor}"
-        await self._supervisor.stop(request.mode == "abort", reason, follow=request.mode == "feed-hold")
+        await self._supervisor.stop(abort=request.mode == "abort", reason=reason, follow=request.mode == "feed-hold")
         return Reply()
 
     async def _handle_lease(self, request: LeaseRequest) -> LeaseReply:
@@ -197,7 +197,7 @@ class ControllerCommands:
         self._require_idle(request)
         if request.on:
             self._fence.require_no_estop()
-        await self._components.motors.switch_motors(request.axes, request.on)
+        await self._components.motors.switch_motors(request.axes, on=request.on)
         return Reply()
 
     async def _handle_home(self, request: HomeRequest) -> HomeReply:
@@ -208,7 +208,7 @@ class ControllerCommands:
         except (LinkClosed, LinkRefused, ControllerFault) as error:
             # The controller continues its search by itself. If the stop cannot be sent now, it stays pending.
             with suppress(LinkClosed, LinkRefused, ControllerFault):
-                await self._supervisor.stop(False, f"homing has failed: {error}")
+                await self._supervisor.stop(abort=False, reason=f"homing has failed: {error}")
             raise
 
     async def _handle_jog(self, request: JogRequest) -> Reply:
@@ -244,7 +244,7 @@ class ControllerCommands:
             known = ", ".join(self._config.outputs) or "none"
             raise Refusal("unknown-output", f"no output {request.output}; outputs: {known}")
         self._status.require_online()
-        await self._driver.set_output(point.number, request.value == (point.active == "high"))
+        await self._driver.set_output(point.number, on=request.value == (point.active == "high"))
         await self._supervisor.poll_and_publish()
         return Reply()
 
@@ -305,8 +305,9 @@ class ControllerCommands:
         return RawReply(reply=await self._driver.send_raw(request.command))
 
     async def _handle_trace(self, _: Request) -> TraceReply:
-        entries: list[tuple[int, Direction, str]] = [
-            (at_ns, direction, data.decode("latin-1")) for at_ns, direction, data in self._context.trace.entries()
+        entries: list[tuple[int, TraceDirection, str]] = [
+            (at_ns, direction, data.decode("latin-1"))
+            for at_ns, direction, data in self._context.trace.recent_entries()
         ]
         return TraceReply(entries=entries, utc=self._context.clock.utc(), host_ns=self._context.clock.now_ns())
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from adapters.contract import Driver, Make
 from orchestrator.bus.base import Bus
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import Clock
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import OpenLink
@@ -29,11 +29,11 @@ class ControllerContext:
     make: Make
     driver: Driver
     bus: Bus
-    keys: Keys
+    keys: FleetKeys
     clock: Clock
     open_link: OpenLink
     trace: TraceRing
-    log: Log
+    log: ProcessLog
     instance: str
     scale: Callable[[], FleetScale | None]
     replace_supervisor: Callable[[str, Controller], None]

@@ -139,7 +139,7 @@ class JogControl:
         reading = condition.require_online()
         condition.require_enabled([name])
         referenced = condition.referenced[name]
-        fastest = axis.jog_speed(referenced)
+        fastest = axis.jog_speed(referenced=referenced)
         if abs(velocity) > fastest * (1 + SPEED_TOLERANCE):
             why = "" if referenced else " while it is not referenced"
             raise Refusal(

@@ -5,7 +5,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_MS, Clock, Timer
+from orchestrator.clock.base import NS_PER_MS, Clock, ClockTimer
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaseRequest
@@ -50,7 +50,7 @@ class MotionLeases:
         self._on_ended = on_ended
         self._leases: dict[str, _AxisLease] = {}
         self._lease_ends: OrderedDict[str, _LeaseEnd] = OrderedDict()
-        self._timer: Timer | None = None
+        self._timer: ClockTimer | None = None
 
     @property
     def holders(self) -> dict[str, str]:

@@ -12,7 +12,7 @@ from orchestrator.model.profile import Profile
 LIMIT_TOLERANCE = 1e-6
 
 
-def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], drives: bool) -> None:
+def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *, drives: bool) -> None:
     """Raise `Refusal` unless every profile starts at the position of its axis, the axis may move, and the profile stays
     inside all limits.
 

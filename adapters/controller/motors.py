@@ -29,7 +29,7 @@ class MotorControl:
         self._refresh = refresh
         self._switch_lock = asyncio.Lock()
 
-    async def switch_motors(self, axes: Sequence[str], on: bool) -> None:
+    async def switch_motors(self, axes: Sequence[str], *, on: bool) -> None:
         """Switch the motors of `axes`; return when they may move, or when the brakes are closed. Raises `Refusal`,
         `ControllerFault`."""
         async with self._switch_lock:
@@ -43,7 +43,7 @@ class MotorControl:
         brakes = self._configured_brakes(axes)
         self._status.braked.update(brakes)
         try:
-            await self._driver.set_enabled(axes, True)
+            await self._driver.set_enabled(axes, on=True)
             await self._set_brakes(brakes, released=True)
             await sleep_ns(self._clock, _longest_ns([brake.release_s for brake in brakes.values()]))
         finally:
@@ -53,7 +53,7 @@ class MotorControl:
         brakes = self._configured_brakes(axes)
         await self._set_brakes(brakes, released=False)
         await sleep_ns(self._clock, _longest_ns([brake.engage_s for brake in brakes.values()]))
-        await self._driver.set_enabled(axes, False)
+        await self._driver.set_enabled(axes, on=False)
 
     async def switch_off_after_estop(self) -> None:
         """Switch off, once everything is at rest, the motors that must not keep torque after an e-stop."""
@@ -63,17 +63,17 @@ class MotorControl:
         if letting_go and await self._settling.wait_for_rest(letting_go, stop_ns):
             on = [name for name in letting_go if self._status.require_online().axes[name].enabled]
             if on:
-                await self.switch_motors(on, False)
+                await self.switch_motors(on, on=False)
 
     def _configured_brakes(self, axes: Sequence[str]) -> dict[str, HoldingBrake]:
         configs: dict[str, Axis] = self._status.config.axes
         return {name: brake for name in axes if (brake := configs[name].brake) is not None}
 
-    async def _set_brakes(self, brakes: dict[str, HoldingBrake], released: bool) -> None:
+    async def _set_brakes(self, brakes: dict[str, HoldingBrake], *, released: bool) -> None:
         for brake in brakes.values():
             if brake.output is not None:
                 point = self._status.config.outputs[brake.output]
-                await self._driver.set_output(point.number, released == (point.active == "high"))
+                await self._driver.set_output(point.number, on=released == (point.active == "high"))
 
 
 def _longest_ns(durations_s: list[float]) -> int:

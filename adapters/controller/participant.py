@@ -72,34 +72,44 @@ class StepEventEmitter(Protocol):
     ) -> None: ...
 
 
-class StepParticipant:
-    """One controller as a participant in steps.
+@dataclass(frozen=True, slots=True)
+class StepServices:
+    """What a participant needs from its supervisor.
 
     check: raises `Refusal` when the profiles must not be executed now.
+    scale: returns fleet time; raises `Refusal` while it is unknown.
+    emit: publishes an event of a step.
     settle: waits until axes are at rest at their targets; a fresh state is on the bus when it returns.
-    lowering_lock: shared by the participants of a host (see `ControllerContext`).
+    spawn: runs a coroutine in the background.
     """
+
+    check: Callable[[ProposeRequest | ArmRequest], None]
+    scale: Callable[[], FleetScale]
+    emit: StepEventEmitter
+    settle: Callable[[Sequence[str]], Awaitable[SettlingResult]]
+    spawn: Callable[[Coroutine[Any, Any, None]], object]
+
+
+class StepParticipant:
+    """One controller as a participant in steps. lowering_lock: shared by the participants of a host (see
+    `ControllerContext`)."""
 
     def __init__(
         self,
         controller: str,
         driver: Driver,
         clock: Clock,
-        check: Callable[[ProposeRequest | ArmRequest], None],
-        scale: Callable[[], FleetScale],
-        emit: StepEventEmitter,
-        settle: Callable[[Sequence[str]], Awaitable[SettlingResult]],
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
+        services: StepServices,
         lowering_lock: asyncio.Lock,
     ) -> None:
         self._controller = controller
         self._driver = driver
         self._clock = clock
-        self._check = check
-        self._scale = scale
-        self._emit = emit
-        self._settle = settle
-        self._spawn = spawn
+        self._check = services.check
+        self._scale = services.scale
+        self._emit = services.emit
+        self._settle = services.settle
+        self._spawn = services.spawn
         self._lowering_lock = lowering_lock
         self._transition_lock = asyncio.Lock()
         self._loading_lock = asyncio.Lock()
@@ -125,7 +135,9 @@ class StepParticipant:
             lowered = self._driver.lower_profiles(request.profiles, request.start, mapping)
         at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
         return Proposal(
-            tick_at_fleet_ns=self._scale().fleet_ns(mapping.host_at_ns) if at_ticks and mapping is not None else None,
+            tick_at_fleet_ns=self._scale().to_fleet_ns(mapping.host_at_ns)
+            if at_ticks and mapping is not None
+            else None,
             durations_s=dict(lowered.durations_s),
             path_error_counts=dict(lowered.path_error_counts),
             costs=lowered.costs,
@@ -152,7 +164,7 @@ class StepParticipant:
                 self._check(request)
                 self._requested_ns = self._clock.now_ns()
                 scale, mapping = self._scale(), self._driver.clock_mapping()
-                t0_ns = scale.host_ns(request.t0_fleet_ns)
+                t0_ns = scale.to_host_ns(request.t0_fleet_ns)
                 lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
                 start = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
                 lowered = self._driver.lower_profiles(request.profiles, start, mapping)
@@ -217,7 +229,7 @@ class StepParticipant:
             except (Refusal, ControllerFault):
                 self.armed_step = None
                 # The controller may have released the move all the same: a lost reply must not let it run.
-                await self._driver.stop(False)
+                await self._driver.stop(abort=False)
                 await self._driver.disarm_move()
                 raise
             if interruptions != self._interruptions or self.armed_step is not released:
@@ -235,7 +247,7 @@ class StepParticipant:
             # This bypasses a `go` that is still under way, because T0 is near.
             self._interruptions += 1
             begun = self._clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
-            await self._driver.stop(False)
+            await self._driver.stop(abort=False)
         async with self._transition_lock:
             armed_step = self.armed_step
             if armed_step is None:
@@ -247,24 +259,24 @@ class StepParticipant:
             self.armed_step = None
             if armed_step.phase is StepPhase.RELEASED:
                 # T0 may be at this very moment: a move that can no longer be unloaded must not run either.
-                await self._driver.stop(False)
+                await self._driver.stop(abort=False)
             await self._unload_step()
             self._emit("disarmed", "disarmed on request", armed_step)
             return DisarmedReply(may_have_started=begun)
 
     # Ways out
 
-    async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
+    async def stop(self, reason: str, *, abort: bool, follow: bool = False) -> None:
         """Stop the controller now, whatever it does; nothing that is loaded starts afterwards.
 
         follow: the end of a moving step is reported once it is at rest, with its evidence."""
         self._interruptions += 1
         self._requested_ns = -QUIET_AFTER_REQUEST_NS
         if follow and self.armed_step is not None and self.armed_step.phase is StepPhase.MOVING:
-            await self._driver.stop(abort)
+            await self._driver.stop(abort=abort)
             return
         armed_step, self.armed_step = self.armed_step, None
-        await self._driver.stop(abort)
+        await self._driver.stop(abort=abort)
         if armed_step is not None:
             self._emit("stopped", reason, armed_step)
 
@@ -274,7 +286,7 @@ class StepParticipant:
         if armed_step is None:
             return
         if armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING):
-            await self.stop(False, reason)
+            await self.stop(abort=False, reason=reason)
             return
         self._interruptions += 1
         self.armed_step = None
@@ -298,7 +310,7 @@ class StepParticipant:
     async def _stop_failed_step(self) -> None:
         """Stop after a failure. Raises `LinkClosed`, `ControllerFault`: then the stop stays pending."""
         self.stop_pending = True
-        await self._driver.stop(False)
+        await self._driver.stop(abort=False)
         self.stop_pending = False
 
     def drop_step(self, reason: str) -> None:
@@ -427,6 +439,6 @@ def _start_evidence(span: HostInterval, scale: FleetScale) -> AxisEvidence:
 def _fleet_interval(span: HostInterval, scale: FleetScale) -> TimeInterval:
     """Convert an interval of host time to fleet time, widened by the uncertainty of the scale."""
     return TimeInterval(
-        earliest_ns=scale.fleet_ns(span.earliest_ns) - scale.bound_ns,
-        latest_ns=scale.fleet_ns(span.latest_ns) + scale.bound_ns,
+        earliest_ns=scale.to_fleet_ns(span.earliest_ns) - scale.bound_ns,
+        latest_ns=scale.to_fleet_ns(span.latest_ns) + scale.bound_ns,
     )

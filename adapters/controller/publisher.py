@@ -1,6 +1,7 @@
 """A controller as it is published on the bus: its state, its events, its information, its clock."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from typing import Any
@@ -15,7 +16,7 @@ from adapters.controller.fencing import EpochFence
 from adapters.controller.participant import ArmedStep, StepPhase
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
-from orchestrator.bus.base import Declared, Priority, RequestRefused, Sample
+from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRefused
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import DigitalInput, DigitalOutput
 from orchestrator.model.state import (
@@ -36,13 +37,22 @@ STATES_PER_CLOCK = 10  # states between two publications of the mapping, which d
 _NONE = Fraction(0)
 
 
-class StatePublisher:
-    """Build and publish everything about one controller.
+@dataclass(frozen=True, slots=True)
+class StepActivity:
+    """What else is published about a controller.
 
     armed_step: returns the step that is loaded.
     following: returns whether a step is not over yet.
     holders: returns the lease holders by axis.
     """
+
+    armed_step: Callable[[], ArmedStep | None]
+    following: Callable[[], bool]
+    holders: Callable[[], dict[str, str]]
+
+
+class StatePublisher:
+    """Build and publish everything about one controller."""
 
     def __init__(
         self,
@@ -50,9 +60,7 @@ class StatePublisher:
         fence: EpochFence,
         remembered: PersistentMemory,
         status: ControllerStatus,
-        armed_step: Callable[[], ArmedStep | None],
-        following: Callable[[], bool],
-        holders: Callable[[], dict[str, str]],
+        activity: StepActivity,
     ) -> None:
         self._context = context
         self._controller, self._config, self._driver = context.controller, context.config, context.driver
@@ -60,14 +68,14 @@ class StatePublisher:
         self._fence = fence
         self._remembered = remembered
         self._status = status
-        self._armed_step = armed_step
-        self._following = following
-        self._holders = holders
+        self._armed_step = activity.armed_step
+        self._following = activity.following
+        self._holders = activity.holders
         self._events = EventRing(context.instance)
         self._state_seq = 0
         self.published_ns = 0
 
-    async def serve_queries(self) -> list[Declared]:
+    async def serve_queries(self) -> list[BusDeclaration]:
         """Serve the last state, missed events, the controller's information and its clock."""
         keys, bus = self._keys, self._bus
         return [
@@ -77,7 +85,7 @@ class StatePublisher:
             await bus.serve(keys.clock(self._controller), self._answer_clock),
         ]
 
-    async def _answer_clock(self, _: Sample) -> bytes:
+    async def _answer_clock(self, _: BusSample) -> bytes:
         mapping, crystal = self._clock_mapping(), self._driver.crystal_rate()
         return ClockReply(
             controller=self._controller,
@@ -198,7 +206,7 @@ class StatePublisher:
 
     def _in_fleet_time(self, host_ns: int) -> int | None:
         scale = self._context.scale()
-        return None if scale is None else scale.fleet_ns(host_ns)
+        return None if scale is None else scale.to_fleet_ns(host_ns)
 
     # Events
 
@@ -236,17 +244,17 @@ class StatePublisher:
 
     # Replies
 
-    async def _answer_state(self, _: Sample) -> bytes:
+    async def _answer_state(self, _: BusSample) -> bytes:
         return self.current_state().to_json()
 
-    async def _answer_events(self, sample: Sample) -> bytes:
+    async def _answer_events(self, sample: BusSample) -> bytes:
         try:
             request = EventsRequest.model_validate_json(sample.payload)
         except ValidationError as error:
             raise RequestRefused(first_error_text(error)) from None
         return self._events.events_after(request.after).to_json()
 
-    async def _answer_info(self, _: Sample) -> bytes:
+    async def _answer_info(self, _: BusSample) -> bytes:
         identity, capabilities = self._status.identity, self._driver.capabilities
         return ControllerInfo(
             controller=self._controller,

@@ -76,7 +76,7 @@ class AxisReferencing:
                 return dict(await self._driver.home_axes(axes, found))
         except TimeoutError:
             left = [name for name in axes if name in self._status.homing]
-            await self._driver.stop(False)
+            await self._driver.stop(abort=False)
             # No other motion may begin while these axes still decelerate.
             await self._settling.wait_for_rest(axes, self._driver.capabilities.costs.stop_ns + NS_PER_S)
             text = f"no reference found within {longest_s:g} s"

@@ -18,13 +18,13 @@ from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
 from adapters.controller.limits import check_profiles
 from adapters.controller.motors import MotorControl
-from adapters.controller.participant import ArmedStep, StepParticipant, StepPhase
-from adapters.controller.publisher import StatePublisher
+from adapters.controller.participant import ArmedStep, StepParticipant, StepPhase, StepServices
+from adapters.controller.publisher import StatePublisher, StepActivity
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
-from orchestrator.bus.base import Declared, Handler
+from orchestrator.bus.base import BusDeclaration, RequestHandler
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
@@ -62,11 +62,13 @@ class ControllerSupervisor:
             context.controller,
             context.driver,
             context.clock,
-            self._check_step,
-            self._require_scale,
-            self._emit_step,
-            self._settling.wait_until_settled,
-            self._spawn_task,
+            StepServices(
+                check=self._check_step,
+                scale=self._require_scale,
+                emit=self._emit_step,
+                settle=self._settling.wait_until_settled,
+                spawn=self._spawn_task,
+            ),
             context.lowering_lock,
         )
         self._publisher = StatePublisher(
@@ -74,9 +76,11 @@ class ControllerSupervisor:
             self._fence,
             remembered,
             condition,
-            lambda: self._participant.armed_step,
-            lambda: self._participant.is_following,
-            lambda: self._leases.holders,
+            StepActivity(
+                armed_step=lambda: self._participant.armed_step,
+                following=lambda: self._participant.is_following,
+                holders=lambda: self._leases.holders,
+            ),
         )
         self._jogging = JogControl(driver, context.clock, condition, self._spawn_task, self.wake_poll)
         self._motors = MotorControl(driver, context.clock, condition, self._settling, self.poll_and_publish)
@@ -102,7 +106,7 @@ class ControllerSupervisor:
         self._is_connected = False
         self._poll_wake = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._declared: list[Declared] = []
+        self._declared: list[BusDeclaration] = []
 
     # Life cycle
 
@@ -110,7 +114,7 @@ class ControllerSupervisor:
         """Start serving the controller on the bus; start latched if any other controller of the fleet is latched."""
         self._declared = [
             *await self._publisher.serve_queries(),
-            await self._bus.serve(self._keys.cmd(self.controller), self._commands.answer_command),
+            await self._bus.serve(self._keys.command(self.controller), self._commands.answer_command),
         ]
         await self._adopt_fleet_latch()
         self._declared.append(
@@ -128,7 +132,7 @@ class ControllerSupervisor:
         await self._driver.close()
 
     @property
-    def command_handler(self) -> Handler | None:
+    def command_handler(self) -> RequestHandler | None:
         """The handler of the controller's commands; None while it is not on the bus."""
         return self._commands.answer_command if self._declared else None
 
@@ -183,7 +187,7 @@ class ControllerSupervisor:
             self._status.identity = await self._driver.connect()
             if stop_pending:
                 # The stop before was early, but the line may have recovered only after it.
-                await self._driver.stop(False)
+                await self._driver.stop(abort=False)
         except BaseException:
             self._stop_pending = self._stop_pending or stop_pending
             raise
@@ -328,7 +332,7 @@ class ControllerSupervisor:
             self._log.warning(
                 "the controller moves although it was stopped; the stop is sent again", controller=self.controller
             )
-            self._spawn_task(self.stop(False, "repeated stop: the controller moved after an earlier one"))
+            self._spawn_task(self.stop(abort=False, reason="repeated stop: the controller moved after an earlier one"))
 
     def _motion_failure(self, before: ControllerReading | None, reading: ControllerReading) -> str | None:
         """Return the reason why a moving step must be aborted after this poll, or None; a failure of one axis is a
@@ -378,7 +382,7 @@ class ControllerSupervisor:
 
     # Stops, bypassing everything else
 
-    async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
+    async def stop(self, reason: str, *, abort: bool, follow: bool = False) -> None:
         """Stop the controller for any reason; nothing that is loaded starts afterwards. follow: keep following a moving
         step until it is at rest."""
         status = self._status
@@ -391,7 +395,7 @@ class ControllerSupervisor:
             status.begun_by_ns = armed_step.t0_host_ns + START_VISIBLE_NS
         self._jogging.drop_all(reason)
         try:
-            await self._participant.stop(abort, reason, follow)
+            await self._participant.stop(abort=abort, reason=reason, follow=follow)
         except (LinkClosed, LinkRefused, ControllerFault):
             self._stop_pending = True
             raise
@@ -407,7 +411,7 @@ class ControllerSupervisor:
         """Latch and stop as fast as the controller can; then switch outputs and motors to their safe states."""
         fresh = self._fence.latch_estop(latch)
         self._spawn_task(self._publish_latch(latch if fresh else None))
-        await self._log_errors(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
+        await self._log_errors(self.stop(abort=True, reason=f"e-stop {latch.event} by {latch.actor}"))
         await self._log_errors(self._make_outputs_safe())
         await self._log_errors(self._motors.switch_off_after_estop())
 
@@ -427,7 +431,7 @@ class ControllerSupervisor:
             return
         for point in self._config.outputs.values():
             if point.safe is not None:
-                await self._driver.set_output(point.number, point.safe == (point.active == "high"))
+                await self._driver.set_output(point.number, on=point.safe == (point.active == "high"))
 
     async def handle_coordinator_loss(self, reason: str) -> None:
         """Handle a missing heartbeat of the coordinator: unload or stop, and end all leases."""
@@ -440,7 +444,7 @@ class ControllerSupervisor:
         if armed_step is not None and armed_step.job == holder:
             self._spawn_task(self._participant.abandon_step(f"{reason}: {', '.join(axes)}"))
         if self._status.homing & set(axes):
-            self._spawn_task(self.stop(False, reason))
+            self._spawn_task(self.stop(abort=False, reason=reason))
         self._spawn_task(self._jogging.stop_jogs_of(holder, reason))
 
     # Calls between the components
@@ -462,7 +466,7 @@ class ControllerSupervisor:
             doing = "homing" if status.homing else "jogging"
             raise Refusal(doing, f"{min(status.homing | status.jogging)} is {doing}", "wait for its end")
         status.require_no_fault()
-        check_profiles(status, request.profiles, request.start.drive is not None)
+        check_profiles(status, request.profiles, drives=request.start.drive is not None)
 
     def replace_configuration(self, config: Controller) -> None:
         """Let the host replace this supervisor by one with another configuration."""

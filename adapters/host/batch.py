@@ -12,8 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from adapters.controller.publisher import first_error_text
-from orchestrator.bus.base import Handler, RequestRefused, Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import BusSample, RequestHandler, RequestRefused
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.messages import BatchReply, BatchRequest
 
@@ -22,13 +22,13 @@ class BatchAnswers:
     """Answer `host/{id}/cmd/*`. handler_of: returns the handler of a controller's own commands, None where it is not on
     the bus."""
 
-    def __init__(self, keys: Keys, clock: Clock, handler_of: Callable[[str], Handler | None]) -> None:
+    def __init__(self, keys: FleetKeys, clock: Clock, handler_of: Callable[[str], RequestHandler | None]) -> None:
         self._keys = keys
         self._clock = clock
         self._handler_of = handler_of
         self._tasks: set[asyncio.Task[None]] = set()
 
-    async def answer_batch(self, sample: Sample) -> bytes:
+    async def answer_batch(self, sample: BusSample) -> bytes:
         """Pass each request to its controller, and return the replies that arrived before the timeout."""
         verb = self._keys.verb_of(sample.key)
         try:
@@ -40,9 +40,9 @@ class BatchAnswers:
         errors: dict[str, str] = {}
         took_ns: dict[str, int] = {}
 
-        async def request_controller(controller: str, answer: Handler, payload: str) -> None:
+        async def request_controller(controller: str, answer: RequestHandler, payload: str) -> None:
             try:
-                reply = await answer(Sample(self._keys.cmd(controller, verb), payload.encode()))
+                reply = await answer(BusSample(self._keys.command(controller, verb), payload.encode()))
             except RequestRefused as refusal:
                 errors[controller] = str(refusal)
             except Exception as error:

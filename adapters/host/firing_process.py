@@ -23,8 +23,8 @@ from itertools import count
 from adapters.contract import WriteResult
 from adapters.toolkit.firing import ORDINARY_DELAY_US, REALTIME_DELAY_US, WriteOrder, write_at_instant
 from orchestrator.clock.base import NS_PER_US
-from orchestrator.clock.live import begin_live, raw_ns
-from orchestrator.clock.realtime import Urgency, hurry, may_hurry
+from orchestrator.clock.live import prepare_live_process, raw_ns
+from orchestrator.clock.realtime import RealtimePriority, can_set_realtime_priority, set_realtime_priority
 from orchestrator.link.base import Link, LinkClosed
 
 SPIN_NS = 2000 * NS_PER_US  # from here on it spins: a sleeping process wakes up to a millisecond late
@@ -41,8 +41,8 @@ class _PendingWrite:
 def run_child(control: socket.socket) -> None:
     """Run the child: fire the orders received over `control` until its other end is closed."""
     pending: dict[int, _PendingWrite] = {}
-    begin_live()
-    spin_ns = SPIN_NS if hurry(Urgency.FIRING) else ORDINARY_SPIN_NS
+    prepare_live_process()
+    spin_ns = SPIN_NS if set_realtime_priority(RealtimePriority.FIRING) else ORDINARY_SPIN_NS
     while True:
         due = min(pending, key=lambda each: pending[each].order.at_ns, default=None)
         wait_s = None if due is None else max(0.0, (pending[due].order.at_ns - spin_ns - raw_ns()) / 1e9)
@@ -109,13 +109,13 @@ class _ProcessWrite:
         if self.fired.done():
             return
         if "error" in message:
-            self.fired.set_exception(LinkClosed(f"{self._link.place}: {message['error']}"))
+            self.fired.set_exception(LinkClosed(f"{self._link.endpoint}: {message['error']}"))
         elif message.get("cancelled"):
             self.fired.cancel()
         elif "written_ns" in message:
             fired = WriteResult(int(str(message["written_ns"])), int(str(message["after_ns"])), bool(message["late"]))
             if not fired.late:
-                self._link.wrote(fired.written_ns, self._data)
+                self._link.record_write(fired.written_ns, self._data)
             self.fired.set_result(fired)
 
 
@@ -123,12 +123,14 @@ class ProcessTimedWriter:
     """The parent's side: it starts the firing process and sends it orders. Needs a running asyncio loop."""
 
     def __init__(self) -> None:
-        self.max_delay_us = REALTIME_DELAY_US if may_hurry(Urgency.FIRING) else ORDINARY_DELAY_US
+        self.max_delay_us = (
+            REALTIME_DELAY_US if can_set_realtime_priority(RealtimePriority.FIRING) else ORDINARY_DELAY_US
+        )
         self._control, child = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", "adapters.host.firing_process", str(child.fileno())]
         self._process = subprocess.Popen(command, pass_fds=[child.fileno()], stdin=subprocess.DEVNULL)
         child.close()
-        self._control.setblocking(False)
+        self._control.settimeout(0.0)
         self._writes: dict[int, _ProcessWrite] = {}
         self._numbers = count()
         self._loop = asyncio.get_running_loop()

@@ -19,11 +19,11 @@ from adapters.host.host import stops_by_line
 from adapters.host.host_process import BAD_INPUT, InvalidInput, host_parser, load_host, open_sink
 from adapters.link.last_stop import send_last_stop
 from adapters.link.open import make_link_opener
-from orchestrator.bus.log import Log, Sink
+from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.clock.parent import die_with_parent
-from orchestrator.clock.realtime import Urgency, hurry
+from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller
 
@@ -49,7 +49,7 @@ class SilenceTimer:
         self._checked_ns = now_ns
         self.lasted_ns = 0
 
-    def record_check(self, now_ns: int, heartbeat_seen: bool) -> None:
+    def record_check(self, now_ns: int, *, heartbeat_seen: bool) -> None:
         """Record a check for heartbeats at `now_ns`."""
         waited_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
         self.lasted_ns = 0 if heartbeat_seen else self.lasted_ns + min(waited_ns, LONGEST_CHECK_NS)
@@ -73,12 +73,12 @@ class HostChild:
         try:
             beats = os.read(self.heartbeats, 4096)
         except BlockingIOError:
-            heard = False
+            received = False
         else:
             if not beats:
                 return f"the adapter host ended{self._exit_code_text()}"
-            heard = self.has_beaten = True
-        self._silence.record_check(raw_ns(), heard)
+            received = self.has_beaten = True
+        self._silence.record_check(raw_ns(), heartbeat_seen=received)
         if self._silence.lasted_ns > (hung_ns if self.has_beaten else FIRST_HEARTBEAT_NS):
             return f"the adapter host has been silent for {self._silence.lasted_ns // NS_PER_MS} ms"
         return None
@@ -104,7 +104,9 @@ class HostChild:
 class HostGuardian:
     """Keep one adapter host running. `arguments` are the child's."""
 
-    def __init__(self, arguments: Sequence[str], controllers: dict[str, Controller], hung_ns: int, log: Log) -> None:
+    def __init__(
+        self, arguments: Sequence[str], controllers: dict[str, Controller], hung_ns: int, log: ProcessLog
+    ) -> None:
         self._arguments = arguments
         self._controllers = controllers
         self._hung_ns = hung_ns
@@ -211,7 +213,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sink = open_sink(chosen.log)
         if chosen.parent is not None:
             die_with_parent(chosen.parent)
-        hurry(Urgency.GUARDIAN, children=False)
+        set_realtime_priority(RealtimePriority.GUARDIAN, children=False)
         asyncio.run(_run_guardian(chosen, controllers, sink))
     except InvalidInput as error:
         sys.stderr.write(f"{error}\n")
@@ -219,8 +221,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-async def _run_guardian(chosen: argparse.Namespace, controllers: dict[str, Controller], sink: Sink) -> None:
-    log = Log("guardian", chosen.host, LiveClock(), sink)
+async def _run_guardian(chosen: argparse.Namespace, controllers: dict[str, Controller], sink: LogSink) -> None:
+    log = ProcessLog("guardian", chosen.host, LiveClock(), sink)
     guardian = HostGuardian(_child_arguments(chosen), controllers, chosen.hung_ms * NS_PER_MS, log)
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, guardian.request_end)

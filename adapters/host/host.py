@@ -11,16 +11,25 @@ from pydantic import ValidationError
 
 from adapters.contract import DriverSetup, Make, TimedWriter
 from adapters.controller.context import ControllerContext
+from adapters.controller.log import ControllerLog
 from adapters.controller.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
 from adapters.toolkit.firing import apply_writer_delay
-from orchestrator.bus.base import Bus, Declared, Handler, NoReply, RequestRefused, RequestTimeout, Sample
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log, Sink
+from orchestrator.bus.base import (
+    Bus,
+    BusDeclaration,
+    BusSample,
+    NoReply,
+    RequestHandler,
+    RequestRefused,
+    RequestTimeout,
+)
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
-from orchestrator.clock.fleet import Exchange, FleetScale, estimated_scale, exact_scale
+from orchestrator.clock.fleet import FleetScale, TimeExchange, estimate_scale, exact_scale
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
 from orchestrator.model.fleet import Controller, Fleet
@@ -79,13 +88,13 @@ class HostEnvironment:
     """The environment of a host: everything that differs between live and virtual runs."""
 
     bus: Bus
-    keys: Keys
+    keys: FleetKeys
     clock: Clock
     timed_writer: TimedWriter
     open_link: Callable[[str, Controller], OpenLink]
     store: Callable[[str], AdapterStore]
     runs: Executor
-    sink: Sink
+    sink: LogSink
     instance: str
 
 
@@ -103,12 +112,12 @@ class AdapterHost:
     def __init__(self, name: str, fleet: Fleet, environment: HostEnvironment) -> None:
         self._name = name
         self._environment = environment
-        self._log = Log("host", name, environment.clock, environment.sink, environment.bus, environment.keys)
+        self._log = ProcessLog("host", name, environment.clock, environment.sink, (environment.bus, environment.keys))
         self._scale: FleetScale | None = None
         self._leadership: LeaderHeartbeat | None = None
         self._leader_seen_ns: int | None = None
         self._congested = False
-        self._declared: list[Declared] = []
+        self._declared: list[BusDeclaration] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self._starts = 0
         self._lines: dict[str, _SharedPort] = {}
@@ -131,10 +140,21 @@ class AdapterHost:
             return TracedLink(await open_plain(), line.trace)
 
         options = apply_writer_delay(around.timed_writer, make.options_model.model_validate(config.options))
+        driver_log = ProcessLog("controller", controller, around.clock, around.sink)
+        driver_log.fleet_ns = self._fleet_ns
         driver = make.create_driver(
-            DriverSetup(controller, config, options, around.clock, open_link, around.timed_writer, line.shared)
+            DriverSetup(
+                controller=controller,
+                config=config,
+                options=options,
+                clock=around.clock,
+                open_link=open_link,
+                timed_writer=around.timed_writer,
+                shared=line.shared,
+                log=ControllerLog(driver_log, controller, lambda: self._leadership and self._leadership.epoch),
+            )
         )
-        log = Log("controller", controller, around.clock, around.sink, around.bus, around.keys)
+        log = ProcessLog("controller", controller, around.clock, around.sink, (around.bus, around.keys))
         log.fleet_ns = self._fleet_ns
         seat = ControllerContext(
             controller=controller,
@@ -157,7 +177,7 @@ class AdapterHost:
         return ControllerSupervisor(seat, PersistentMemory(around.store(controller), around.runs))
 
     def _fleet_ns(self) -> int | None:
-        return None if self._scale is None else self._scale.fleet_ns(self._environment.clock.now_ns())
+        return None if self._scale is None else self._scale.to_fleet_ns(self._environment.clock.now_ns())
 
     async def start(self) -> None:
         """Subscribe, announce the host, and start all supervisors."""
@@ -169,7 +189,7 @@ class AdapterHost:
         ]
         for unit in self.supervisors.values():
             await unit.start()
-        self._declared.append(await bus.serve(keys.together(self._name), self._batch_answers.answer_batch))
+        self._declared.append(await bus.serve(keys.batch_command(self._name), self._batch_answers.answer_batch))
         self._spawn_task(self._watch_coordinator())
 
     async def close(self) -> None:
@@ -181,7 +201,7 @@ class AdapterHost:
         for task in list(self._tasks):
             task.cancel()
 
-    def _handler_of(self, controller: str) -> Handler | None:
+    def _handler_of(self, controller: str) -> RequestHandler | None:
         unit = self.supervisors.get(controller)
         return None if unit is None else unit.command_handler
 
@@ -195,38 +215,42 @@ class AdapterHost:
 
     # The e-stop
 
-    def _handle_estop(self, sample: Sample) -> None:
+    def _handle_estop(self, sample: BusSample) -> None:
         """Handle an e-stop: every sample on that key counts, also one with an unreadable payload."""
         try:
-            heard = EstopMessage.model_validate_json(sample.payload)
+            received = EstopMessage.model_validate_json(sample.payload)
         except ValidationError:
-            heard = EstopMessage(event="garbled", actor="unknown", reason="an e-stop whose payload could not be read")
-        latch = EstopLatch(event=heard.event, actor=heard.actor, reason=heard.reason, utc=self._environment.clock.utc())
+            received = EstopMessage(
+                event="garbled", actor="unknown", reason="an e-stop whose payload could not be read"
+            )
+        latch = EstopLatch(
+            event=received.event, actor=received.actor, reason=received.reason, utc=self._environment.clock.utc()
+        )
         # Moving controllers first: a controller at rest can wait the millisecond that the stops of 16 others take.
         for unit in sorted(self.supervisors.values(), key=lambda unit: not unit.is_moving):
             self._spawn_task(unit.apply_estop(latch))
 
     # Leadership
 
-    def _handle_leadership(self, sample: Sample) -> None:
+    def _handle_leadership(self, sample: BusSample) -> None:
         try:
-            reign = LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
         except ValidationError as error:
             self._log.warning(f"unreadable leader message: {error.errors()[0]['msg']}")
             return
         known = self._leadership
-        if known is not None and reign.epoch < known.epoch:
+        if known is not None and heartbeat.epoch < known.epoch:
             return
-        self._leadership, self._leader_seen_ns = reign, self._environment.clock.now_ns()
-        if self._scale is not None and self._scale.scale_id == reign.scale_id:
+        self._leadership, self._leader_seen_ns = heartbeat, self._environment.clock.now_ns()
+        if self._scale is not None and self._scale.scale_id == heartbeat.scale_id:
             return
-        self._scale = exact_scale(reign, self._environment.clock)
+        self._scale = exact_scale(heartbeat, self._environment.clock)
         if self._scale is None:
-            self._spawn_task(self._estimate_scale(reign))
+            self._spawn_task(self._estimate_scale(heartbeat))
 
-    async def _estimate_scale(self, reign: LeaderHeartbeat) -> None:
+    async def _estimate_scale(self, heartbeat: LeaderHeartbeat) -> None:
         """Estimate the fleet time of a coordinator on another machine."""
-        exchanges: list[Exchange] = []
+        exchanges: list[TimeExchange] = []
         clock = self._environment.clock
         while len(exchanges) < TIME_EXCHANGES:
             sent_ns = clock.now_ns()
@@ -236,10 +260,10 @@ class AdapterHost:
                 await sleep_ns(clock, 100 * NS_PER_MS)
                 continue
             answer = TimeReply.model_validate_json(reply)
-            if answer.scale_id != reign.scale_id:
+            if answer.scale_id != heartbeat.scale_id:
                 return
-            exchanges.append(Exchange(sent_ns, clock.now_ns(), answer.fleet_ns))
-        self._scale = estimated_scale(reign.scale_id, exchanges)
+            exchanges.append(TimeExchange(sent_ns, clock.now_ns(), answer.fleet_ns))
+        self._scale = estimate_scale(heartbeat.scale_id, exchanges)
 
     async def _watch_coordinator(self) -> None:
         clock = self._environment.clock

@@ -24,14 +24,15 @@ from adapters.controller.store import FileStore
 from adapters.host.firing_process import ProcessTimedWriter
 from adapters.host.host import AdapterHost, HostEnvironment, check_controller
 from adapters.link.open import make_link_opener
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log, Sink
-from orchestrator.bus.logfile import file_sink
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import LogSink, ProcessLog
+from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
-from orchestrator.clock.executor import Threaded
-from orchestrator.clock.live import LiveClock, begin_live
-from orchestrator.clock.realtime import Urgency, hurry
+from orchestrator.clock.executor import ThreadExecutor
+from orchestrator.clock.live import LiveClock, prepare_live_process
+from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Controller, Fleet
 
@@ -43,7 +44,7 @@ BAD_INPUT = 2
 NO_BUS = 3
 
 
-class InvalidInput(Exception):
+class InvalidInput(TuttiError):
     """The arguments or the fleet file are invalid; the text states why."""
 
 
@@ -84,10 +85,10 @@ def load_host(path: Path, host: str) -> tuple[Fleet, dict[str, Controller]]:
     return fleet, mine
 
 
-def open_sink(path: Path | None) -> Sink:
+def open_sink(path: Path | None) -> LogSink:
     """Open the destination of log lines: the file, or stderr. Raises `InvalidInput`."""
     try:
-        write = file_sink(path) if path is not None else _write_to_stderr
+        write = make_file_sink(path) if path is not None else _write_to_stderr
     except OSError as error:
         raise InvalidInput(f"--log {path}: {error.strerror}") from None
 
@@ -106,7 +107,7 @@ def _write_to_stderr(line: str) -> None:
 class _LogForwarder(logging.Handler):
     """Forward log records of libraries to the project's own log."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: ProcessLog) -> None:
         super().__init__(logging.WARNING)
         self._log = log
 
@@ -120,7 +121,7 @@ class _HeartbeatWriter:
     def __init__(self, fd: int, orphaned: asyncio.Event) -> None:
         self._fd = fd
         self._orphaned = orphaned
-        os.set_inheritable(fd, False)
+        os.set_inheritable(fd, False)  # noqa: FBT003 - its parameters are positional-only
         os.set_blocking(fd, False)
         self._write_heartbeat()
 
@@ -142,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     try:
         fleet, _ = load_host(chosen.fleet, chosen.host)
-        hurry(Urgency.SERVICE)
+        set_realtime_priority(RealtimePriority.SERVICE)
         asyncio.run(_run_host(chosen, fleet, open_sink(chosen.log)))
     except InvalidInput as error:
         sys.stderr.write(f"{error}\n")
@@ -153,11 +154,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
+async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> None:
     loop, clock, ended, orphaned = asyncio.get_running_loop(), LiveClock(), asyncio.Event(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
-    log = Log("host", chosen.host, clock, sink)
+    log = ProcessLog("host", chosen.host, clock, sink)
     loop.set_exception_handler(lambda _, context: _log_defect(log, context))
     logging.getLogger().addHandler(_LogForwarder(log))
     bus = await open_bus(chosen.connect)
@@ -165,12 +166,12 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> Non
         firer = ProcessTimedWriter()
         around = HostEnvironment(
             bus,
-            Keys(fleet.fleet),
+            FleetKeys(fleet.fleet),
             clock,
             firer,
             lambda _, config: make_link_opener(config.link_to_open, clock),
             lambda controller: FileStore(chosen.state / f"{controller}.json"),
-            Threaded("memory"),
+            ThreadExecutor("memory"),
             sink,
             uuid4().hex,
         )
@@ -179,7 +180,7 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> Non
             if chosen.beat_fd is not None:
                 _HeartbeatWriter(chosen.beat_fd, orphaned)
             await host.start()
-            begin_live()
+            prepare_live_process()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())
             _print_ready()
             await _wait_for_any(ended, orphaned)
@@ -206,11 +207,11 @@ async def _wait_for_any(*events: asyncio.Event) -> None:
         wait.cancel()
 
 
-async def _shut_down(host: AdapterHost, log: Log, reason: str) -> None:
+async def _shut_down(host: AdapterHost, log: ProcessLog, reason: str) -> None:
     """Stop everything, because this process no longer supervises it, and close links and bus."""
     log.info(reason)
     stops = await asyncio.gather(
-        *(asyncio.wait_for(unit.stop(False, reason), STOP_SEND_S) for unit in host.supervisors.values()),
+        *(asyncio.wait_for(unit.stop(abort=False, reason=reason), STOP_SEND_S) for unit in host.supervisors.values()),
         return_exceptions=True,
     )
     for unit, outcome in zip(host.supervisors.values(), stops, strict=True):
@@ -222,7 +223,7 @@ async def _shut_down(host: AdapterHost, log: Log, reason: str) -> None:
         log.info(f"links and bus could not be closed within {CLOSE_TIMEOUT_S:g} s")
 
 
-def _log_defect(log: Log, context: dict[str, Any]) -> None:
+def _log_defect(log: ProcessLog, context: dict[str, Any]) -> None:
     """Log the failure of a task or callback: a defect of this program; the other tasks continue."""
     log.info(f"a defect: {context['message']}: {context.get('exception')!r}", level="error")
 

@@ -10,11 +10,10 @@ import contextlib
 import os
 import socket
 import sys
-from collections.abc import Callable
 
-from adapters.link.descriptor import DescriptorLink
+from adapters.link.descriptor import DescriptorLink, OpenDescriptor
 from orchestrator.clock.base import Clock
-from orchestrator.link.base import Link, LinkRefused, Received
+from orchestrator.link.base import Link, LinkRefused, ReceivedBytes
 from orchestrator.model.links import CanBusLink
 
 OPEN_TIMEOUT_S = 10.0
@@ -29,8 +28,8 @@ STAMP_BYTES = 8
 class _CanProcessLink(DescriptorLink):
     """The parent's end of the process's socket: whole frames out, and stamped frames in."""
 
-    def __init__(self, place: str, fd: int, release: Callable[[], None], clock: Clock) -> None:
-        super().__init__(place, 0, fd, release, clock, datagrams=True)
+    def __init__(self, endpoint: str, descriptor: OpenDescriptor, clock: Clock) -> None:
+        super().__init__(endpoint, 0, descriptor, clock, datagrams=True)
         self.process: asyncio.subprocess.Process | None = None
 
     def _handle_readable(self) -> None:
@@ -43,7 +42,7 @@ class _CanProcessLink(DescriptorLink):
             return
         if data[:1] == FRAMES:
             at_ns = int.from_bytes(data[1 : 1 + STAMP_BYTES], "little")
-            self._received.append(Received(data[1 + STAMP_BYTES :], at_ns))
+            self._received.append(ReceivedBytes(data[1 + STAMP_BYTES :], at_ns))
             self._wake_reader()
         else:
             self._shut_down(f"{self._place}: {data[1:].decode() or 'the process of the CAN interface has died'}")
@@ -63,7 +62,7 @@ class _CanProcessLink(DescriptorLink):
 async def open_can(link: CanBusLink, clock: Clock) -> Link:
     """Open an interface as a node of its own on the bus. Raises `LinkRefused`."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.setblocking(False)
+    ours.settimeout(0.0)
     command = (sys.executable, "-m", "adapters.link.can_process", str(theirs.fileno()))
     with theirs:
         process = await asyncio.create_subprocess_exec(
@@ -92,6 +91,6 @@ async def open_can(link: CanBusLink, clock: Clock) -> Link:
         ours.close()
         await process.wait()
         raise LinkRefused(f"{link.endpoint}: {said[1:].decode() or 'the process of the CAN interface has died'}")
-    port = _CanProcessLink(link.endpoint, ours.fileno(), ours.close, clock)
+    port = _CanProcessLink(link.endpoint, OpenDescriptor(ours.fileno(), ours.close), clock)
     port.process = process
     return port

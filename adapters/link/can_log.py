@@ -6,22 +6,22 @@ from typing import Literal
 
 import can
 
-from orchestrator.link.can import CanFrame, decode
-from orchestrator.link.trace import Entry
+from orchestrator.link.can import CanFrame, decode_frames
+from orchestrator.link.trace import TraceEntry
 
 LogFormat = Literal["asc", "blf", "candump"]
 _WRITERS = {"asc": can.ASCWriter, "blf": can.BLFWriter, "candump": can.CanutilsLogWriter}
 
 
-def write_log(path: Path, form: LogFormat, entries: Sequence[Entry], origin_s: float) -> int:
+def write_log(path: Path, form: LogFormat, entries: Sequence[TraceEntry], origin_s: float) -> int:
     """Write the frames of a link's trace to `path`; return their number.
 
     origin_s: Unix time of host time 0. Raises `ValueError` when the bytes are not frames, `OSError`.
     """
     messages = [
-        _make_message(frame, at_ns / 1e9 + origin_s, direction == "in")
+        _make_message(frame, at_ns / 1e9 + origin_s, received=direction == "in")
         for at_ns, direction, data in entries
-        for frame in decode(data)
+        for frame in decode_frames(data)
     ]
     with _WRITERS[form](path) as log:
         for message in messages:
@@ -29,7 +29,7 @@ def write_log(path: Path, form: LogFormat, entries: Sequence[Entry], origin_s: f
     return len(messages)
 
 
-def _make_message(frame: CanFrame, at_s: float, received: bool) -> can.Message:
+def _make_message(frame: CanFrame, at_s: float, *, received: bool) -> can.Message:
     return can.Message(
         timestamp=at_s,
         arbitration_id=frame.id,

@@ -14,7 +14,7 @@ from typing import Any
 import can
 
 from adapters.link.can import DATAGRAM, ERROR, FRAMES, READY, STAMP_BYTES
-from orchestrator.link.can import CanFrame, decode, encode
+from orchestrator.link.can import CanFrame, decode_frames, encode_frames
 
 END_CHECK_S = 0.2
 """Interval at which the reader checks whether to end."""
@@ -74,7 +74,7 @@ class _FramePump:
 
     def _write_frames(self) -> None:
         while data := self._link.recv(DATAGRAM):
-            for frame in decode(data):
+            for frame in decode_frames(data):
                 self._bus.send(message_from_frame(frame))
 
     def _read_frames(self) -> None:
@@ -83,7 +83,7 @@ class _FramePump:
             stamp = time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW).to_bytes(STAMP_BYTES, "little")
             frame = None if message is None else frame_from_message(message)
             if frame is not None:
-                self._link.send(FRAMES + stamp + encode(frame))
+                self._link.send(FRAMES + stamp + encode_frames(frame))
 
 
 def _send_datagram(link: socket.socket, data: bytes) -> None:

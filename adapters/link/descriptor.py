@@ -4,15 +4,24 @@ import asyncio
 import os
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from orchestrator.clock.base import Clock
-from orchestrator.link.base import LinkClosed, Received
+from orchestrator.link.base import LinkClosed, ReceivedBytes
 
 READ_BYTES = 65536
 
 
+@dataclass(frozen=True, slots=True)
+class OpenDescriptor:
+    """An open file descriptor in non-blocking mode. release: closes it."""
+
+    fd: int
+    release: Callable[[], None]
+
+
 class DescriptorLink:
-    """A `Link` over `fd`, which must be in non-blocking mode. `release` closes it. Needs a running asyncio loop.
+    """A `Link` over an open descriptor. Needs a running asyncio loop.
 
     datagrams: an empty datagram is ignored, whereas an empty read of a stream is its end.
 
@@ -20,22 +29,22 @@ class DescriptorLink:
     """
 
     def __init__(
-        self, place: str, char_ns: int, fd: int, release: Callable[[], None], clock: Clock, datagrams: bool = False
+        self, place: str, char_ns: int, descriptor: OpenDescriptor, clock: Clock, *, datagrams: bool = False
     ) -> None:
         self._place = place
         self._char_ns = char_ns
-        self._fd = fd
-        self._release = release
+        self._fd = fd = descriptor.fd
+        self._release = descriptor.release
         self._clock = clock
         self._datagrams = datagrams
         self._loop = asyncio.get_running_loop()
-        self._received: deque[Received] = deque()
+        self._received: deque[ReceivedBytes] = deque()
         self._waiting: asyncio.Future[None] | None = None
         self._closed_because: str | None = None
         self._loop.add_reader(fd, self._handle_readable)
 
     @property
-    def place(self) -> str:
+    def endpoint(self) -> str:
         return self._place
 
     @property
@@ -47,7 +56,7 @@ class DescriptorLink:
         self._require_open()
         return self._fd
 
-    def wrote(self, at_ns: int, data: bytes) -> None:
+    def record_write(self, at_ns: int, data: bytes) -> None:
         """Do nothing: a link keeps no record of itself; `TracedLink` does."""
 
     def write(self, data: bytes) -> int:
@@ -69,7 +78,7 @@ class DescriptorLink:
             raise self._closed_error()
         return at_ns
 
-    async def read(self) -> Received:
+    async def read(self) -> ReceivedBytes:
         while not self._received:
             self._require_open()
             self._waiting = self._loop.create_future()
@@ -96,7 +105,7 @@ class DescriptorLink:
         if not data:
             self._shut_down(f"{self._place}: closed by the other side")
             return
-        self._received.append(Received(data, at_ns))
+        self._received.append(ReceivedBytes(data, at_ns))
         self._wake_reader()
 
     def _shut_down(self, because: str) -> None:

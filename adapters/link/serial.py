@@ -8,7 +8,7 @@ from typing import Literal
 
 import serial
 
-from adapters.link.descriptor import DescriptorLink
+from adapters.link.descriptor import DescriptorLink, OpenDescriptor
 from adapters.link.holders import find_holders
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.link.base import Link, LinkRefused
@@ -45,7 +45,7 @@ def open_serial(link: SerialLink, clock: Clock) -> Link:
         with contextlib.suppress(OSError, ValueError):
             port.set_low_latency_mode(True)
     os.set_blocking(port.fileno(), False)
-    return DescriptorLink(link.endpoint, char_ns, port.fileno(), port.close, clock)
+    return DescriptorLink(link.endpoint, char_ns, OpenDescriptor(port.fileno(), port.close), clock)
 
 
 def _refusal_text(link: SerialLink, device: Path, error: Exception) -> str:

@@ -5,7 +5,7 @@ import contextlib
 import errno
 import socket
 
-from adapters.link.descriptor import DescriptorLink
+from adapters.link.descriptor import DescriptorLink, OpenDescriptor
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import Link, LinkRefused
 from orchestrator.model.fleet import TcpLink, UdpLink
@@ -34,7 +34,7 @@ async def open_tcp(link: TcpLink, clock: Clock) -> Link:
     family = socket.AF_INET6 if ":" in link.host else socket.AF_INET
     connection = socket.socket(family, socket.SOCK_STREAM)
     try:
-        connection.setblocking(False)
+        connection.settimeout(0.0)  # non-blocking
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNACKNOWLEDGED_MS)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
@@ -53,7 +53,7 @@ async def open_tcp(link: TcpLink, clock: Clock) -> Link:
             connection.shutdown(socket.SHUT_RDWR)
         connection.close()
 
-    return DescriptorLink(link.endpoint, 0, connection.fileno(), close_socket, clock)
+    return DescriptorLink(link.endpoint, 0, OpenDescriptor(connection.fileno(), close_socket), clock)
 
 
 def connection_error_text(link: TcpLink | UdpLink, error: BaseException) -> str | None:

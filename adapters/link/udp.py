@@ -3,7 +3,7 @@
 import asyncio
 import socket
 
-from adapters.link.descriptor import DescriptorLink
+from adapters.link.descriptor import DescriptorLink, OpenDescriptor
 from adapters.link.tcp import connection_error_text
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import Link, LinkRefused
@@ -18,7 +18,7 @@ async def open_udp(link: UdpLink, clock: Clock) -> Link:
     family = socket.AF_INET6 if ":" in link.host else socket.AF_INET
     connection = socket.socket(family, socket.SOCK_DGRAM)
     try:
-        connection.setblocking(False)
+        connection.settimeout(0.0)  # non-blocking
         async with asyncio.timeout(RESOLVE_TIMEOUT_S):
             await asyncio.get_running_loop().sock_connect(connection, (link.host, link.port))
     except BaseException as error:
@@ -27,4 +27,6 @@ async def open_udp(link: UdpLink, clock: Clock) -> Link:
         if why is None:
             raise
         raise LinkRefused(f"{link.endpoint}: {why}") from None
-    return DescriptorLink(link.endpoint, 0, connection.fileno(), connection.close, clock, datagrams=True)
+    return DescriptorLink(
+        link.endpoint, 0, OpenDescriptor(connection.fileno(), connection.close), clock, datagrams=True
+    )

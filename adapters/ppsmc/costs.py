@@ -19,7 +19,7 @@ _HOST_NS = 20 * NS_PER_MS  # event loop and operating system, for all exchanges 
 _SLOWEST_STOP_S = 2.0  # of a ramp in a step; see `trapezoid`
 
 
-def step_costs(options: PpSmcOptions, char_ns: int, installed: int, stop_s: float, waits: bool = False) -> StepCosts:
+def step_costs(options: PpSmcOptions, char_ns: int, installed: int, stop_s: float, *, waits: bool = False) -> StepCosts:
     """Return upper bounds in ns for links with this character time.
 
     installed: number of axes of the controller. stop_s: the longest ramp. waits: for a step that a trigger line starts.

@@ -16,7 +16,7 @@ from adapters.ppsmc import fleetaxes, startup
 from adapters.ppsmc.costs import longest_stop_s, step_costs
 from adapters.ppsmc.homing import home_axes
 from adapters.ppsmc.jogging import PpSmcJogging
-from adapters.ppsmc.lowering import PpSmcLowered, lower_step
+from adapters.ppsmc.lowering import ConnectionTraits, PpSmcLowered, lower_step
 from adapters.ppsmc.moves import PpSmcMover
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.polling import PpSmcPoller
@@ -25,6 +25,8 @@ from adapters.ppsmc.session import PpSmcSession, as_refusal
 from adapters.ppsmc.stopper import StopConnection
 from adapters.ppsmc.unitstate import PpSmcState
 from adapters.toolkit.connection import ConnectedDriver
+from adapters.toolkit.host_start import MoverTools
+from adapters.toolkit.refusals import log_refusals
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
@@ -76,11 +78,13 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
             slow_ns,
             self._token,
         )
-        stopper = StopConnection(self._setup.open_link, self._config.link.kind == "tcp")
+        session.log = self._log
+        self._log.info("link opened", place=session.link.endpoint)
+        stopper = StopConnection(self._setup.open_link, wanted=self._config.link.kind == "tcp")
         unit = PpSmcState(session, stopper, self._config, slow_ns, enabled=self._enabled)
         longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
         settle_ns = round(longest_s * NS_PER_S) + _STOP_RAMP_NS
-        mover = PpSmcMover(options, self._clock, self._setup.timed_writer, unit, self._crystal, settle_ns)
+        mover = PpSmcMover(options, MoverTools(self._clock, self._setup.timed_writer, self._crystal), unit, settle_ns)
         self._connection = PpSmcConnection(
             state=unit,
             mover=mover,
@@ -93,6 +97,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         # Reported by the first poll: a reconnecting adapter must learn that the controller was off meanwhile.
         self._save_token(session)
         self._installed = max(self._installed, unit.installed)
+        self.log_identity(session.link.endpoint, identity)
         return identity
 
     async def configure(self) -> None:
@@ -120,6 +125,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         if not unit.introduced and resting and not unit.session.blocked:
             await self.configure()
         elif unit.untidy and resting and not unit.session.blocked:
+            self._log.info("emptying the target buffer after a stop")
             await self.connection.mover.clear_targets()
         await unit.stopper.open_connection()
         restarted, self._restarted = self._restarted, False
@@ -128,33 +134,37 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
     # Steps
 
     def crystal_rate(self) -> CrystalRate:
-        return self._crystal.rate
+        return self._crystal.crystal_rate
 
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> PpSmcLowered:
-        known = self._crystal.known(self._clock.now_ns())
-        return lower_step(self._config, self._options, self._char_ns, self._installed, known, profiles, start)
+        known = self._crystal.estimate_at(self._clock.now_ns())
+        return lower_step(
+            self._config, self._options, ConnectionTraits(self._char_ns, self._installed, known), profiles, start
+        )
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, PpSmcLowered)
-        return await self.connection.mover.arm_move(lowered, t0_ns)
+        with log_refusals(self._log, "arming"):
+            return await self.connection.mover.arm_move(lowered, t0_ns)
 
-    async def stop(self, abort: bool) -> None:
+    async def stop(self, *, abort: bool) -> None:
         """Stop with `q`, which ends all motions and programs by the ramp (L2542), the fastest stop of this controller.
         An abort also blocks the controller, so that no other client's command continues (L1400), until
         `clear_faults`."""
         unit, mover = self.connection.state, self.connection.mover
-        unit.record_stop(range(1, self._installed + 1))
+        unit.stops.record_stop(range(1, self._installed + 1))
         outputs = mover.commands_after_stop()
         lines = [*outputs, "q", *(["block"] if abort else [])]
         mover.record_stop(unit.write_stop(*lines))
         if abort:
             unit.session.handle_block()
+        self._log.info("stop written", abort=abort)
 
     # Manual operation
 
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         """Enable or disable axes in the adapter. The controller cannot switch a motor off: the adapter does not move a
         disabled axis."""
         unit = self.connection.state
@@ -177,11 +187,11 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
     async def stop_axes(self, axes: Sequence[str]) -> None:
         unit = self.connection.state
         motors = [fleetaxes.axis_number(self._config.axes[name]) for name in axes]
-        unit.record_stop(motors)
+        unit.stops.record_stop(motors)
         if motors:
             unit.brake_axes(motors)
 
-    async def set_output(self, number: int, on: bool) -> None:
+    async def set_output(self, number: int, *, on: bool) -> None:
         unit = self.connection.state
         if not self._options.io_port:
             await unit.session.send_queries(ASK_STATUS)
@@ -195,9 +205,9 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         async with self._output_lock:
             now, bit = int((await unit.session.send_queries(ASK_OUTPUTS)).first_text(ASK_OUTPUTS)), 1 << number
             value = now | bit if on else now & ~bit
-            heard = await unit.session.send_repeatable((f"dout{value}",), ASK_OUTPUTS)
-        if int(heard.first_text(ASK_OUTPUTS)) != value:
-            raise Refusal("not-switched", f"the outputs are {heard.first_text(ASK_OUTPUTS)} after dout{value}", "")
+            reply = await unit.session.send_repeatable((f"dout{value}",), ASK_OUTPUTS)
+        if int(reply.first_text(ASK_OUTPUTS)) != value:
+            raise Refusal("not-switched", f"the outputs are {reply.first_text(ASK_OUTPUTS)} after dout{value}", "")
 
     async def clear_faults(self) -> None:
         """Unblock the controller, and clear errors (L1630). Raises `Refusal` while an axis moves."""
@@ -210,6 +220,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         if not look.is_idle:
             raise Refusal("moving", "errors cannot be cleared while an axis moves", "wait for its end, or stop it")
         await unit.session.send_repeatable(("cerr",), ASK_STATUS)
+        self._log.info("the controller is unblocked and its errors are cleared")
         if not unit.introduced:
             await self.configure()
 
@@ -225,6 +236,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         ended, self._connection = self._connection, None
         if ended is not None:
             session = ended.state.session
+            self._log.info("link closed")
             self._token = session.last_token
             self._save_token(session)
             ended.mover.drop_move()
@@ -240,4 +252,5 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
     def _save_token(self, session: PpSmcSession) -> None:
         if session.restarted:
             self._restarted, session.restarted = True, False
-            self._crystal.forget()
+            self._log.warning("the controller was restarted: its volatile state is lost")
+            self._crystal.discard_moves()

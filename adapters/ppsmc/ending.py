@@ -11,8 +11,8 @@ from adapters.ppsmc.step import LoadedMove
 from adapters.ppsmc.timing import PpSmcTiming
 from adapters.ppsmc.timing import make_timing as timing_of
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
-from orchestrator.clock.inferred import UnreadClock
+from adapters.toolkit.host_start import MoverTools, moved_outcome, resting_intervals
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
 
 _POLL_NS = 50 * NS_PER_MS
 _FAST_POLL_NS = 5 * NS_PER_MS
@@ -24,19 +24,16 @@ class PpSmcEndTimes:
     """End times of moves of one connection. crystal: what is known about it, and learned from the moves. settle_ns: how
     long axes may move after their planned end."""
 
-    def __init__(
-        self, options: PpSmcOptions, clock: Clock, unit: PpSmcState, crystal: UnreadClock, settle_ns: int
-    ) -> None:
+    def __init__(self, options: PpSmcOptions, tools: MoverTools, unit: PpSmcState, settle_ns: int) -> None:
         self._quick_ns = options.decode_ns[0]
-        self._crystal = crystal
-        self._clock = clock
+        self._crystal = tools.crystal
+        self._clock = tools.clock
         self._unit = unit
         self._settle_ns = settle_ns
 
     async def watch_to_end(self, move: LoadedMove) -> MoveOutcome:
         """Wait until the axes of a started move are at rest, and return how they ended."""
-        assert move.started is not None
-        timing = timing_of(move.lowered, move.started, self._unit.closed, self._quick_ns)
+        timing = timing_of(move.lowered, move.start, self._unit.closed, self._quick_ns)
         self._unit.on_reading = None if timing is None else timing.add_reading
         try:
             return await self._watch_axes(move, timing)
@@ -44,8 +41,7 @@ class PpSmcEndTimes:
             self._unit.on_reading = None
 
     async def _watch_axes(self, move: LoadedMove, timing: PpSmcTiming | None) -> MoveOutcome:
-        assert move.started is not None
-        due_ns = move.started.latest_ns + max(self._duration_bounds_ns(each)[1] for each in move.lowered.moves)
+        due_ns = move.start.latest_ns + max(self._duration_bounds_ns(each)[1] for each in move.lowered.moves)
         give_up_ns = due_ns + _READY_LAG_NS + self._settle_ns
         seen: dict[int, int] = {}
         while True:
@@ -62,36 +58,30 @@ class PpSmcEndTimes:
         if timing is not None and not reasons:
             timing.record_end(seen[timing.axis.motor])
             # The start is shown by the answer to a second query, which gives no information about the start delay.
-            self._crystal.learn(timing.timed, self._arrived_ns(move), None, self._clock.now_ns())
-        ended = {name: HostInterval(move.t0_ns, move.t0_ns) for name, s in move.lowered.durations_s.items() if s == 0.0}
+            self._crystal.learn_from_move(timing.timed, self._arrived_ns(move), None, self._clock.now_ns())
+        ended = resting_intervals(move.lowered.durations_s, move.t0_ns)
         for each in move.lowered.moves:
             ended[each.name] = self._end_interval(move, each, seen.get(each.motor, look.at_ns), look)
         wrong = await move.output.wait_until_passive() if move.output is not None else ""
         error = error or bool(wrong)
         reasons += [wrong] if wrong else []
-        if not reasons:
-            return MoveOutcome("done", ended)
-        if move.stopped_ns is not None and not error:
-            return MoveOutcome("stopped", ended, "; ".join(["stopped on request", *reasons]))
-        return MoveOutcome("fault", ended, "; ".join(reasons))
+        return moved_outcome(ended, reasons, stopped=move.stopped_ns is not None, failed=error)
 
     def _has_ended(self, move: LoadedMove, axis: PpSmcAxisMove, look: PpSmcReading) -> bool:
         """Return whether an axis that reads ready has ended: ready bits lag behind the start of a move."""
-        assert move.started is not None
         if look.counts[axis.motor] == axis.end_counts or move.stopped_ns is not None:
             return True
         if look.bits[axis.motor] & (
             StatusBits.LIMIT_FORWARD | StatusBits.LIMIT_REVERSE | StatusBits.ENCODER_ERROR | StatusBits.BLOCKED
         ):
             return True
-        return look.at_ns > move.started.latest_ns + _READY_LAG_NS
+        return look.at_ns > move.start.latest_ns + _READY_LAG_NS
 
     async def _wait_for_next_poll(self, move: LoadedMove, seen: Mapping[int, int]) -> None:
         """Wait for the next query: a short time when an axis is about to end, so that its end is known precisely."""
-        assert move.started is not None
         now_ns = self._clock.now_ns()
         dues = [
-            move.started.earliest_ns + self._duration_bounds_ns(each)[0]
+            move.start.earliest_ns + self._duration_bounds_ns(each)[0]
             for each in move.lowered.moves
             if each.motor not in seen
         ]
@@ -125,21 +115,18 @@ class PpSmcEndTimes:
     def _end_interval(self, move: LoadedMove, axis: PpSmcAxisMove, seen_ns: int, look: PpSmcReading) -> HostInterval:
         """Return the interval of an axis's end: from its start and its duration, within the error of the crystal, and
         before it was seen at rest."""
-        assert move.started is not None
         if look.counts[axis.motor] != axis.end_counts:
-            return HostInterval(min(move.started.earliest_ns, seen_ns), seen_ns)
+            return HostInterval(min(move.start.earliest_ns, seen_ns), seen_ns)
         least_ns, most_ns = self._duration_bounds_ns(axis)
         latest_ns = seen_ns
         if axis.motor not in self._unit.closed:
-            latest_ns = min(seen_ns, move.started.latest_ns + most_ns)
-        return HostInterval(min(move.started.earliest_ns + least_ns, latest_ns), latest_ns)
+            latest_ns = min(seen_ns, move.start.latest_ns + most_ns)
+        return HostInterval(min(move.start.earliest_ns + least_ns, latest_ns), latest_ns)
 
     def _duration_bounds_ns(self, axis: PpSmcAxisMove) -> tuple[int, int]:
         """Return the shortest and longest duration of an axis's move by everything known about the crystal."""
-        assert axis.shape is not None
-        return self._crystal.rate.took_ns(axis.shape.duration_s, self._clock.now_ns())
+        return self._crystal.crystal_rate.host_duration_ns(axis.running_shape.duration_s, self._clock.now_ns())
 
     def _arrived_ns(self, move: LoadedMove) -> int:
         """Return the earliest instant at which the starting command reached the controller."""
-        assert move.started is not None
-        return move.started.earliest_ns - self._quick_ns
+        return move.start.earliest_ns - self._quick_ns

@@ -97,31 +97,37 @@ def check_fleet(config: Controller, options: PpSmcOptions) -> None:
     if config.link.kind == "udp":
         raise ValueError("link.kind: udp is not supported; allowed: tcp, serial")
     for name, axis in config.axes.items():
-        if not axis.motors[0].isdecimal() or int(axis.motors[0]) not in AXES:
-            raise ValueError(
-                f"axes.{name}.motors: {axis.motors[0]!r} is not an axis of the controller; allowed: '1' to '16'"
-            )
-        if axis.homing.method not in METHODS:
-            raise ValueError(
-                f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}"
-            )
-        if axis.homing.method == "ref" and axis.homing.direction != "negative":
-            raise ValueError(f"axes.{name}.homing.direction: method ref searches in negative direction; use org")
-        limits = axis_bounds(axis)
-        if limits.speed < 1:
-            raise ValueError(
-                f"axes.{name}.limits.velocity: {axis.limits.velocity:g} {axis.unit}/s is below the "
-                "controller's lowest speed of one step per second"
-            )
-        if limits.start_min > limits.start_max or limits.start_min > limits.speed:
-            raise ValueError(
-                f"axes.{name}.start_rate: no whole number of steps per second lies between its min and its max, "
-                f"and below limits.velocity; allowed: 1 to {floor(limits.speed)} steps per second"
-            )
+        _check_axis(name, axis)
     for field, names in (("loop", list(options.loop)), ("encoders", options.encoders)):
         for name in names:
             if name not in config.axes:
                 raise ValueError(f"options.{field}: no axis {name}; axes are {', '.join(config.axes)}")
+    _check_points(config, options)
+
+
+def _check_axis(name: str, axis: Axis) -> None:
+    if not axis.motors[0].isdecimal() or int(axis.motors[0]) not in AXES:
+        raise ValueError(
+            f"axes.{name}.motors: {axis.motors[0]!r} is not an axis of the controller; allowed: '1' to '16'"
+        )
+    if axis.homing.method not in METHODS:
+        raise ValueError(f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}")
+    if axis.homing.method == "ref" and axis.homing.direction != "negative":
+        raise ValueError(f"axes.{name}.homing.direction: method ref searches in negative direction; use org")
+    limits = axis_bounds(axis)
+    if limits.speed < 1:
+        raise ValueError(
+            f"axes.{name}.limits.velocity: {axis.limits.velocity:g} {axis.unit}/s is below the "
+            "controller's lowest speed of one step per second"
+        )
+    if limits.start_min > limits.start_max or limits.start_min > limits.speed:
+        raise ValueError(
+            f"axes.{name}.start_rate: no whole number of steps per second lies between its min and its max, "
+            f"and below limits.velocity; allowed: 1 to {floor(limits.speed)} steps per second"
+        )
+
+
+def _check_points(config: Controller, options: PpSmcOptions) -> None:
     for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
         if points and not options.io_port:
             raise ValueError(

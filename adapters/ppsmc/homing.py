@@ -98,8 +98,8 @@ async def home_axes(
 
 async def _prepare_searches(unit: PpSmcState, searches: Sequence[_ReferenceSearch]) -> PpSmcReading:
     """Clear errors and load speeds, all while nothing moves. Raises `Refusal`."""
-    heard = await unit.session.send_queries(ASK_STATUS, ASK_POSITIONS)
-    look = unit.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
+    reply = await unit.session.send_queries(ASK_STATUS, ASK_POSITIONS)
+    look = unit.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
     if not look.is_idle:
         raise Refusal("moving", "an axis of the controller moves, or a program runs", "wait for its end, or stop it")
     commands = [f"cerr{each.motor}" for each in searches]
@@ -139,7 +139,7 @@ def _make_search(config: Controller, unit: PpSmcState, name: str) -> _ReferenceS
         command=commands[method],
         profile=(start, max(f, start), ramp, ramp),
         target=0 if at_zero else unit.homes.get(motor, 0),
-        stops=unit.stop_count(motor),
+        stops=unit.stops.stop_count(motor),
     )
 
 
@@ -162,7 +162,7 @@ async def _search_failure(unit: PpSmcState, search: _ReferenceSearch, look: PpSm
     motor, bits = search.motor, look.bits[search.motor]
     if unit.session.restarted:
         return "the controller was restarted"
-    if unit.stop_count(motor) != search.stops or look.is_blocked:
+    if unit.stops.stop_count(motor) != search.stops or look.is_blocked:
         return "it was stopped"
     try:
         number, text = (await unit.read_errors()).get(motor, (0, ""))
@@ -188,8 +188,8 @@ def _limit_was_reached(search: _ReferenceSearch, look: PpSmcReading) -> bool:
 
 async def _set_zero(unit: PpSmcState, search: _ReferenceSearch) -> str:
     async with unit.loading:
-        heard = await unit.session.send_once((f"pos{search.motor}:0",), ASK_STATUS, ASK_POSITIONS)
-    look = unit.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
+        reply = await unit.session.send_once((f"pos{search.motor}:0",), ASK_STATUS, ASK_POSITIONS)
+    look = unit.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
     return "" if look.counts[search.motor] == 0 else "its position could not be set: another axis moves"
 
 

@@ -59,10 +59,10 @@ class PpSmcJogging:
     async def start_jog(self, axis: str, move: JogMove) -> None:
         """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         unit, motor = self._unit, fleetaxes.axis_number(self._config.axes[axis])
-        since = unit.stop_count(motor)
+        since = unit.stops.stop_count(motor)
         async with self._turn, unit.loading:
             unit.require_enabled([axis])
-            unit.require_no_stop(axis, motor, since)
+            unit.stops.require_no_stop(axis, motor, since)
             if self._mover.move is not None:
                 raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
             wanted = _make_run(axis, motor, move, fleetaxes.axis_bounds(self._config.axes[axis]), since)
@@ -85,7 +85,7 @@ class PpSmcJogging:
             for run in onward:
                 # Stopped meanwhile, or already at its end: it stays at its position.
                 with suppress(Refusal):
-                    unit.require_no_stop(run.axis, run.motor, run.stops)
+                    unit.stops.require_no_stop(run.axis, run.motor, run.stops)
                     self._require_range(run, look)
                     await self._begin_jog(run, look)
 
@@ -149,7 +149,7 @@ class PpSmcJogging:
         await unit.start_motion(f"goto{wanted.motor}:{target}", wanted.axis, wanted.motor, wanted.stops)
         until_ns = self._clock.now_ns() + _READY_LAG_NS
         while (now := await self._read_state()).is_ready(wanted.motor) and now.counts[wanted.motor] == before:
-            unit.require_no_stop(wanted.axis, wanted.motor, wanted.stops)
+            unit.stops.require_no_stop(wanted.axis, wanted.motor, wanted.stops)
             if self._clock.now_ns() > until_ns:
                 unit.brake_axes([wanted.motor])
                 raise Refusal(

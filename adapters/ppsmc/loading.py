@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 from adapters.ppsmc import fleetaxes
+from adapters.ppsmc.lines import switch_text, wait_text
 from adapters.ppsmc.lowering import PpSmcAxisMove, PpSmcLowered
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import (
@@ -36,10 +37,10 @@ def check_queries(lowered: PpSmcLowered) -> list[FormattedQuery]:
     return queries
 
 
-def require_rest(unit: PpSmcState, lowered: PpSmcLowered, heard: TokenReply) -> PpSmcReading:
+def require_rest(unit: PpSmcState, lowered: PpSmcLowered, reply: TokenReply) -> PpSmcReading:
     """Check that the controller is idle at the start of the plan, free to move, and the awaited trigger line passive.
     Raises `Refusal`."""
-    look = unit.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
+    look = unit.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
     if look.is_blocked:
         raise Refusal("blocked", "the controller is blocked", "unblock it with `tutti reset`")
     if lowered.moves and look.program_runs:
@@ -63,7 +64,7 @@ def require_rest(unit: PpSmcState, lowered: PpSmcLowered, heard: TokenReply) -> 
             )
     if lowered.moves and not look.is_idle:
         raise Refusal("moving", "another axis of the controller moves, or it counts", "wait for its end, or stop it")
-    if lowered.wait is not None and lowered.wait.is_active(int(heard.first_text(ASK_INPUTS))):
+    if lowered.wait is not None and lowered.wait.is_active(int(reply.first_text(ASK_INPUTS))):
         raise Refusal(
             "line-level",
             f"input {lowered.wait.name} (bit {lowered.wait.bit}) is already active",
@@ -84,8 +85,8 @@ def profile_lines(moves: tuple[PpSmcAxisMove, ...]) -> list[str]:
 
 def profile_values(move: PpSmcAxisMove) -> tuple[int, int, int, int]:
     """Return the values in the order of `PROFILE`."""
-    assert move.shape is not None
-    return move.shape.s, move.shape.f, move.shape.a, move.shape.d
+    shape = move.running_shape
+    return shape.s, shape.f, shape.a, shape.d
 
 
 def target_lines(unit: PpSmcState, moves: tuple[PpSmcAxisMove, ...]) -> list[str]:
@@ -96,9 +97,9 @@ def target_lines(unit: PpSmcState, moves: tuple[PpSmcAxisMove, ...]) -> list[str
 
 def program_lines(unit: PpSmcState, lowered: PpSmcLowered) -> list[str]:
     """Return one program line: its input or output first, then all axes together (L3216-L3222)."""
-    first = lowered.wait.program_text if lowered.wait is not None else ""
+    first = wait_text(lowered.wait) if lowered.wait is not None else ""
     if not first and lowered.drive is not None:
-        first = lowered.drive.program_text
+        first = switch_text(lowered.drive)
     moving: list[str] = []
     for each in lowered.moves:
         s, f, a, d = profile_values(each)
@@ -112,14 +113,14 @@ async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLo
     """Load speeds and the target buffer. Raises `Refusal` when the controller does not store them."""
     commands = [*profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
     queries = [ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
-    heard = await unit.session.send_repeatable(commands, *queries)
+    reply = await unit.session.send_repeatable(commands, *queries)
     if options.check_profile:
-        held = parse_settings(heard.reply_texts(ASK_SETTINGS))
+        held = parse_settings(reply.reply_texts(ASK_SETTINGS))
         for each in lowered.moves:
             require_profile(each.name, each.motor, profile_values(each), held)
     for each in lowered.moves:
         unit.profiles[each.motor] = profile_values(each)
-    require_targets(unit, lowered, heard.first_line(ASK_TARGETS))
+    require_targets(unit, lowered, reply.first_line(ASK_TARGETS))
 
 
 def require_profile(name: str, motor: int, wanted: tuple[int, int, int, int], held: dict[int, dict[str, str]]) -> None:
@@ -169,8 +170,8 @@ def _is_target(text: str) -> bool:
 async def load_program(unit: PpSmcState, lowered: PpSmcLowered) -> None:
     """Load the program in place of the one in memory. Raises `Refusal` when the controller does not store it."""
     lines = program_lines(unit, lowered)
-    heard = await unit.session.send_repeatable(["clr", *lines], ASK_PROGRAM)
-    require_program(lines, heard.reply_texts(ASK_PROGRAM))
+    reply = await unit.session.send_repeatable(["clr", *lines], ASK_PROGRAM)
+    require_program(lines, reply.reply_texts(ASK_PROGRAM))
 
 
 def require_program(lines: list[str], found: list[str]) -> None:

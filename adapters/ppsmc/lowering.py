@@ -2,26 +2,26 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.ppsmc.costs import step_costs
 from adapters.ppsmc.fleetaxes import axis_bounds, axis_number
-from adapters.ppsmc.lines import (
-    PortOutput,
-    PortTrigger,
-    edge_terms,
-    resolve_driven_output,
-    resolve_wait_input,
-    starting_terms,
-    waiting_terms,
-)
+from adapters.ppsmc.lines import LOWEST_POINT, edge_terms, starting_terms, switch_text, wait_text
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.trapezoid import POSITION_MAX, PpSmcTrapezoid, fit_trapezoid
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
-from orchestrator.clock.inferred import KnownClock
+from adapters.toolkit.wired_points import (
+    WiredInput,
+    WiredOutput,
+    resolve_driven_output,
+    resolve_wait_input,
+    waiting_terms,
+)
+from orchestrator.clock.inferred import ClockEstimate
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Controller
-from orchestrator.model.messages import StartOptions
+from orchestrator.model.messages import BudgetTerm, StartOptions
 from orchestrator.model.profile import Profile
 
 _START_CLASS_REASONS = {
@@ -43,6 +43,13 @@ class PpSmcAxisMove:
     shape: PpSmcTrapezoid | None
 
     @property
+    def running_shape(self) -> PpSmcTrapezoid:
+        """The shape of an axis that moves. Raises `ValueError` for one that stays at rest."""
+        if self.shape is None:
+            raise ValueError(f"axis {self.name} stays at rest")
+        return self.shape
+
+    @property
     def end_counts(self) -> int:
         return self.start_counts + self.distance
 
@@ -55,8 +62,8 @@ class PpSmcLowered(Lowered):
 
     lead_ns: int = 0
     moves: tuple[PpSmcAxisMove, ...] = ()
-    wait: PortTrigger | None = None
-    drive: PortOutput | None = None
+    wait: WiredInput | None = None
+    drive: WiredOutput | None = None
 
     @property
     def window_ns(self) -> tuple[int, int]:
@@ -69,17 +76,28 @@ class PpSmcLowered(Lowered):
         return bool(self.moves) and (self.wait is not None or self.drive is not None)
 
 
+@dataclass(frozen=True, slots=True)
+class ConnectionTraits:
+    """What a lowered step depends on besides the fleet file.
+
+    char_ns: one character on the slowest part of the connection, 0 for TCP.
+    installed: number of axes of the controller.
+    known: knowledge about its clock."""
+
+    char_ns: int
+    installed: int
+    known: ClockEstimate
+
+
 def lower_step(
     config: Controller,
     options: PpSmcOptions,
-    char_ns: int,
-    installed: int,
-    known: KnownClock,
+    traits: ConnectionTraits,
     profiles: Mapping[str, Profile],
     start_options: StartOptions,
 ) -> PpSmcLowered:
-    """Lower all axes of a step. installed: number of axes of the controller; known: knowledge about its clock. Raises
-    `Refusal`."""
+    """Lower all axes of a step. Raises `Refusal`."""
+    known = traits.known
     if start_options.wait is not None and options.io_port:
         require_start_class(start_options, ("host", "line"), "")
     else:
@@ -90,9 +108,9 @@ def lower_step(
                 "line" if start_options.wait is not None or start_options.start_class == "line" else "clock"
             ],
         )
-    wait = None if start_options.wait is None else resolve_wait_input(config, start_options.wait)
-    drive = None if start_options.drive is None else resolve_driven_output(config, start_options.drive)
-    rate, start = known.rate.factor, known.latency
+    wait = None if start_options.wait is None else resolve_wait_input(config, start_options.wait, LOWEST_POINT)
+    drive = None if start_options.drive is None else resolve_driven_output(config, start_options.drive, LOWEST_POINT)
+    rate, start = known.rate.clock_factor, known.latency
     moves = _make_common_moves(config, rate, profiles, start_options)
     running = tuple(each for each in moves if each.shape is not None)
     durations_s = {each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves}
@@ -101,10 +119,12 @@ def lower_step(
         start_class="host" if wait is None else "line",
         durations_s=durations_s,
         path_error_counts={each.name: _path_error(profiles[each.name], each, rate) for each in moves},
-        terms=starting_terms(options, start, drive is not None) if wait is None else waiting_terms(options, wait),
+        terms=starting_terms(options, start, program=drive is not None)
+        if wait is None
+        else _line_start_terms(options, wait),
         tick_ns=0.0,
-        clock_ppm=known.clock_ppm(max(durations_s.values(), default=0.0)),
-        costs=step_costs(options, char_ns, installed, ramps_s, wait is not None),
+        clock_ppm=known.bound_ppm(max(durations_s.values(), default=0.0)),
+        costs=step_costs(options, traits.char_ns, traits.installed, ramps_s, waits=wait is not None),
         commands=_display_commands(running, wait, drive),
         edge=() if drive is None else edge_terms(options, start),
         can_advance=True,
@@ -116,7 +136,7 @@ def lower_step(
 
 
 def _display_commands(
-    running: tuple[PpSmcAxisMove, ...], wait: PortTrigger | None, drive: PortOutput | None
+    running: tuple[PpSmcAxisMove, ...], wait: WiredInput | None, drive: WiredOutput | None
 ) -> tuple[str, ...]:
     """Return the commands for display; targets in steps."""
     if not running:
@@ -125,7 +145,7 @@ def _display_commands(
     if wait is None and drive is None:
         profile = [f"frun{e.motor}:{s.s} ffast{e.motor}:{s.f} acc{e.motor}:{s.a} dec{e.motor}:{s.d}" for e, s in shapes]
         return (*profile, "tbc", *(f"tbs{e.motor}:a ({e.end_counts} steps)" for e, _ in shapes), "tbg")
-    first = wait.program_text if wait is not None else drive.program_text if drive is not None else ""
+    first = wait_text(wait) if wait is not None else switch_text(drive) if drive is not None else ""
     moving = [f"{e.motor}:a ({e.end_counts} steps) s{s.s}r{s.f}a{s.a}d{s.d}" for e, s in shapes]
     return (first, *moving, "nl", "end", "start:")
 
@@ -141,7 +161,8 @@ def _make_common_moves(
 
     def make_stretched(factor: float) -> list[PpSmcAxisMove]:
         moves = [
-            _make_move(name, config.axes[name], each, rate, factor, start_options) for name, each in profiles.items()
+            _make_move(name, config.axes[name], each, _TimeScale(rate, factor), start_options)
+            for name, each in profiles.items()
         ]
         return sorted(moves, key=lambda each: each.motor)
 
@@ -164,10 +185,19 @@ def _make_common_moves(
     return first
 
 
+class _TimeScale(NamedTuple):
+    """Relation of a move's duration to its plan. rate: of the controller's crystal relative to the host's. factor: by
+    which the move is slower than planned."""
+
+    rate: float
+    factor: float
+
+
 def _make_move(
-    name: str, axis: Axis, profile: Profile, rate: float, factor: float, start_options: StartOptions
+    name: str, axis: Axis, profile: Profile, scale: _TimeScale, start_options: StartOptions
 ) -> PpSmcAxisMove:
-    """Return one axis's part, in `factor` times the planned duration. Raises `Refusal`."""
+    """Return one axis's part. Raises `Refusal`."""
+    rate, factor = scale
     if any(profile.jerks):
         raise Refusal("jerk", f"axis {name}: the SMC cannot limit jerk", "remove `jerk` from the axis's limits")
     distance = profile.end_counts - profile.start_counts
@@ -201,3 +231,8 @@ def _make_move(
 def _path_error(profile: Profile, move: PpSmcAxisMove, rate: float) -> float:
     """Return the path error. rate: of the controller's crystal relative to the host's."""
     return 0.0 if move.shape is None else path_error_counts(profile, legs_in_host_time(move.shape.motion_legs, rate))
+
+
+def _line_start_terms(options: PpSmcOptions, wait: WiredInput) -> tuple[BudgetTerm, ...]:
+    """Return the terms of a start by trigger line relative to T0."""
+    return waiting_terms(wait, options.input_scan_us, options.clock_ppm, options.line_start_us + options.start_skew_us)

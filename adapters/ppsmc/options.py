@@ -6,8 +6,8 @@ from pydantic import Field
 
 from adapters.toolkit.firing import FiringOptions, Microseconds
 from orchestrator.clock.base import NS_PER_US
-from orchestrator.clock.inferred import UnreadClock
-from orchestrator.clock.latency import Latency
+from orchestrator.clock.inferred import InferredClock
+from orchestrator.clock.latency import StartLatency
 from orchestrator.model.base import Id
 
 
@@ -63,12 +63,12 @@ class PpSmcOptions(FiringOptions):
         description="How long connecting waits for the end of a motion or program in progress.",
     )
 
-    def unread_clock(self) -> UnreadClock:
+    def unread_clock(self) -> InferredClock:
         """Return the assumptions about the controller's crystal, and about the time from the end of a starting command
         to the motion."""
         quick_ns, slow_ns = self.decode_ns
         most_ns = slow_ns + (self.start_skew_us + self.wire_jitter_us) * NS_PER_US
-        return UnreadClock(self.rate_ppm, self.clock_ppm, Latency(self.decode_us * NS_PER_US, quick_ns, most_ns))
+        return InferredClock(self.rate_ppm, self.clock_ppm, StartLatency(self.decode_us * NS_PER_US, quick_ns, most_ns))
 
     @property
     def decode_ns(self) -> tuple[int, int]:

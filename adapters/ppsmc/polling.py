@@ -42,33 +42,26 @@ class PpSmcPoller:
 
     async def poll_state(self) -> ControllerReading:
         unit, session = self._unit, self._unit.session
-        queries: list[FormattedQuery] = [ASK_STATUS, ASK_POSITIONS, ASK_ERRORS]
         measured = self._encoders | unit.closed
-        if measured:
-            queries.append(ASK_ENCODERS)
-        if self._config.inputs:
-            queries.append(ASK_INPUTS)
-        if self._config.outputs:
-            queries.append(ASK_OUTPUTS)
         said: dict[int, tuple[int, str]] = {}
         actual: dict[int, float] = {}
         try:
             if session.blocked:
                 raise ControllerFault("blocked", "", "")
-            heard = await session.send_queries(*queries)
+            reply = await session.send_queries(*self._poll_queries(measured))
         except ControllerFault as error:
             if error.code != "blocked":
                 raise
             look = await unit.read_state()
         else:
-            look = unit.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
-            said = parse_errors(heard.reply_texts(ASK_ERRORS))
-            if ASK_ENCODERS in heard:
-                actual = _parse_distances(heard.first_text(ASK_ENCODERS), unit.gears)
-            if ASK_INPUTS in heard:
-                self._inputs = port_levels(int(heard.first_text(ASK_INPUTS)))
-            if ASK_OUTPUTS in heard:
-                self._outputs = port_levels(int(heard.first_text(ASK_OUTPUTS)))
+            look = unit.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
+            said = parse_errors(reply.reply_texts(ASK_ERRORS))
+            if ASK_ENCODERS in reply:
+                actual = _parse_distances(reply.first_text(ASK_ENCODERS), unit.gears)
+            if ASK_INPUTS in reply:
+                self._inputs = port_levels(int(reply.first_text(ASK_INPUTS)))
+            if ASK_OUTPUTS in reply:
+                self._outputs = port_levels(int(reply.first_text(ASK_OUTPUTS)))
         if session.restarted:
             raise ControllerRestarted()
         faults = _controller_faults(look)
@@ -84,6 +77,16 @@ class PpSmcPoller:
             outputs=dict(self._outputs),
             faults=faults,
         )
+
+    def _poll_queries(self, measured: set[int]) -> list[FormattedQuery]:
+        queries: list[FormattedQuery] = [ASK_STATUS, ASK_POSITIONS, ASK_ERRORS]
+        if measured:
+            queries.append(ASK_ENCODERS)
+        if self._config.inputs:
+            queries.append(ASK_INPUTS)
+        if self._config.outputs:
+            queries.append(ASK_OUTPUTS)
+        return queries
 
     def _read_axis(
         self,

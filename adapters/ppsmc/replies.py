@@ -25,7 +25,7 @@ class FormattedQuery(NamedTuple):
     form: PpSmcReplyFormat
 
 
-def _make_format(words: str, pattern: str, many: bool = False) -> PpSmcReplyFormat:
+def _make_format(words: str, pattern: str, *, many: bool = False) -> PpSmcReplyFormat:
     return PpSmcReplyFormat(words, re.compile(pattern, re.IGNORECASE), many)
 
 

@@ -13,8 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
+from adapters.contract import NULL_LOG
 from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, ASK_USER_STATUS, FormattedQuery, StatusBits, parse_states
-from orchestrator.clock.base import NS_PER_MS, Clock, Timer, sleep_ns
+from adapters.toolkit.pending_reply import PendingReply
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 
@@ -59,9 +61,6 @@ class TokenReply:
         return query.text in self.answers
 
 
-ReplyFuture = asyncio.Future[TokenReply]
-
-
 @dataclass(slots=True)
 class PendingBatch:
     """A batch whose answers are outstanding. wait_ns: their timeout after the write."""
@@ -71,22 +70,7 @@ class PendingBatch:
     data: bytes
     written_ns: int
     wait_ns: int
-    answered: ReplyFuture = field(default_factory=lambda: asyncio.get_running_loop().create_future())
-    timer: Timer | None = None
-
-    def set_reply(self, heard: TokenReply) -> None:
-        if self.timer is not None:
-            self.timer.cancel()
-        if not self.answered.done():
-            self.answered.set_result(heard)
-
-    def set_failure(self, error: Exception) -> None:
-        if self.timer is not None:
-            self.timer.cancel()
-        if not self.answered.done():
-            self.answered.set_exception(error)
-            # retrieved: a waiter that was cancelled meanwhile leaves no unretrieved exception
-            self.answered.exception()
+    answer: PendingReply[TokenReply] = field(default_factory=PendingReply[TokenReply])
 
 
 class PpSmcSession:
@@ -100,6 +84,7 @@ class PpSmcSession:
 
     def __init__(self, link: Link, clock: Clock, answer_ns: int, slow_ns: int, token: int = 0) -> None:
         self.link = link
+        self.log = NULL_LOG
         self.greeting = ""
         self.blocked = False
         self.restarted = False
@@ -122,7 +107,7 @@ class PpSmcSession:
     async def close(self) -> None:
         self._reader.cancel()
         await self.link.close()
-        self._handle_link_loss(LinkClosed(f"{self.link.place} is closed"))
+        self._handle_link_loss(LinkClosed(f"{self.link.endpoint} is closed"))
 
     @property
     def last_token(self) -> int:
@@ -143,6 +128,7 @@ class PpSmcSession:
             if error.code == "blocked":
                 raise
             self._out_of_step = True
+            self.log.warning(f"the exchange is repeated: {error.text}", code=error.code)
         return await self.send_once(commands, *queries)
 
     async def send_once(
@@ -164,7 +150,7 @@ class PpSmcSession:
         for pending in list(self._pending.values()):
             self.remove_expected(pending)
             self._lost.add(pending.token)
-            pending.set_failure(_blocked_fault(self.link.place))
+            pending.answer.set_failure(_blocked_fault(self.link.endpoint))
 
     async def query_blocked(self) -> tuple[PpSmcLine, PpSmcLine]:
         """Query `?s` and `?p`, which a blocked controller answers, too; repeated, because an arriving block clears even
@@ -175,7 +161,8 @@ class PpSmcSession:
         async with self._turn:
             try:
                 return await self._query_plain()
-            except ControllerFault:
+            except ControllerFault as error:
+                self.log.warning(f"the query of a blocked controller is repeated: {error.text}")
                 return await self._query_plain()
 
     async def unblock_controller(self) -> None:
@@ -196,9 +183,9 @@ class PpSmcSession:
             await self._synchronise()
             pending = self._build_batch((command,), ())
             self.link.write(pending.data)
-            heard = await pending.answered
+            reply = await pending.answer.future
             self._out_of_step = True  # it may have changed the delimiters of answers
-            return "\n".join(line.text for line in heard.all_lines[:-1])
+            return "\n".join(line.text for line in reply.all_lines[:-1])
 
     def write_at_once(self, *commands: str) -> int:
         """Write at once, bypassing everything else; return the instant. Each command of the session is handed over as a
@@ -214,14 +201,15 @@ class PpSmcSession:
     def record_write(self, pending: PendingBatch, at_ns: int) -> None:
         """Record when the expected batch was written."""
         pending.written_ns = at_ns
-        if pending.token in self._pending and pending.timer is not None:
-            pending.timer.cancel()
-            pending.timer = self._clock.call_at_ns(at_ns + pending.wait_ns, partial(self._handle_timeout, pending))
+        if pending.token in self._pending:
+            pending.answer.cancel_timeout()
+            pending.answer.timer = self._clock.call_at_ns(
+                at_ns + pending.wait_ns, partial(self._handle_timeout, pending)
+            )
 
     def remove_expected(self, pending: PendingBatch) -> None:
         """Remove an expected batch that was never written."""
-        if pending.timer is not None:
-            pending.timer.cancel()
+        pending.answer.cancel_timeout()
         self._pending.pop(pending.token, None)
 
     def exclusive_lock(self) -> asyncio.Lock:
@@ -259,14 +247,14 @@ class PpSmcSession:
         before = sum(each.written_ns <= since_ns for each in self._pending.values())
         wait_ns += (before + 1) * self._slow_ns * 10
         pending = self._pending[token] = PendingBatch(token, tuple(queries), data, since_ns, wait_ns)
-        pending.timer = self._clock.call_at_ns(since_ns + wait_ns, partial(self._handle_timeout, pending))
+        pending.answer.timer = self._clock.call_at_ns(since_ns + wait_ns, partial(self._handle_timeout, pending))
         return pending
 
     async def _run_batch(self, commands: Sequence[str], queries: Sequence[FormattedQuery]) -> TokenReply:
         pending = self._build_batch(commands, queries)
         self.link.write(pending.data)
         try:
-            return await pending.answered
+            return await pending.answer.future
         except ControllerFault as error:
             if error.code != "no-answer":
                 raise
@@ -277,12 +265,13 @@ class PpSmcSession:
         while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
             await sleep_ns(self._clock, NS_PER_MS)
         if self.blocked:
-            raise _blocked_fault(self.link.place)
+            raise _blocked_fault(self.link.endpoint)
         if self._out_of_step:
             # End a half-typed line (each TCP connection has its own line buffer), then set the delimiters.
             spoiler = (SPOILER,) if self.link.char_ns else ()
             await self._run_batch((*spoiler, "txdel3", "echo0"), ())
             self._out_of_step = False
+            self.log.info("the session is synchronised", place=self.link.endpoint)
 
     async def _detect_block(self, error: ControllerFault) -> None:
         try:
@@ -290,7 +279,8 @@ class PpSmcSession:
         except ControllerFault:
             raise error from None
         if self.blocked:
-            raise _blocked_fault(self.link.place) from None
+            self.log.warning("the controller is blocked: a client has sent `block`")
+            raise _blocked_fault(self.link.endpoint) from None
 
     async def _query_plain(self) -> tuple[PpSmcLine, PpSmcLine]:
         self._require_open()
@@ -321,12 +311,12 @@ class PpSmcSession:
         self._lost.add(pending.token)
         self._out_of_step = True
         first = pending.data.decode().split(EOL, 1)[0]
-        pending.set_failure(self._no_answer(f"the lines from {first!r}"))
+        pending.answer.set_failure(self._no_answer(f"the lines from {first!r}"))
 
     def _no_answer(self, what: str) -> ControllerFault:
         return ControllerFault(
             "no-answer",
-            f"no reply to {what} on {self.link.place}",
+            f"no reply to {what} on {self.link.endpoint}",
             "check power and cable; a controller that is shutting down or shows a dialogue does not answer",
         )
 
@@ -349,7 +339,7 @@ class PpSmcSession:
     def _handle_link_loss(self, error: LinkClosed) -> None:
         self._closed = error
         for pending in list(self._pending.values()):
-            pending.set_failure(error)
+            pending.answer.set_failure(error)
         self._pending.clear()
         if self._plain is not None:
             self._plain.set()
@@ -390,10 +380,10 @@ class PpSmcSession:
             if not mine and not query.form.many:
                 self._out_of_step = True
                 said = "; ".join(line.text for line in self._received_lines) or "nothing"
-                pending.set_failure(
+                pending.answer.set_failure(
                     ControllerFault(
                         "garbage",
-                        f"asked {query.text!r} on {self.link.place}, expected {query.form.words}, "
+                        f"asked {query.text!r} on {self.link.endpoint}, expected {query.form.words}, "
                         f"received {said[:200]!r}",
                         "check cable and ground; is the option installed that the query concerns?",
                     )
@@ -403,7 +393,7 @@ class PpSmcSession:
         if answers[ASK_USER_STATUS.text][0].text == "0":
             self.restarted = self.restarted or self._known
         self._known = True
-        pending.set_reply(TokenReply(answers, pending.written_ns, said))
+        pending.answer.set_reply(TokenReply(answers, pending.written_ns, said))
 
 
 def _blocked_fault(place: str) -> ControllerFault:

@@ -6,6 +6,7 @@ from adapters.contract import ControllerIdentity
 from adapters.ppsmc import fleetaxes
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import ASK_SETTINGS, ASK_VERSION, parse_settings
+from adapters.ppsmc.session import PpSmcSession
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.model.errors import ControllerFault
@@ -22,7 +23,7 @@ async def identify_controller(unit: PpSmcState) -> ControllerIdentity:
     except ControllerFault as error:
         if error.code == "garbage":
             raise ControllerFault(
-                "wrong-make", f"{session.link.place} is not an SMC: {error}", "correct `adapter` or `link`"
+                "wrong-make", f"{session.link.endpoint} is not an SMC: {error}", "correct `adapter` or `link`"
             ) from None
         if error.code != "blocked":
             raise
@@ -34,14 +35,20 @@ async def wait_idle(unit: PpSmcState, clock: Clock, options: PpSmcOptions) -> Pp
     """Wait until nothing moves and no program runs; motions begun elsewhere are not stopped. Raises
     `ControllerFault`."""
     until_ns = clock.now_ns() + round(options.busy_wait_s * NS_PER_S)
+    waiting = False
     while not (look := await unit.read_state()).is_idle:
         if look.is_blocked:
+            unit.session.log.warning("the controller is blocked")
             return look
+        if not waiting:
+            unit.session.log.info("waiting for the end of a motion or program of another client")
+            waiting = True
         if clock.now_ns() > until_ns:
             doing = "a program runs" if look.program_runs else "an axis moves"
             raise ControllerFault(
                 "busy",
-                f"{doing} on {unit.session.link.place} for {options.busy_wait_s:g} s; it was not begun by this adapter",
+                f"{doing} on {unit.session.link.endpoint} for {options.busy_wait_s:g} s; it was not begun by this "
+                "adapter",
                 "wait for its end, or stop it (`q` at the controller, or `tutti stop`)",
             )
         await sleep_ns(clock, _BUSY_POLL_NS)
@@ -75,28 +82,40 @@ async def compare_and_load(unit: PpSmcState, options: PpSmcOptions) -> None:
         unit.homes[motor] = round(_read_fraction(held, "rofs", motor, "0") * gear)
         if int(_read_fraction(held, "dcpl", motor, "4")) < (places := fleetaxes.gear_decimals(gear)):
             wishes[f"dcpl{motor}"] = str(places)
-        loop = options.loop.get(name)
-        if loop is not None and held.get("ecl", "0") != (ecl := str(int(loop == "closed"))):
-            wishes[f"ecl{motor}"] = ecl
-        elif held.get("ecl", "0") == "1":
-            unit.closed.add(motor)
-        if loop == "open":
-            unit.closed.discard(motor)
-        elif loop == "closed":
-            unit.closed.add(motor)
+        wishes |= _loop_wishes(unit, motor, held, options.loop.get(name))
     if wishes:
-        heard = await session.send_repeatable([f"{name}:{value}" for name, value in wishes.items()], ASK_SETTINGS)
-        now = {
-            f"{n}{axis}": v
-            for axis, each in parse_settings(heard.reply_texts(ASK_SETTINGS)).items()
-            for n, v in each.items()
-        }
-        for name, value in wishes.items():
-            if now.get(name) != value:
-                raise _mismatch_fault(
-                    name, now.get(name, "nothing"), value, "set it at the controller and save it with `update`"
-                )
+        await _load_settings(session, wishes)
     unit.introduced = True
+
+
+def _loop_wishes(unit: PpSmcState, motor: int, held: dict[str, str], loop: str | None) -> dict[str, str]:
+    """Return the setting of the control loop to load, if any; record whether the loop is closed."""
+    wishes: dict[str, str] = {}
+    if loop is not None and held.get("ecl", "0") != (ecl := str(int(loop == "closed"))):
+        wishes[f"ecl{motor}"] = ecl
+    elif held.get("ecl", "0") == "1":
+        unit.closed.add(motor)
+    if loop == "open":
+        unit.closed.discard(motor)
+    elif loop == "closed":
+        unit.closed.add(motor)
+    return wishes
+
+
+async def _load_settings(session: PpSmcSession, wishes: dict[str, str]) -> None:
+    """Load settings and read them back. Raises `ControllerFault`."""
+    session.log.info("loading settings of the fleet file", settings=wishes)
+    reply = await session.send_repeatable([f"{name}:{value}" for name, value in wishes.items()], ASK_SETTINGS)
+    now = {
+        f"{n}{axis}": v
+        for axis, each in parse_settings(reply.reply_texts(ASK_SETTINGS)).items()
+        for n, v in each.items()
+    }
+    for name, value in wishes.items():
+        if now.get(name) != value:
+            raise _mismatch_fault(
+                name, now.get(name, "nothing"), value, "set it at the controller and save it with `update`"
+            )
 
 
 def _read_gear(held: dict[str, str], motor: int) -> Fraction:

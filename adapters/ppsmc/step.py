@@ -6,6 +6,7 @@ from adapters.contract import HostInterval, TimedWrite
 from adapters.ppsmc.lowering import PpSmcLowered
 from adapters.ppsmc.output import PpSmcOutput
 from adapters.ppsmc.session import PendingBatch
+from adapters.toolkit.driven_output import DrivenOutput
 
 
 @dataclass(slots=True)
@@ -19,7 +20,7 @@ class LoadedMove:
 
     lowered: PpSmcLowered
     t0_ns: int
-    output: PpSmcOutput | None = None
+    output: DrivenOutput[PpSmcOutput] | None = None
     ignore_limits: bool = False
     released: bool = False
     order: TimedWrite | None = None
@@ -27,6 +28,13 @@ class LoadedMove:
     started: HostInterval | None = None
     stopped_ns: int | None = None
     cancelled: bool = False
+
+    @property
+    def start(self) -> HostInterval:
+        """The interval of the start, known once `started` is set."""
+        if self.started is None:
+            raise RuntimeError("the move has not started")
+        return self.started
 
     @property
     def motor_numbers(self) -> set[int]:

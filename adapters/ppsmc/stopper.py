@@ -11,7 +11,7 @@ class StopConnection:
     """A second TCP connection, kept open. Without it (serial port, no free client) stops use the first connection
     alone."""
 
-    def __init__(self, open_link: OpenLink, wanted: bool) -> None:
+    def __init__(self, open_link: OpenLink, *, wanted: bool) -> None:
         self._open_link = open_link
         self._wanted = wanted
         self._link: Link | None = None

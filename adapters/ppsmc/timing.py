@@ -26,14 +26,14 @@ class PpSmcTiming:
         counts = look.counts[self.axis.motor]
         if look.is_blocked or look.is_ready(self.axis.motor) or counts is None:
             return
-        self.timed.moved(look.begun_ns)
+        self.timed.mark_moving(look.begun_ns)
         way = abs(counts - self.axis.start_counts)
-        self.timed.stood(way, look.grains[self.axis.motor], look.begun_ns + self._quick_ns, look.at_ns)
+        self.timed.add_position(way, look.grains[self.axis.motor], look.begun_ns + self._quick_ns, look.at_ns)
 
     def record_end(self, ready_ns: int) -> None:
         """Record that the axis was seen ready in a poll whose position was answered then: a command later than its
         status."""
-        self.timed.ended(ready_ns - self._quick_ns)
+        self.timed.mark_ended(ready_ns - self._quick_ns)
 
 
 def make_timing(lowered: PpSmcLowered, started: HostInterval, closed: Set[int], quick_ns: int) -> PpSmcTiming | None:

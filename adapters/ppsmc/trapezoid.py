@@ -92,6 +92,11 @@ class PpSmcBounds:
         ramp."""
         return min(RAMP_MAX, floor(self.acceleration / _HZ_PER_S * (1 + 1e-9)))
 
+    @property
+    def start_speeds(self) -> tuple[int, int]:
+        """The lowest and the highest whole start speed, steps/s."""
+        return max(1, self.start_min), min(self.start_max, floor(self.speed))
+
 
 @lru_cache(maxsize=512)
 def fit_trapezoid(distance: int, duration_s: float, acceleration: float, bounds: PpSmcBounds) -> PpSmcTrapezoid | None:
@@ -101,11 +106,10 @@ def fit_trapezoid(distance: int, duration_s: float, acceleration: float, bounds:
     V are chosen together for each pair of ramps; the start speed is the vernier of the duration. None when no allowed
     speed moves the axis at all.
     """
-    fastest = floor(bounds.speed)
-    lowest, highest = max(1, bounds.start_min), min(bounds.start_max, fastest)
+    lowest, highest = bounds.start_speeds
     if lowest > highest:
         return None
-    search = _TrapezoidSearch(distance, duration_s, fastest, lowest, highest, bounds.ramp_max)
+    search = _TrapezoidSearch(distance, duration_s, bounds)
     planned = max(1, min(bounds.ramp_max, round(acceleration / _HZ_PER_S)))
     for a, d in _ramps_around(planned, bounds.ramp_max):
         search.try_ramps(a, d)
@@ -125,15 +129,12 @@ def fit_trapezoid(distance: int, duration_s: float, acceleration: float, bounds:
 class _TrapezoidSearch:
     """Keep the best of the offered candidates."""
 
-    def __init__(
-        self, distance: int, duration_s: float, fastest: int, lowest: int, highest: int, ramp_max: int
-    ) -> None:
+    def __init__(self, distance: int, duration_s: float, bounds: PpSmcBounds) -> None:
         self._distance = distance
         self._duration_s = duration_s
-        self._fastest = fastest
-        self._lowest = lowest
-        self._highest = highest
-        self._ramp_max = ramp_max
+        self._fastest = floor(bounds.speed)
+        self._lowest, self._highest = bounds.start_speeds
+        self._ramp_max = bounds.ramp_max
         self.best: PpSmcTrapezoid | None = None
         self.error_s = float("inf")
         self.longer: PpSmcTrapezoid | None = None

@@ -1,9 +1,7 @@
 """The driver's knowledge of the controller between two commands, and its status queries."""
 
 import asyncio
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -20,6 +18,7 @@ from adapters.ppsmc.replies import (
 )
 from adapters.ppsmc.session import PpSmcLine, PpSmcSession
 from adapters.ppsmc.stopper import StopConnection
+from adapters.toolkit.stop_counter import StopCounter, send_or_brake
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
@@ -98,7 +97,7 @@ class PpSmcState:
     driving: bool = False
     on_reading: Callable[[PpSmcReading], None] | None = None
     installed: int = 0
-    _stop_counts: Counter[int] = field(default_factory=Counter[int])
+    stops: StopCounter = field(default_factory=StopCounter)
 
     # Status
 
@@ -107,12 +106,12 @@ class PpSmcState:
         session = self.session
         if not session.blocked:
             try:
-                heard = await session.send_queries(ASK_STATUS, ASK_POSITIONS)
+                reply = await session.send_queries(ASK_STATUS, ASK_POSITIONS)
             except ControllerFault as error:
                 if error.code != "blocked":
                     raise
             else:
-                return self.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
+                return self.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
         status, positions = await session.query_blocked()
         return self.parse_state(status, positions, status.at_ns)
 
@@ -141,45 +140,25 @@ class PpSmcState:
 
     async def read_errors(self) -> dict[int, tuple[int, str]]:
         """Return number and text of the last error, by axis."""
-        heard = await self.session.send_queries(ASK_ERRORS)
-        return parse_errors(heard.reply_texts(ASK_ERRORS))
+        reply = await self.session.send_queries(ASK_ERRORS)
+        return parse_errors(reply.reply_texts(ASK_ERRORS))
 
     # Starts and stops
 
-    def record_stop(self, motors: Iterable[int]) -> None:
-        """Record a stop that is written for these motors: commands that wait for their turn must not start them
-        afterwards."""
-        self._stop_counts.update(motors)
-
-    def stop_count(self, motor: int) -> int:
-        """Return a number that every stop of this motor increments."""
-        return self._stop_counts[motor]
-
-    def require_no_stop(self, axis: str, motor: int, since: int) -> None:
-        """Raise `Refusal` when a stop has come since `stop_count` returned `since`."""
-        if self._stop_counts[motor] != since:
-            raise Refusal("stopped", f"axis {axis} was stopped meanwhile", "")
-
     async def start_motion(self, command: str, axis: str, motor: int, since: int) -> None:
-        """Send a command that moves one motor, unless a stop has come since `stop_count` returned `since`, or the
+        """Send a command that moves one motor, unless a stop has come since `stops.stop_count` returned `since`, or the
         controller has restarted: its position and its speeds differ then. Raises `Refusal`; then nothing was sent."""
-        sent = False
 
         def check_can_begin() -> None:
-            nonlocal sent
-            self.require_no_stop(axis, motor, since)
+            self.stops.require_no_stop(axis, motor, since)
             if self.session.restarted:
                 raise Refusal("not-started", f"the unit was restarted before axis {axis} began", "home it first")
-            sent = True
 
-        try:
-            await self.session.send_once((command,), before_send=check_can_begin)
-        except BaseException:
-            # Cancelled or unanswered: no caller would stop it later.
-            if sent:
-                with suppress(LinkClosed):
-                    self.brake_axes([motor])
-            raise
+        await send_or_brake(
+            lambda check: self.session.send_once((command,), before_send=check),
+            check_can_begin,
+            lambda: self.brake_axes([motor]),
+        )
 
     def brake_axes(self, motors: Iterable[int]) -> int:
         """Send `q` to each axis, bypassing everything else."""

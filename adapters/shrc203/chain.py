@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
 
-from adapters.shrc203.axes import axis_argument
 from adapters.shrc203.fleetaxes import axis_bounds, motor_number
 from adapters.shrc203.replies import (
     COMMAND,
@@ -21,6 +20,7 @@ from adapters.shrc203.replies import (
     REFUSALS,
     STATUS,
     AxisStatus,
+    axis_argument,
     parse_entries,
     parse_status,
     pulse_list,
@@ -145,7 +145,7 @@ class MoveChain:
         unit = self._unit
         for name in moves:
             number = motor_number(self._config.axes[name])
-            self._stops[number] = unit.stop_count(number)
+            self._stops[number] = unit.stops.stop_count(number)
         try:
             async with unit.loading:
                 await self._check_ready(moves)
@@ -209,11 +209,11 @@ class MoveChain:
 
     def _require_no_stop(self) -> None:
         for thread in self._axes.values():
-            self._unit.require_no_stop(thread.name, thread.motor, self._stops[thread.motor])
+            self._unit.stops.require_no_stop(thread.name, thread.motor, self._stops[thread.motor])
 
     @property
     def _is_stopped(self) -> bool:
-        return any(self._unit.stop_count(number) != since for number, since in self._stops.items())
+        return any(self._unit.stops.stop_count(number) != since for number, since in self._stops.items())
 
     # During the chain
 
@@ -256,24 +256,24 @@ class MoveChain:
             # of the present load: the next one may be written before the reply
             name, command = thread.name, thread.command
             self._unit.session.send_command("?:CMD", COMMAND).add_done_callback(
-                lambda heard: self._compare_line(heard, name, command)
+                lambda reply: self._compare_line(reply, name, command)
             )
         elif all(each.load is None or _is_answered(each.load) for each in self._axes.values() if each is not thread):
             meant = {number: each.moves[each.loaded - 1].distance for number, each in self._axes.items()}
             self._unit.session.send_command("?:MPW", pulse_list(len(self._unit.controllable))).add_done_callback(
-                lambda heard: self._compare_distances(heard, meant)
+                lambda reply: self._compare_distances(reply, meant)
             )
 
-    def _compare_line(self, heard: "asyncio.Future[ShrcLine]", name: str, command: str) -> None:
-        if _has_reply(heard) and heard.result().text.upper() != command:
-            self._halt_chain(f"axis {name}: sent {command!r}, the controller has understood {heard.result().text!r}")
+    def _compare_line(self, reply: "asyncio.Future[ShrcLine]", name: str, command: str) -> None:
+        if _has_reply(reply) and reply.result().text.upper() != command:
+            self._halt_chain(f"axis {name}: sent {command!r}, the controller has understood {reply.result().text!r}")
 
-    def _compare_distances(self, heard: "asyncio.Future[ShrcLine]", meant: Mapping[int, int]) -> None:
+    def _compare_distances(self, reply: "asyncio.Future[ShrcLine]", meant: Mapping[int, int]) -> None:
         """Compare the loaded distances. A move that has already begun, and left the prebuffer, is checked by its final
         position."""
-        if not _has_reply(heard):
+        if not _has_reply(reply):
             return
-        found = dict(zip(self._unit.controllable, parse_entries(heard.result().text), strict=True))
+        found = dict(zip(self._unit.controllable, parse_entries(reply.result().text), strict=True))
         for number, distance in meant.items():
             if found[number] not in (None, distance):
                 self._halt_chain(

@@ -18,7 +18,7 @@ _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, for each exchange
 _RAMP_MAX_NS = NS_PER_S  # R is 1000 ms at the most (L3157), and a stop uses the ramp of the move
 
 
-def step_costs(options: ShrcOptions, char_ns: int, line: bool = False) -> StepCosts:
+def step_costs(options: ShrcOptions, char_ns: int, *, line: bool = False) -> StepCosts:
     """Return upper bounds in ns for links with this character time. line: for a step with a trigger line."""
     exchange_ns = (options.decode_us + options.decode_spread_us + 2 * options.wire_jitter_us) * NS_PER_US + _HOST_NS
 

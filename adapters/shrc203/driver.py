@@ -13,7 +13,6 @@ from adapters.contract import (
     Lowered,
 )
 from adapters.shrc203 import fleetaxes, startup
-from adapters.shrc203.axes import axis_argument
 from adapters.shrc203.chain import ChainMove, ChainReport, MoveChain
 from adapters.shrc203.costs import step_costs
 from adapters.shrc203.homing import home_axes
@@ -23,11 +22,13 @@ from adapters.shrc203.moves import ShrcMover
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.polling import ShrcPoller
 from adapters.shrc203.registered import PositionKind, read_registered
-from adapters.shrc203.replies import BITS, flag_list
+from adapters.shrc203.replies import BITS, axis_argument, flag_list
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.unitstate import ShrcState
 from adapters.toolkit.connection import ConnectedDriver
+from adapters.toolkit.host_start import MoverTools
+from adapters.toolkit.refusals import log_refusals
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
@@ -72,10 +73,14 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
     async def connect(self) -> ControllerIdentity:
         link = await self._setup.open_link()
         session = ShrcSession(link, self._clock, max(link.char_ns, self._char_ns), self._options.answer_ms * NS_PER_MS)
+        session.log = self._log
+        self._log.info("link opened", place=link.endpoint)
         unit = ShrcState(session)
         longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
         settle_ns = round(longest_s * NS_PER_S) + _RAMP_NS
-        mover = ShrcMover(self._options, self._clock, self._setup.timed_writer, unit, self._crystal, settle_ns)
+        mover = ShrcMover(
+            self._options, MoverTools(self._clock, self._setup.timed_writer, self._crystal), unit, settle_ns
+        )
         self._connection = ShrcConnection(
             state=unit,
             mover=mover,
@@ -86,6 +91,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
         await self._read_motors(unit)
         await unit.make_harmless()
+        self.log_identity(link.endpoint, identity)
         return identity
 
     async def configure(self) -> None:
@@ -96,12 +102,15 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         if self._sentinel is not None:
             unit.sentinel = self._sentinel
             if await unit.is_restarted():
-                self._crystal.forget()
+                self._crystal.discard_moves()
                 self._restarted = True
+                self._log.warning("the controller was restarted: its volatile state is lost")
         unit.sentinel = await startup.load_sentinel(unit.session, self._config, unit.controllable)
         self._sentinel = unit.sentinel
         if self._config.inputs:
             unit.line_starts = await can_wait_at_rest(unit)
+            if not unit.line_starts:
+                self._log.warning("the controller accepts no input waits: no start by trigger line")
 
     @property
     def capabilities(self) -> DriverCapabilities:
@@ -120,6 +129,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
     async def poll(self) -> ControllerReading:
         reading = await self.connection.poller.poll_state()
         if self.connection.state.untidy_at_rest and not any(axis.moving for axis in reading.axes.values()):
+            self._log.info("emptying the prebuffers after a stop")
             await self.connection.mover.empty_prebuffers()
         restarted, self._restarted = self._restarted, False
         return replace(reading, restarted=restarted)
@@ -127,14 +137,14 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
     # Steps
 
     def crystal_rate(self) -> CrystalRate:
-        return self._crystal.rate
+        return self._crystal.crystal_rate
 
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> ShrcLowered:
         loops = {} if self._connection is None else self._connection.state.closed_loop
         closed_loop = frozenset(motor for motor, closed in loops.items() if closed)
-        known = self._crystal.known(self._clock.now_ns())
+        known = self._crystal.estimate_at(self._clock.now_ns())
         wire = ConnectionTraits(
             self._char_ns, self._supports_line_starts, self._costs, self._line_costs, known, closed_loop
         )
@@ -142,14 +152,15 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, ShrcLowered)
-        return await self.connection.mover.arm_move(lowered, t0_ns)
+        with log_refusals(self._log, "arming"):
+            return await self.connection.mover.arm_move(lowered, t0_ns)
 
-    async def stop(self, abort: bool) -> None:
+    async def stop(self, *, abort: bool) -> None:
         """Stop by `L:E`, which is never refused; or by `L:` to the axes whose motors are on, and then to each axis
         singly, because `L:` is refused for all where one motor is off (L2988)."""
         unit = self.connection.state
         mover = self.connection.mover
-        unit.record_stop((1, 2, 3))
+        unit.stops.record_stop((1, 2, 3))
         if abort:
             lines = ["L:E"]
         else:
@@ -160,10 +171,11 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
                 *(f"L:{motor}" for motor in on),
             ]
         mover.record_stop(unit.session.write_at_once(*lines, *mover.commands_after_stop()))
+        self._log.info("stop written", abort=abort)
 
     # Manual operation
 
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         unit = self.connection.state
         motors = {fleetaxes.motor_number(self._config.axes[name]) for name in axes}
         if not motors:
@@ -185,7 +197,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
     async def stop_axes(self, axes: Sequence[str]) -> None:
         unit = self.connection.state
         motors = [fleetaxes.motor_number(self._config.axes[name]) for name in axes]
-        unit.record_stop(motors)
+        unit.stops.record_stop(motors)
         unit.brake_motors(motors)
 
     async def run_chain(
@@ -212,7 +224,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
             moves
         )
 
-    async def set_output(self, number: int, on: bool) -> None:
+    async def set_output(self, number: int, *, on: bool) -> None:
         unit = self.connection.state
         if unit.session.expected_completions:
             raise Refusal("moving", "outputs cannot be read back while an axis moves", "wait for the end of the motion")
@@ -229,6 +241,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         """Clear limit error, overflow error and emergency stop (L2452-L2454). The motors do not change."""
         unit = self.connection.state
         await unit.session.send_setting("BEC:W")
+        self._log.info("errors cleared")
         await self._read_motors(unit)
 
     async def read_registered(self, kind: PositionKind) -> Mapping[int, Mapping[str, int]]:
@@ -255,6 +268,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
     async def close(self) -> None:
         ended, self._connection = self._connection, None
         if ended is not None:
+            self._log.info("link closed")
             ended.mover.drop_move()
             await ended.state.session.close()
 

@@ -82,7 +82,7 @@ def _make_search(config: Controller, unit: ShrcState, name: str) -> _OriginSearc
     axis = config.axes[name]
     motor = fleetaxes.motor_number(axis)
     command = f"HRT{fleetaxes.METHODS[axis.homing.method]}:{motor}"
-    return _OriginSearch(name, motor, command, unit.stop_count(motor))
+    return _OriginSearch(name, motor, command, unit.stops.stop_count(motor))
 
 
 async def _begin_search(unit: ShrcState, search: _OriginSearch) -> None:
@@ -116,7 +116,7 @@ async def _finished_searches(
         axis, why = now[each.motor], ""
         if restarted:
             why = "the controller was restarted"
-        elif unit.stop_count(each.motor) != each.stops:
+        elif unit.stops.stop_count(each.motor) != each.stops:
             why = "it was stopped"
         elif axis.word & ERRORS or each.motor in limited:
             # A limit sensor may be at a position whose coordinate was 0 before.

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, hypot
 
-from adapters.shrc203.axes import axis_argument
 from adapters.shrc203.fleetaxes import axis_bounds, expected_nm, motor_number
 from adapters.shrc203.options import ShrcOptions
+from adapters.shrc203.replies import axis_argument
 from adapters.shrc203.trapezoid import SPEED_MAX, ShrcLeg
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.profile import Profile

@@ -59,9 +59,9 @@ class ShrcJogging:
     async def start_jog(self, axis: str, move: JogMove) -> None:
         """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         unit, motor = self._unit, fleetaxes.motor_number(self._config.axes[axis])
-        since = unit.stop_count(motor)
+        since = unit.stops.stop_count(motor)
         async with self._turns[motor]:
-            unit.require_no_stop(axis, motor, since)
+            unit.stops.require_no_stop(axis, motor, since)
             wanted = _make_run(axis, move, fleetaxes.axis_bounds(self._config.axes[axis]), since)
             await self._mover.empty_prebuffers()
             now = await self._read_axis(motor)

@@ -7,6 +7,7 @@ from adapters.shrc203.lowering import ShrcLowered
 from adapters.shrc203.output import ShrcOutput
 from adapters.shrc203.replies import AxisStatus
 from adapters.shrc203.session import ShrcPending
+from adapters.toolkit.driven_output import DrivenOutput
 
 
 @dataclass(slots=True)
@@ -22,7 +23,7 @@ class ArmedMove:
 
     lowered: ShrcLowered
     t0_ns: int
-    output: ShrcOutput | None = None
+    output: DrivenOutput[ShrcOutput] | None = None
     released: bool = False
     order: TimedWrite | None = None
     pending: ShrcPending | None = None
@@ -32,6 +33,13 @@ class ArmedMove:
     cancelled: bool = False
     answered_ns: int | None = None
     seen: dict[int, AxisStatus] = field(default_factory=dict[int, AxisStatus])
+
+    @property
+    def start(self) -> HostInterval:
+        """The interval of the start, known once `started` is set."""
+        if self.started is None:
+            raise RuntimeError("the move has not started")
+        return self.started
 
     @property
     def motor_numbers(self) -> set[int]:

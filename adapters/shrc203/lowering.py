@@ -7,24 +7,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from adapters.contract import Lowered, ends_too_early, require_start_class
-from adapters.shrc203.axes import axis_argument
 from adapters.shrc203.fleetaxes import axis_bounds, motor_number
 from adapters.shrc203.interpolation import SteadyAxis, StraightPath, fit_straight_path
-from adapters.shrc203.lines import (
-    InputTrigger,
-    OutputTrigger,
-    edge_terms,
+from adapters.shrc203.options import LOWEST_POINT, ShrcOptions, edge_terms
+from adapters.shrc203.pair import TwoPartMove, find_two_part_moves
+from adapters.shrc203.replies import axis_argument
+from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
+from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
+from adapters.toolkit.wired_points import (
+    WiredInput,
+    WiredOutput,
     resolve_driven_output,
     resolve_wait_input,
     waiting_terms,
 )
-from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.pair import TwoPartMove, find_two_part_moves
-from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
-from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from orchestrator.clock.base import NS_PER_US
-from orchestrator.clock.inferred import KnownClock
-from orchestrator.clock.latency import Latency
+from orchestrator.clock.inferred import ClockEstimate
+from orchestrator.clock.latency import StartLatency
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions
@@ -55,7 +54,7 @@ class ConnectionTraits:
     line_starts: bool
     costs: StepCosts
     line_costs: StepCosts
-    known: KnownClock
+    known: ClockEstimate
     closed_loop: frozenset[int] = frozenset()
 
 
@@ -68,6 +67,13 @@ class ShrcAxisMove:
     start_counts: int
     distance: int
     shape: ShrcTrapezoid | TwoPartMove | SteadyAxis | None
+
+    @property
+    def running_shape(self) -> ShrcTrapezoid | TwoPartMove | SteadyAxis:
+        """The shape of an axis that moves. Raises `ValueError` for one that stays at rest."""
+        if self.shape is None:
+            raise ValueError(f"axis {self.name} stays at rest")
+        return self.shape
 
     @property
     def executed_moves(self) -> "tuple[ShrcAxisMove, ...]":
@@ -101,8 +107,8 @@ class ShrcLowered(Lowered):
     load: str = ""
     load_followup: str = ""
     start: str = ""
-    wait: InputTrigger | None = None
-    drive: OutputTrigger | None = None
+    wait: WiredInput | None = None
+    drive: WiredOutput | None = None
     straight: StraightPath | None = None
 
     @property
@@ -129,9 +135,9 @@ def lower_step(
                 "line" if start_options.wait is not None or start_options.start_class == "line" else "clock"
             ],
         )
-    wait = None if start_options.wait is None else resolve_wait_input(config, start_options.wait)
-    drive = None if start_options.drive is None else resolve_driven_output(config, start_options.drive)
-    moves, straight = _make_moves(config, options, traits, profiles, start_options, interpolated=wait is None)
+    wait = None if start_options.wait is None else resolve_wait_input(config, start_options.wait, LOWEST_POINT)
+    drive = None if start_options.drive is None else resolve_driven_output(config, start_options.drive, LOWEST_POINT)
+    moves, straight = _make_moves(config, options, traits, profiles, start_options)
     running = tuple(each for each in moves if each.shape is not None)
     firsts = tuple(each.executed_moves[0] for each in running)
     seconds = tuple(piece for each in running for piece in each.executed_moves[1:])
@@ -139,15 +145,15 @@ def lower_step(
     load_second = load_line(seconds) if seconds else ""
     go = start_line(running) if running else ""
     rate, lead_ns = traits.known.rate, traits.known.latency.usual_ns
-    durations_s = {each.name: each.shape.duration_s / rate.factor if each.shape else 0.0 for each in moves}
+    durations_s = {each.name: each.shape.duration_s / rate.clock_factor if each.shape else 0.0 for each in moves}
     behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * traits.char_ns if running and wait is None else 0
     return ShrcLowered(
         start_class="host" if wait is None else "line",
         durations_s=durations_s,
-        path_error_counts={each.name: _path_error(profiles[each.name], each, rate.factor) for each in moves},
-        terms=start_terms(options, traits.known.latency) if wait is None else waiting_terms(options, wait),
+        path_error_counts={each.name: _path_error(profiles[each.name], each, rate.clock_factor) for each in moves},
+        terms=start_terms(options, traits.known.latency) if wait is None else _line_start_terms(options, wait),
         tick_ns=0.0,
-        clock_ppm=traits.known.clock_ppm(max(durations_s.values(), default=0.0)),
+        clock_ppm=traits.known.bound_ppm(max(durations_s.values(), default=0.0)),
         costs=traits.line_costs if wait is not None or drive is not None else traits.costs,
         commands=(*_display_commands(running, load, go, wait, drive), *([load_second] if seconds else [])),
         edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
@@ -171,7 +177,6 @@ def _make_moves(
     traits: ConnectionTraits,
     profiles: Mapping[str, Profile],
     start_options: StartOptions,
-    interpolated: bool,
 ) -> tuple[tuple[ShrcAxisMove, ...], StraightPath | None]:
     """Return the part of every axis. A straight path uses the controller's interpolation where that is nearer to the
     plan than moves of single axes, or these cannot be slow enough.
@@ -181,13 +186,20 @@ def _make_moves(
     ways = {name: _unshaped_move(name, config.axes[name], each) for name, each in profiles.items()}
     running = tuple(each for each in ways.values() if each.distance)
     standing = tuple(each for each in ways.values() if not each.distance)
-    factor = traits.known.rate.factor
+    factor = traits.known.rate.clock_factor
     line = (
-        fit_straight_path(config, options, profiles, [each.name for each in running], factor) if interpolated else None
+        fit_straight_path(config, options, profiles, [each.name for each in running], factor)
+        if start_options.wait is None
+        else None
     )
     try:
         alone = tuple(
-            _single_move(config.axes[each.name], options, traits, each, profiles[each.name], start_options)
+            _require_slow_enough(
+                _single_move(config.axes[each.name], options, traits, each, profiles[each.name]),
+                profiles[each.name],
+                factor,
+                start_options,
+            )
             for each in running
         )
     except Refusal as refused:
@@ -213,7 +225,7 @@ def _interpolated_axes(line: StraightPath, moves: tuple[ShrcAxisMove, ...]) -> t
 
 
 def _display_commands(
-    running: tuple[ShrcAxisMove, ...], load: str, go: str, wait: InputTrigger | None, drive: OutputTrigger | None
+    running: tuple[ShrcAxisMove, ...], load: str, go: str, wait: WiredInput | None, drive: WiredOutput | None
 ) -> tuple[str, ...]:
     """Return the commands for display. The other inputs and outputs keep their states at that time."""
     switch = () if drive is None else (f"O: with OUT{drive.number} {'on' if drive.active else 'off'}",)
@@ -227,7 +239,7 @@ def _display_commands(
     return (pattern, go, load, *switch)
 
 
-def start_terms(options: ShrcOptions, start: Latency) -> tuple[BudgetTerm, ...]:
+def start_terms(options: ShrcOptions, start: StartLatency) -> tuple[BudgetTerm, ...]:
     """Return the terms of the start relative to T0: the starting command is written so that its usual delay ends at
     T0."""
     jitter_ns = options.wire_jitter_us * NS_PER_US
@@ -273,10 +285,9 @@ def _single_move(
     traits: ConnectionTraits,
     move: ShrcAxisMove,
     profile: Profile,
-    start_options: StartOptions,
 ) -> ShrcAxisMove:
     """Return the move of an axis by itself. Raises `Refusal`."""
-    factor, limits, way, name = traits.known.rate.factor, axis_bounds(axis), abs(move.distance), move.name
+    factor, limits, way, name = traits.known.rate.clock_factor, axis_bounds(axis), abs(move.distance), move.name
     wanted_s = profile.duration_s * factor  # of the controller's own
     shape: ShrcTrapezoid | TwoPartMove | None = fit_trapezoid(way, wanted_s, profile.durations_s[0] * factor, limits)
     if shape is None:
@@ -286,7 +297,15 @@ def _single_move(
             "correct `start_rate`",
         )
     if move.motor not in traits.closed_loop:  # where the end of the first move is known only when the scale has settled
-        shape = _nearer_shape(shape, way, profile, limits, options, factor)
+        shape = _nearer_shape(shape, profile, limits, options, factor)
+    return replace(move, shape=shape)
+
+
+def _require_slow_enough(
+    move: ShrcAxisMove, profile: Profile, factor: float, start_options: StartOptions
+) -> ShrcAxisMove:
+    """Return the move. Raises `Refusal` when it ends too early."""
+    shape, way, name = move.running_shape, abs(move.distance), move.name
     # The controller's lowest speed is its start speed: a slower move is refused, a longer duration is reported.
     if ends_too_early(shape.duration_s / factor, profile.duration_s, start_options):
         raise Refusal(
@@ -297,11 +316,11 @@ def _single_move(
             f"plan {shape.duration_s / factor:.6g} s or less, lower `start_rate.min`, or let it end early with "
             "`max_end_skew`",
         )
-    return replace(move, shape=shape)
+    return move
 
 
 def _nearer_shape(
-    one: ShrcTrapezoid, way: int, profile: Profile, limits: ShrcBounds, options: ShrcOptions, factor: float
+    one: ShrcTrapezoid, profile: Profile, limits: ShrcBounds, options: ShrcOptions, factor: float
 ) -> ShrcTrapezoid | TwoPartMove:
     """Return one move, or two where a single move misses the planned duration; of those that reach it, the one nearest
     to the plan."""
@@ -312,7 +331,7 @@ def _nearer_shape(
 
     if off_s(one) <= _SINGLE_MOVE_S:
         return one
-    found = find_two_part_moves(way, wanted_s, limits, options.handover_us * 1e-6)
+    found = find_two_part_moves(one.distance, wanted_s, limits, options.handover_us * 1e-6)
     two = min(
         found, key=lambda each: path_error_counts(profile, legs_in_host_time(each.motion_legs, factor)), default=None
     )
@@ -321,3 +340,8 @@ def _nearer_shape(
 
 def _path_error(profile: Profile, move: ShrcAxisMove, factor: float) -> float:
     return 0.0 if move.shape is None else path_error_counts(profile, legs_in_host_time(move.shape.motion_legs, factor))
+
+
+def _line_start_terms(options: ShrcOptions, wait: WiredInput) -> tuple[BudgetTerm, ...]:
+    """Return the terms of a start by trigger line relative to T0."""
+    return waiting_terms(wait, options.input_scan_us, options.clock_ppm, options.line_start_us)

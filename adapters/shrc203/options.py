@@ -6,8 +6,9 @@ from pydantic import Field
 
 from adapters.toolkit.firing import FiringOptions, Microseconds
 from orchestrator.clock.base import NS_PER_US
-from orchestrator.clock.inferred import UnreadClock
-from orchestrator.clock.latency import Latency
+from orchestrator.clock.inferred import InferredClock
+from orchestrator.clock.latency import StartLatency
+from orchestrator.model.messages import BudgetTerm
 
 
 class ShrcOptions(FiringOptions):
@@ -62,10 +63,32 @@ class ShrcOptions(FiringOptions):
         default=30.0, ge=0, le=3600, description="How long configuring waits for the end of a motion in progress."
     )
 
-    def unread_clock(self) -> UnreadClock:
+    def unread_clock(self) -> InferredClock:
         """Return the assumptions about the controller's crystal, and about the time from the end of a starting command
         to the motion."""
         least_us = max(0, self.decode_us - self.decode_spread_us)  # a decoding time is never negative
         most_us = self.decode_us + self.decode_spread_us + self.wire_jitter_us
-        start = Latency(self.decode_us * NS_PER_US, least_us * NS_PER_US, most_us * NS_PER_US)
-        return UnreadClock(self.rate_ppm, self.clock_ppm, start)
+        start = StartLatency(self.decode_us * NS_PER_US, least_us * NS_PER_US, most_us * NS_PER_US)
+        return InferredClock(self.rate_ppm, self.clock_ppm, start)
+
+
+LOWEST_POINT = 1  # the number of the input or output in bit 0 (L5274-L5304, L5327-L5357)
+
+
+def edge_terms(options: ShrcOptions, lead_ns: int, behind_ns: int) -> tuple[BudgetTerm, ...]:
+    """Return the terms of the edge of a driven trigger line relative to T0.
+
+    lead_ns: how long before T0 the first command reaches the controller. behind_ns: transmission time of the switching
+    command after the starting command, 0 when it is sent alone. After another command it is decoded once it has arrived
+    and that command is done.
+    """
+    slow_ns = (options.decode_us + options.decode_spread_us) * NS_PER_US
+    quick_ns = max(0, options.decode_us - options.decode_spread_us) * NS_PER_US
+    if behind_ns:
+        slow_ns += max(behind_ns, slow_ns)
+        quick_ns += max(behind_ns, quick_ns)
+    return (
+        options.host_term(),
+        BudgetTerm(name="wire", earliest_ns=0, latest_ns=options.wire_jitter_us * NS_PER_US),
+        BudgetTerm(name="firmware", earliest_ns=quick_ns - lead_ns, latest_ns=slow_ns - lead_ns),
+    )

@@ -71,9 +71,9 @@ def _search_moves(distance: int, moving_s: float, bounds: ShrcBounds, gap_s: flo
             continue
         for speeds in ((slow + 1, slow), (slow, slow + 1)):
             ramps = tuple(_smallest_ramp(f, kind, bounds) for f, kind in zip(speeds, kinds, strict=True))
-            pair = _tune_durations(distance, moving_s, speeds, ramps, bounds, gap_s)
-            if pair is not None and pair.first.duration_s >= FIRST_S:
-                yield pair
+            pair = _tune_durations(distance, moving_s, speeds, ramps, bounds)
+            if pair is not None and pair[0].duration_s >= FIRST_S:
+                yield TwoPartMove(*pair, gap_s)
 
 
 def _slower_speed(distance: int, moving_s: float, kinds: tuple[tuple[int, float], ...], bounds: ShrcBounds) -> int:
@@ -101,9 +101,8 @@ def _tune_durations(
     speeds: tuple[int, int],
     least: tuple[_RampChoice, ...],
     bounds: ShrcBounds,
-    gap_s: float,
-) -> TwoPartMove | None:
-    """Return the two-part move at these speeds, with at least these ramps, that is nearest to `moving_s`.
+) -> tuple[ShrcTrapezoid, ShrcTrapezoid] | None:
+    """Return the two moves at these speeds, with at least these ramps, that are nearest to `moving_s`.
 
     The path is divided in whole pulses; the remainder is compensated by somewhat longer ramps, above all those of the
     faster move.
@@ -135,7 +134,7 @@ def _tune_durations(
         ShrcTrapezoid(way, f - ramp.rise, f, ramp.ms)
         for way, f, ramp in zip((first, distance - first), speeds, best, strict=True)
     )
-    return TwoPartMove(one, two, gap_s)
+    return one, two
 
 
 def _ramp_rises(f: int, least: _RampChoice, bounds: ShrcBounds) -> range:

@@ -68,7 +68,9 @@ class ShrcPoller:
                 moving=axis.is_busy and motor not in waiting,
                 enabled=excited,
                 limit=fleetaxes.limit_of(axis.word, self._options.cw),
-                position_lost=is_position_lost(axis.word, excited, unit.closed_loop.get(motor, False)),
+                position_lost=is_position_lost(
+                    axis.word, excited=excited, closed_loop=unit.closed_loop.get(motor, False)
+                ),
             )
             found += status_faults(name, axis.word)
         unit.sound = not any(each.word & ERRORS for each in now.values())

@@ -4,6 +4,7 @@ Lists (`1000,NS,-5`) contain one entry for each controllable axis, ascending, wh
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from orchestrator.model.messages import RefusalDetails
@@ -124,3 +125,22 @@ def refusal_of(command: str) -> RefusalDetails:
         text=f"the controller answered NG to {command!r}",
         remedy="see its display: an axis may be busy, its motor off, or another mode selected",
     )
+
+
+_LETTERS: dict[tuple[int, ...], str] = {
+    (1,): "1",
+    (2,): "2",
+    (3,): "3",
+    (1, 2): "A",
+    (1, 3): "B",
+    (2, 3): "C",
+    (1, 2, 3): "D",
+}
+
+# The reply of `?:AXIS`: which axes are controllable (L2206-L2222).
+AXES_BY_CODE = {"0": (1,), "1": (2,), "2": (3,), "3": (1, 2), "4": (1, 3), "5": (2, 3), "6": (1, 2, 3)}
+
+
+def axis_argument(motors: Iterable[int]) -> str:
+    """Return the axis argument that denotes exactly `motors` (one to three of 1, 2, 3)."""
+    return _LETTERS[tuple(sorted(set(motors)))]

@@ -8,12 +8,14 @@ replies have their place in the same queue.
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from adapters.contract import NULL_LOG
 from adapters.shrc203.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, ShrcReplyFormat, refusal_of
-from orchestrator.clock.base import NS_PER_MS, Clock, Timer, sleep_ns
+from adapters.toolkit.pending_reply import PendingReply
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 
 EOL = "\r\n"
 COMPLETIONS = ("1", "2", "3")
@@ -35,32 +37,21 @@ class ShrcLine:
     command_ns: int = 0
 
 
-class _CompletionOutstanding(Exception):
+class _CompletionOutstanding(TuttiError):
     """A completion is outstanding: a bare digit is ambiguous."""
 
 
+@dataclass(slots=True, eq=False)
 class ShrcPending:
-    """A command whose reply is outstanding. `reply` is None when no task awaits it."""
+    """A command whose reply is outstanding."""
 
-    def __init__(self, command: str, form: ShrcReplyFormat, written_ns: int, awaited: bool) -> None:
-        self.command = command
-        self.form = form
-        self.written_ns = written_ns
-        self.reply: asyncio.Future[ShrcLine] | None = asyncio.get_running_loop().create_future() if awaited else None
-        self.timer: Timer | None = None
+    command: str
+    form: ShrcReplyFormat
+    written_ns: int
+    answer: PendingReply[ShrcLine] = field(default_factory=PendingReply[ShrcLine])
 
     def set_reply(self, line: ShrcLine) -> None:
-        if self.timer is not None:
-            self.timer.cancel()
-        if self.reply is not None and not self.reply.done():
-            self.reply.set_result(replace(line, command_ns=self.written_ns))
-
-    def set_failure(self, error: Exception) -> None:
-        if self.timer is not None:
-            self.timer.cancel()
-        if self.reply is not None and not self.reply.done():
-            self.reply.set_exception(error)
-            self.reply.exception()  # retrieved: a waiter that was cancelled meanwhile leaves no unretrieved exception
+        self.answer.set_reply(replace(line, command_ns=self.written_ns))
 
 
 class ShrcSession:
@@ -68,6 +59,7 @@ class ShrcSession:
 
     def __init__(self, link: Link, clock: Clock, char_ns: int, answer_ns: int) -> None:
         self.link = link
+        self.log = NULL_LOG
         self.char_ns = char_ns
         self._clock = clock
         self._answer_ns = answer_ns
@@ -90,7 +82,7 @@ class ShrcSession:
     async def close(self) -> None:
         self._reader.cancel()
         await self.link.close()
-        self._handle_link_loss(LinkClosed(f"{self.link.place} is closed"))
+        self._handle_link_loss(LinkClosed(f"{self.link.endpoint} is closed"))
 
     # Exchanges
 
@@ -119,8 +111,10 @@ class ShrcSession:
             line = await self._run_exchange(command, form, before_send)
             if line.text not in REFUSALS:
                 return line
-        except ControllerFault:
+            self.log.info(f"{command!r} was refused; the query is repeated", answer=line.text)
+        except ControllerFault as error:
             self._out_of_step = True
+            self.log.warning(f"the query {command!r} is repeated: {error.text}", code=error.code)
         line = await self._run_exchange(command, form, before_send)
         if line.text in REFUSALS:
             said = refusal_of(command)
@@ -136,8 +130,9 @@ class ShrcSession:
         """Return the reply to a query that is not worth a repetition; None when it fails."""
         try:
             line = await self._run_exchange(command, form)
-        except ControllerFault:
+        except ControllerFault as error:
             self._out_of_step = True
+            self.log.info(f"the query {command!r} failed and is not repeated: {error.text}", code=error.code)
             return None
         return None if line.text in REFUSALS else line
 
@@ -177,20 +172,19 @@ class ShrcSession:
         """Write at once, bypassing everything else; return the instant. Each command of the session is handed over as a
         whole, so that this is always at the beginning of a line."""
         for command in commands:
-            self._enqueue_command(command, DONE, awaited=False)
+            self._enqueue_command(command, DONE)
         return self.link.write("".join(command + EOL for command in commands).encode())
 
     def send_command(self, command: str, form: ShrcReplyFormat) -> "asyncio.Future[ShrcLine]":
         """Write a command at once, after those already written, and return its future reply."""
-        pending = self._enqueue_command(command, form, awaited=True)
+        pending = self._enqueue_command(command, form)
         self.link.write((command + EOL).encode())
-        assert pending.reply is not None
-        return pending.reply
+        return pending.answer.future
 
     def expect_reply(self, command: str, written_by_ns: int, latest_ns: int) -> ShrcPending:
         """Expect the reply to a command that another writer writes by `written_by_ns`, or as late as `latest_ns` while
         this session is quiet."""
-        pending = self._enqueue_command(command, DONE, awaited=True, written_ns=written_by_ns)
+        pending = self._enqueue_command(command, DONE, written_by_ns)
         self._set_timeout(pending, latest_ns)
         return pending
 
@@ -202,8 +196,7 @@ class ShrcSession:
 
     def remove_expected(self, pending: ShrcPending) -> None:
         """Remove an expected command that was never written."""
-        if pending.timer is not None:
-            pending.timer.cancel()
+        pending.answer.cancel_timeout()
         if pending in self._queue:
             self._queue.remove(pending)
 
@@ -267,18 +260,15 @@ class ShrcSession:
             await self._resynchronise()
 
     async def _send_once(self, command: str, form: ShrcReplyFormat) -> ShrcLine:
-        pending = self._enqueue_command(command, form, awaited=True)
+        pending = self._enqueue_command(command, form)
         self.link.write((command + EOL).encode())
-        assert pending.reply is not None
-        return await pending.reply
+        return await pending.answer.future
 
-    def _enqueue_command(
-        self, command: str, form: ShrcReplyFormat, *, awaited: bool, written_ns: int | None = None
-    ) -> ShrcPending:
+    def _enqueue_command(self, command: str, form: ShrcReplyFormat, written_ns: int | None = None) -> ShrcPending:
         if self._closed is not None:
             raise self._closed
         since_ns = self._clock.now_ns() if written_ns is None else written_ns
-        pending = ShrcPending(command, form, since_ns, awaited)
+        pending = ShrcPending(command, form, since_ns)
         # A command that another writer writes later is answered later: exchanges until then precede it.
         later = sum(each.written_ns > since_ns for each in self._queue)
         self._queue.insert(len(self._queue) - later, pending)
@@ -287,10 +277,9 @@ class ShrcSession:
 
     def _set_timeout(self, pending: ShrcPending, since_ns: int) -> None:
         """Set the timeout of a reply, counted from when its command is written."""
-        if pending.timer is not None:
-            pending.timer.cancel()
+        pending.answer.cancel_timeout()
         ahead = sum(len(each.command) + len(EOL) + LONGEST_REPLY for each in self._queue)
-        pending.timer = self._clock.call_at_ns(
+        pending.answer.timer = self._clock.call_at_ns(
             since_ns + self._answer_ns + self.wire_ns(ahead), lambda: self._handle_timeout(pending)
         )
 
@@ -298,10 +287,10 @@ class ShrcSession:
         if pending in self._queue:
             self._queue.remove(pending)
         self._out_of_step = True
-        pending.set_failure(
+        pending.answer.set_failure(
             ControllerFault(
                 "no-answer",
-                f"no reply to {pending.command!r} on {self.link.place}; expected {pending.form.words}",
+                f"no reply to {pending.command!r} on {self.link.endpoint}; expected {pending.form.words}",
                 "check power, cable, baud rate, and that the controller is in HOST mode",
             )
         )
@@ -316,7 +305,8 @@ class ShrcSession:
             try:
                 self.link.write(EOL.encode())
                 await self._send_once("?:MODE", MODE)
-            except ControllerFault:
+            except ControllerFault as error:
+                self.log.warning(f"resynchronising: {error.text}", tries_left=left)
                 if not left:
                     raise
                 continue
@@ -328,6 +318,7 @@ class ShrcSession:
             finally:
                 self._searching = False
             self._out_of_step = False
+            self.log.info("the session is synchronised", place=self.link.endpoint)
             return
 
     def _require_open(self) -> None:
@@ -349,7 +340,7 @@ class ShrcSession:
     def _handle_link_loss(self, error: LinkClosed) -> None:
         self._closed = error
         while self._queue:
-            self._queue.popleft().set_failure(error)
+            self._queue.popleft().answer.set_failure(error)
         self.changed.set()
 
     def _classify_line(self, line: ShrcLine) -> None:
@@ -372,7 +363,7 @@ class ShrcSession:
                 head.set_reply(line)
                 return
             self._out_of_step = True
-            head.set_failure(
+            head.answer.set_failure(
                 ControllerFault(
                     "garbage",
                     f"sent {head.command!r}, expected {head.form.words}, received {line.text!r}",

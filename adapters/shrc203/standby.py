@@ -4,11 +4,10 @@ The controller compares all six inputs at once (L2674), so the levels of the oth
 the pattern. Ending a wait starts the move queued after it (L219): that move is overwritten, and verified, first.
 """
 
-from adapters.shrc203.axes import axis_argument
-from adapters.shrc203.lines import InputTrigger
-from adapters.shrc203.replies import BITS, STATUS, parse_status
+from adapters.shrc203.replies import BITS, STATUS, axis_argument, parse_status
 from adapters.shrc203.status import ERRORS
 from adapters.shrc203.unitstate import ShrcState
+from adapters.toolkit.wired_points import WiredInput
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.model.errors import ControllerFault, Refusal
 
@@ -37,7 +36,7 @@ class InputWait:
         self._clock = clock
         self._levels = 0
 
-    async def begin_wait(self, wait: InputTrigger, starts: dict[int, int]) -> None:
+    async def begin_wait(self, wait: WiredInput, starts: dict[int, int]) -> None:
         """Let the motors of `starts` wait, with no move queued yet. starts: their positions, in pulses.
 
         Raises `Refusal`, code `line-level` when the input is already active.
@@ -46,13 +45,13 @@ class InputWait:
         if session.expected_completions:
             raise Refusal("busy", "a completion line is still outstanding", "try again")
         self._levels = await self._read_inputs()
-        if bool(self._levels & wait.input_bit) == wait.active:
+        if wait.is_active(self._levels):
             raise Refusal(
                 "line-level",
                 f"input {wait.name} (IN{wait.number}) is already active",
                 "find the source of its signal, and check `active` in the fleet file",
             )
-        pattern = self._levels ^ wait.input_bit
+        pattern = self._levels ^ wait.mask
         command = f"WI:{axis_argument(starts)},{','.join([str(pattern)] * len(starts))}"
         if not await session.try_setting(command):
             raise Refusal(
@@ -71,12 +70,12 @@ class InputWait:
         unit.waiting = dict(starts)
         await session.send_setting(f"G:{axis_argument(starts)}")
 
-    async def check_wait(self, wait: InputTrigger) -> None:
+    async def check_wait(self, wait: WiredInput) -> None:
         """Check that the motors are still waiting, at the same position, for a pattern that the trigger line can still
         produce. Raises `Refusal`."""
         unit = self._unit
         levels = await self._read_inputs()
-        if bool(levels & wait.input_bit) == wait.active:
+        if wait.is_active(levels):
             raise Refusal("line-level", f"input {wait.name} (IN{wait.number}) has become active too early", "")
         if levels != self._levels:
             changed = [f"IN{number}" for number in range(1, 7) if (levels ^ self._levels) & 1 << (number - 1)]

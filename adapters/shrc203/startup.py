@@ -2,13 +2,11 @@
 
 from adapters.contract import ControllerIdentity
 from adapters.shrc203 import fleetaxes
-from adapters.shrc203.axes import CONTROLLABLE
 from adapters.shrc203.buffers import PrebufferControl
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.replies import (
-    CONTROLLABLE as CONTROLLABLE_FORM,
-)
-from adapters.shrc203.replies import (
+    AXES_BY_CODE,
+    CONTROLLABLE,
     FORMAT,
     IDENTITY,
     MODE,
@@ -36,11 +34,12 @@ async def identify_controller(session: ShrcSession) -> ControllerIdentity:
     if model != "SHRC-203":
         raise ControllerFault(
             "wrong-make",
-            f"{session.link.place} is {','.join(identity)}, not an SHRC-203",
+            f"{session.link.endpoint} is {','.join(identity)}, not an SHRC-203",
             "correct `adapter` or `link` in the fleet file",
         )
     mode = await session.send_query("?:MODE", MODE)
     if mode != "HOST":
+        session.log.info(f"the controller is in mode {mode}; switching to HOST")
         await _enter_host_mode(session, mode)
     if await session.send_query("?:FMT", FORMAT) != "SHOT_FC" and not await session.try_setting("FMT:SHOT_FC"):
         raise ControllerFault(
@@ -79,6 +78,7 @@ async def controllable_axes(session: ShrcSession, clock: Clock, busy_wait_s: flo
     relieved = False
     while await session.send_query("!:", READY) == "B":
         if not relieved:
+            session.log.info("the controller is busy; ending input waits of an earlier session")
             now = parse_status(await session.send_query("Q:SPC", STATUS), (1, 2, 3))
             valid = tuple(motor for motor, each in now.items() if each.state != "D")
             await PrebufferControl(session, valid).end_input_waits({m for m in valid if now[m].is_busy})
@@ -91,7 +91,7 @@ async def controllable_axes(session: ShrcSession, clock: Clock, busy_wait_s: flo
             )
         await sleep_ns(clock, _BUSY_POLL_NS)
     await sleep_ns(clock, _BUSY_POLL_NS)  # a completion line of that motion may still be under way
-    return CONTROLLABLE[await session.send_query("?:AXIS", CONTROLLABLE_FORM)]
+    return AXES_BY_CODE[await session.send_query("?:AXIS", CONTROLLABLE)]
 
 
 async def compare_settings(
@@ -117,6 +117,7 @@ async def compare_settings(
     if options.loop is not None:
         digit = "1" if options.loop == "open" else "0"
         if set((await session.send_query("?:FW", flag_list(len(controllable)))).split(",")) != {digit}:
+            session.log.info(f"setting all axes to {options.loop} loop")
             await session.send_setting(f"F:W{digit}")
     if await session.send_query("?:W", SETTLING) != "0":
         await session.send_setting("W:0")

@@ -58,7 +58,7 @@ def status_faults(axis: str, word: int) -> list[FaultReport]:
     ]
 
 
-def is_position_lost(word: int, excited: bool, closed_loop: bool) -> bool:
+def is_position_lost(word: int, *, excited: bool, closed_loop: bool) -> bool:
     """Return whether the coordinate may differ from the position of the stage: a motor without torque, or a failed
     scale, loses steps."""
     if word & DISCONNECTED:

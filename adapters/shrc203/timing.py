@@ -30,9 +30,9 @@ class ShrcTiming:
         each = now[self.axis.motor]
         asked_ns = line.command_ns + self._session.wire_ns(len(command + EOL))
         told_ns = line.at_ns - self._session.wire_ns(len(line.text + EOL))
-        self.timed.stood(abs(each.counts - self.axis.start_counts), _GRAIN, asked_ns, told_ns)
+        self.timed.add_position(abs(each.counts - self.axis.start_counts), _GRAIN, asked_ns, told_ns)
         if each.is_busy:
-            self.timed.moved(asked_ns)
+            self.timed.mark_moving(asked_ns)
 
     async def still_moves(self) -> bool:
         """Query whether the axis still moves; False also without a reply, which later exchanges will detect."""
@@ -40,7 +40,7 @@ class ShrcTiming:
         line = await self._session.try_query(command, READY)
         if line is None or line.text != "B":
             return False
-        self.timed.moved(line.command_ns + self._session.wire_ns(len(command + EOL)))
+        self.timed.mark_moving(line.command_ns + self._session.wire_ns(len(command + EOL)))
         return True
 
 

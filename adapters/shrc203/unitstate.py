@@ -1,17 +1,14 @@
 """The driver's knowledge of the controller between two commands."""
 
 import asyncio
-from collections import Counter
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from adapters.shrc203.buffers import PrebufferControl
 from adapters.shrc203.replies import speed_list
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.timing import ShrcTiming
-from orchestrator.link.base import LinkClosed
-from orchestrator.model.errors import Refusal
+from adapters.toolkit.stop_counter import StopCounter, send_or_brake
 
 
 @dataclass(slots=True)
@@ -47,7 +44,7 @@ class ShrcState:
     driving: bool = False
     chaining: bool = False
     timing: ShrcTiming | None = None
-    _stop_counts: Counter[int] = field(default_factory=Counter[int])
+    stops: StopCounter = field(default_factory=StopCounter)
 
     @property
     def prebuffers(self) -> PrebufferControl:
@@ -71,46 +68,21 @@ class ShrcState:
         Never starts a move. Raises `ControllerFault` (code `still-armed`)."""
         if not await self.prebuffers.make_harmless(self.excited):
             self.untidy = True
+            self.session.log.warning("a prebuffer could not be emptied; it is emptied once the controller accepts it")
 
     # Starts and stops
 
-    def record_stop(self, motors: Iterable[int]) -> None:
-        """Record a stop that is written for these motors: commands that wait for their turn on the line must not start
-        them afterwards."""
-        self._stop_counts.update(motors)
-
-    def stop_count(self, motor: int) -> int:
-        """Return a number that every stop of this motor increments."""
-        return self._stop_counts[motor]
-
-    def require_no_stop(self, axis: str, motor: int, since: int) -> None:
-        """Raise `Refusal` when a stop has come since `stop_count` returned `since`."""
-        if self._stop_counts[motor] != since:
-            raise Refusal("stopped", f"axis {axis} was stopped meanwhile", "")
-
     async def start_motion(self, command: str, axis: str, motor: int, since: int) -> None:
-        """Send a command that moves one motor, unless a stop has come since `stop_count` returned `since`.
+        """Send a command that moves one motor, unless a stop has come since `stops.stop_count` returned `since`.
 
         The line keeps the order of writes, so that a later stop is executed later. Raises `Refusal`; then the motor is
         at rest.
         """
-        sent = False
-
-        def check_no_stop() -> None:
-            nonlocal sent
-            self.require_no_stop(axis, motor, since)
-            sent = True
-
-        try:
-            await self.session.send_setting(command, check_no_stop)
-        except Refusal:
-            raise
-        except BaseException:
-            # Cancelled or unanswered: no caller would stop it later.
-            if sent:
-                with suppress(LinkClosed):
-                    self.brake_motors([motor])
-            raise
+        await send_or_brake(
+            lambda check: self.session.send_setting(command, check),
+            lambda: self.stops.require_no_stop(axis, motor, since),
+            lambda: self.brake_motors([motor]),
+        )
 
     def brake_motors(self, motors: Iterable[int]) -> None:
         """Send `L:` to each motor singly, now: for several at once it is refused where one motor is off (L2988)."""

@@ -15,7 +15,14 @@ from adapters.smc30 import startup
 from adapters.smc30.costs import step_costs
 from adapters.smc30.hand import Smc30ManualMotion
 from adapters.smc30.line import SHARED, Smc30Line
-from adapters.smc30.lowering import LINES_BEFORE, SlotSchedule, Smc30Lowered, lower_step, make_slot_schedule
+from adapters.smc30.lowering import (
+    LINES_BEFORE,
+    ConnectionTraits,
+    SlotSchedule,
+    Smc30Lowered,
+    lower_step,
+    make_slot_schedule,
+)
 from adapters.smc30.mover import Smc30Mover, passive_commands
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.polling import Smc30Poller
@@ -23,6 +30,8 @@ from adapters.smc30.session import ControllerBusy, Smc30Session
 from adapters.smc30.unitaxis import line_address, only_axis
 from adapters.smc30.unitstate import Smc30State
 from adapters.toolkit.connection import ConnectedDriver
+from adapters.toolkit.host_start import MoverTools
+from adapters.toolkit.refusals import log_refusals
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
@@ -61,7 +70,9 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
         baud = link.baud if isinstance(link, SerialLink) else _BRIDGE_BAUD
         self._char_ns = _BITS * NS_PER_S // baud
         answer_ns = options.answer_ms * NS_PER_MS
-        self._line: Smc30Line = setup.shared.setdefault(SHARED, Smc30Line(setup.clock, options.checksum, answer_ns))
+        self._line: Smc30Line = setup.shared.setdefault(
+            SHARED, Smc30Line(setup.clock, with_checksum=options.checksum, answer_ns=answer_ns)
+        )
         self._line.register_controller(self._address, answer_ns)
         self._ramp_s = axis.limits.velocity / axis.limits.acceleration
         self._enabled = True
@@ -82,10 +93,12 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
                 "set the same value for all of them, and set their switches CHS accordingly",
             )
         await self._line.attach_controller(self._address, self._setup.open_link, self._char_ns)
-        session = Smc30Session(self._line, self._clock, self._address, self._options.checksum)
+        session = Smc30Session(self._line, self._clock, self._address, with_checksum=self._options.checksum)
+        session.log = self._log
+        self._log.info("link opened", place=self._config.link.endpoint)
         unit = Smc30State(session, self._clock, enabled=self._enabled, lost=self._lost)
         mover = Smc30Mover(
-            self._options, self._clock, self._setup.timed_writer, unit, self._crystal, self._slot_schedule
+            self._options, MoverTools(self._clock, self._setup.timed_writer, self._crystal), unit, self._slot_schedule
         )
         manual = Smc30ManualMotion(
             self._config, self._options, self._clock, unit, lambda: mover.move is not None or unit.doing == "home"
@@ -94,14 +107,17 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
         self._connection = Smc30Connection(state=unit, mover=mover, manual=manual, poller=poller)
         await startup.verify_identity(unit)
         number = "" if self._address is None else f"address {self._address}"
-        return ControllerIdentity(model="SMC30", firmware="", serial=number)
+        identity = ControllerIdentity(model="SMC30", firmware="", serial=number)
+        self.log_identity(self._config.link.endpoint, identity)
+        return identity
 
     async def configure(self) -> None:
         fresh = await startup.configure_controller(self.connection.state, self._options, self._clock)
         # Reported by the next poll: a reconnecting adapter must learn that the controller was off meanwhile.
         self._restarted = self._restarted or (fresh and self._is_connected)
         if fresh:
-            self._crystal.forget()
+            self._log.info("the controller was switched on since the last connection; its settings are loaded")
+            self._crystal.discard_moves()
             self.connection.state.lost = False
         self._is_connected = True
 
@@ -130,39 +146,42 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
     # Steps
 
     def crystal_rate(self) -> CrystalRate:
-        return self._crystal.rate
+        return self._crystal.crystal_rate
 
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Smc30Lowered:
         ramp_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
-        known = self._crystal.known(self._clock.now_ns())
-        return lower_step(
-            self._config, self._options, self._step_costs(ramp_s), self._slot_schedule, known, dict(profiles), start
-        )
+        known = self._crystal.estimate_at(self._clock.now_ns())
+        traits = ConnectionTraits(self._step_costs(ramp_s), self._slot_schedule, known)
+        return lower_step(self._config, self._options, traits, dict(profiles), start)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, Smc30Lowered)
-        return await self.connection.mover.arm_move(lowered, t0_ns)
+        with log_refusals(self._log, "arming"):
+            return await self.connection.mover.arm_move(lowered, t0_ns)
 
-    async def stop(self, abort: bool) -> None:
+    async def stop(self, *, abort: bool) -> None:
         """Stop with Z, by the ramp of the motion; or with K, at once, after which its counter may be wrong
         (L1848-L1859)."""
         unit, mover = self.connection.state, self.connection.mover
         after = passive_commands(mover.move.lowered) if mover.move is not None else ()
         mover.record_stop(unit.write_stop("K" if abort else "Z", *after))
+        self._log.info("stop written", abort=abort)
 
     async def stop_before_connect(self) -> bool:
         if self._address is None:
             return False
         await self._line.attach_controller(self._address, self._setup.open_link, self._char_ns)
-        session = Smc30Session(self._line, self._clock, self._address, self._options.checksum)
+        session = Smc30Session(self._line, self._clock, self._address, with_checksum=self._options.checksum)
+        session.log = self._log
+        self._log.info("stopping the controller before it is connected", place=self._config.link.endpoint)
         await Smc30State(session, self._clock).stop_and_confirm()
         return True
 
     # Manual operation
 
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         """Enable or disable by the standby current: the controller has no other switch for its motor (L1998-L2001)."""
         if not axes:
             return
@@ -182,7 +201,7 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
         if axes:
             self.connection.state.write_stop("Z")
 
-    async def set_output(self, number: int, on: bool) -> None:
+    async def set_output(self, number: int, *, on: bool) -> None:
         await self._send_setting(f"{'A' if on else 'C'}{number}")
 
     async def clear_faults(self) -> None:
@@ -201,6 +220,7 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
                 ) from None
             await self._send_setting(f"f{max(-8_388_606, min(8_388_606, counts)):+d}")
             unit.overflow, unit.lost = False, True
+            self._log.warning("the position counter had overflowed; the position of the axis is unknown")
         unit.program_error = False
 
     async def send_raw(self, command: str) -> str:
@@ -215,6 +235,7 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
         ended, self._connection = self._connection, None
         if ended is None:
             return
+        self._log.info("link closed")
         ended.mover.drop_start()
         ended.state.cancel_confirmations()
         await self._line.detach_controller(self._address)

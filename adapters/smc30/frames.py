@@ -25,7 +25,7 @@ def line_checksum(data: bytes) -> int:
     return sum(data) % 128
 
 
-def frame_line(text: str, address: int | None, with_checksum: bool) -> bytes:
+def frame_line(text: str, address: int | None, *, with_checksum: bool) -> bytes:
     """Return the frame of `text` for the controller with this address; None: a controller without address."""
     data = f"{'' if address is None else address}{text}".encode("ascii")
     return data + (bytes((line_checksum(data),)) if with_checksum else b"") + b"\r"
@@ -34,7 +34,7 @@ def frame_line(text: str, address: int | None, with_checksum: bool) -> bytes:
 class ReplyReader:
     """Split received bytes into replies. A checksum that is itself a CR is followed by the CR that ends its line."""
 
-    def __init__(self, with_checksum: bool) -> None:
+    def __init__(self, *, with_checksum: bool) -> None:
         self._with_checksum = with_checksum
         self._rest = b""
         self._held: bytes | None = None

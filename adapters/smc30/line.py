@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from adapters.smc30.frames import ReceivedReply, ReplyReader
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 
 SHARED = "smc30 line"
 """The key of the line in `DriverSetup.shared`."""
@@ -23,7 +23,7 @@ LONGEST_REPLY = 24  # characters of a reply's transmission, beyond the time allo
 _STRAYS = 3  # this number of duplicate answers is not an accident
 
 
-class ExchangeDisturbed(Exception):
+class ExchangeDisturbed(TuttiError):
     """A stop was written while a reply was outstanding: the sender of the next replies is unknown."""
 
 
@@ -69,7 +69,7 @@ class _PendingExchange:
 class Smc30Line:
     """One port. Created before any loop runs; every controller of the line joins it when its driver is created."""
 
-    def __init__(self, clock: Clock, with_checksum: bool, answer_ns: int) -> None:
+    def __init__(self, clock: Clock, answer_ns: int, *, with_checksum: bool) -> None:
         self.units: set[int | None] = set()
         self.with_checksum = with_checksum
         self.stops = 0
@@ -78,7 +78,7 @@ class Smc30Line:
         self._turn = asyncio.Lock()
         self._owner: asyncio.Task[object] | None = None
         self._opening = asyncio.Lock()
-        self._reader = ReplyReader(with_checksum)
+        self._reader = ReplyReader(with_checksum=with_checksum)
         self._link: Link | None = None
         self._char_ns = 0
         self._reading: asyncio.Task[None] | None = None
@@ -127,7 +127,7 @@ class Smc30Line:
             self._users.discard(unit)
             link = self._link
             if not self._users and link is not None:
-                self._handle_link_loss(link, LinkClosed(f"{link.place} is closed"))
+                self._handle_link_loss(link, LinkClosed(f"{link.endpoint} is closed"))
                 if self._reading is not None:
                     self._reading.cancel()
                 await link.close()
@@ -190,10 +190,10 @@ class Smc30Line:
                     since_ns = max(arrived_ns, replies[-1].at_ns if replies else 0)
                     left_ns = since_ns + self._answer_ns + self.wire_ns(LONGEST_REPLY) - self._clock.now_ns()
                     async with asyncio.timeout(max(left_ns, 0) / NS_PER_S):
-                        heard = await waiting.replies.get()
-                    if isinstance(heard, Exception):
-                        raise heard
-                    replies.append(heard)
+                        reply = await waiting.replies.get()
+                    if isinstance(reply, Exception):
+                        raise reply
+                    replies.append(reply)
             except TimeoutError:
                 pass
             except asyncio.CancelledError:
@@ -224,7 +224,7 @@ class Smc30Line:
         self._strays[unit] = 0
         raise ControllerFault(
             "two-answers",
-            f"{self.link.place}: {_controller_name(unit)} gives more answers than requested",
+            f"{self.link.endpoint}: {_controller_name(unit)} gives more answers than requested",
             "do two controllers have the same address? Is another program on the line?",
         )
 

@@ -9,7 +9,7 @@ are absolute: a repeated execution by mistake moves nothing twice.
 
 from dataclasses import dataclass
 from math import ceil
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.smc30.options import Smc30DriverOptions
@@ -18,8 +18,8 @@ from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, axis_bou
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import find_driven_output, find_wait_input
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
-from orchestrator.clock.inferred import KnownClock
-from orchestrator.clock.latency import Latency
+from orchestrator.clock.inferred import ClockEstimate
+from orchestrator.clock.latency import StartLatency
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions, TriggerDrive, TriggerWait
@@ -93,16 +93,24 @@ class Smc30Lowered(Lowered):
     """Interval of the start relative to T0, from all terms."""
 
 
+@dataclass(frozen=True, slots=True)
+class ConnectionTraits:
+    """What a lowered step depends on besides the fleet file. known: knowledge about the controller's clock."""
+
+    costs: StepCosts
+    schedule: SlotSchedule
+    known: ClockEstimate
+
+
 def lower_step(
     config: Controller,
     options: Smc30DriverOptions,
-    costs: StepCosts,
-    schedule: SlotSchedule,
-    known: KnownClock,
+    traits: ConnectionTraits,
     profiles: dict[str, Profile],
     start: StartOptions,
 ) -> Smc30Lowered:
-    """Lower a step. known: knowledge about the controller's clock. Raises `Refusal`."""
+    """Lower a step. Raises `Refusal`."""
+    schedule, known = traits.schedule, traits.known
     require_start_class(start, ("host", "line"), "the SMC30 has no readable clock to start by")
     wait, drive = _wait_point(config, start.wait), _drive_point(config, start.drive)
     if wait is not None and drive is not None:
@@ -118,12 +126,12 @@ def lower_step(
         )
     axis, _ = only_axis(config)
     profile = profiles.get(axis)
-    shape = None if profile is None else _fit_shape(config, options, profile, known.rate.factor, start)
+    shape = None if profile is None else _fit_shape(config, options, profile, known.rate.clock_factor, start)
     start_counts = 0 if profile is None else profile.start_counts
     target = None if profile is None or shape is None else profile.end_counts
     lead_ns = known.latency.usual_ns + schedule.delay_ns
     hold_ns = 0 if start.drive is None else start.drive.active_ns
-    program = _build_program(shape, start_counts, target, schedule, wait, drive, hold_ns)
+    program = _build_program(_Motion(shape, start_counts, target), schedule.delay_ns, wait, drive, hold_ns)
     edge = _host_terms(options, schedule, known.latency)
     start_class: StartClass = "host"
     if wait is not None and start.wait is not None:
@@ -133,7 +141,7 @@ def lower_step(
         terms = _host_terms(options, schedule, known.latency, lines_after=1)
     else:
         terms = edge
-    scale = 1 / known.rate.factor
+    scale = 1 / known.rate.clock_factor
     duration_s = 0.0 if shape is None else shape.duration_s * scale
     return Smc30Lowered(
         start_class=start_class,
@@ -142,9 +150,9 @@ def lower_step(
         terms=terms,
         edge=edge if drive is not None else (),
         tick_ns=0.0,
-        clock_ppm=known.clock_ppm(duration_s),
+        clock_ppm=known.bound_ppm(duration_s),
         can_advance=True,
-        costs=costs,
+        costs=traits.costs,
         commands=("PO", *program, "PX", "Q", "E") if program else (),
         axis=axis,
         start_counts=start_counts,
@@ -173,15 +181,22 @@ def move_lines(shape: Smc30Shape, start_counts: int, target: int) -> tuple[list[
     return [f"S{s}", f"T{first.t}", f"R{first.r}"], moves
 
 
+class _Motion(NamedTuple):
+    """The motion of a program; without a target it has none."""
+
+    shape: Smc30Shape | None
+    start_counts: int
+    target: int | None
+
+
 def _build_program(
-    shape: Smc30Shape | None,
-    start_counts: int,
-    target: int | None,
-    schedule: SlotSchedule,
+    motion: _Motion,
+    delay_ns: int,
     wait: StepPoint | None,
     drive: StepPoint | None,
     hold_ns: int,
 ) -> tuple[str, ...]:
+    shape, start_counts, target = motion
     if shape is None or target is None:
         # Without motion, the parameters make all programs take the same time up to the edge.
         parameters, moves = [f"S{START_MIN}", f"T{START_MIN}", "R1"], list[str]()
@@ -189,7 +204,7 @@ def _build_program(
         parameters, moves = move_lines(shape, start_counts, target)
     if wait is not None:
         return (*parameters, f"N{wait.number}{wait.number}.{int(wait.high)}9", *moves) if moves else ()
-    delay = f"D{schedule.delay_ns // DELAY_NS}"
+    delay = f"D{delay_ns // DELAY_NS}"
     if drive is None:
         return (*parameters, delay, *moves) if moves else ()
     left_ns = hold_ns - (0 if shape is None else round(shape.duration_s * NS_PER_S))
@@ -210,7 +225,7 @@ def _program_ns(
 
 
 def _host_terms(
-    options: Smc30DriverOptions, schedule: SlotSchedule, start: Latency, lines_after: int = 0
+    options: Smc30DriverOptions, schedule: SlotSchedule, start: StartLatency, lines_after: int = 0
 ) -> tuple[BudgetTerm, ...]:
     """Return the host's terms. The delay is counted by the crystal, for which only the assumed error is used here."""
     after_us, spread_us = lines_after * options.line_us, lines_after * options.line_spread_us

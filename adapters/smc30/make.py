@@ -38,9 +38,9 @@ class Smc30Make:
         with_checksum = Smc30DriverOptions.model_validate(config.options).checksum
         own = unitaxis.line_address(config)
         units = [None] if own is None else list(unitaxis.LINE_ADDRESSES)
-        return b"?\r" + b"".join(_stop_frames(unit, with_checksum) for unit in units)
+        return b"?\r" + b"".join(_stop_frames(unit, with_checksum=with_checksum) for unit in units)
 
 
-def _stop_frames(unit: int | None, with_checksum: bool) -> bytes:
+def _stop_frames(unit: int | None, *, with_checksum: bool) -> bytes:
     unclear = with_checksum and line_checksum(frame_line("Z", unit, with_checksum=False)[:-1]) == CR
-    return frame_line("K" if unclear else "Z", unit, with_checksum)
+    return frame_line("K" if unclear else "Z", unit, with_checksum=with_checksum)

@@ -5,16 +5,16 @@ import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from adapters.contract import HostInterval, MoveOutcome, TimedWrite, TimedWriter
+from adapters.contract import HostInterval, MoveOutcome, TimedWrite
 from adapters.smc30.line import StartSlot
 from adapters.smc30.lowering import LINES_BEFORE, SlotSchedule, Smc30Lowered
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.session import ControllerBusy
 from adapters.smc30.unitstate import PositionReading, Smc30State
 from adapters.toolkit.firing import missed_write_fault
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
-from orchestrator.clock.inferred import UnreadClock
-from orchestrator.clock.timed import LONG_S, TimedMove
+from adapters.toolkit.host_start import MoverTools, wait_for_write
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.timed import MIN_POLLED_DURATION_S, TimedMove
 from orchestrator.model.errors import ControllerFault, Refusal
 
 _POLL_NS = 20 * NS_PER_MS
@@ -47,24 +47,23 @@ class LoadedStep:
     timed: TimedMove | None = None
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
+    @property
+    def start(self) -> HostInterval:
+        """The interval of the start, known once `started` is set."""
+        if self.started is None:
+            raise RuntimeError("the step has not started")
+        return self.started
+
 
 class Smc30Mover:
     """Arm, start and follow the steps of one connection."""
 
-    def __init__(
-        self,
-        options: Smc30DriverOptions,
-        clock: Clock,
-        timed_writer: TimedWriter,
-        unit: Smc30State,
-        crystal: UnreadClock,
-        slots: SlotSchedule,
-    ) -> None:
+    def __init__(self, options: Smc30DriverOptions, tools: MoverTools, unit: Smc30State, slots: SlotSchedule) -> None:
         self._options = options
-        self._clock = clock
-        self._timed_writer = timed_writer
+        self._clock = tools.clock
+        self._timed_writer = tools.timed_writer
         self._unit = unit
-        self._crystal = crystal
+        self._crystal = tools.crystal
         self._slots = slots
         self.move: LoadedStep | None = None
 
@@ -226,22 +225,19 @@ class Smc30Mover:
     async def _started_by_host(self, move: LoadedStep) -> HostInterval:
         """Return the start: not earlier than the arrival of the command at the controller, not later than the begin of
         its answer, plus the program's time."""
-        assert move.order is not None and move.slot is not None
+        order, slot = move.order, move.slot
+        if order is None or slot is None:
+            raise ControllerFault("not-started", "no starting command was scheduled", "arm it again")
         session = self._unit.session
-        try:
-            fired = await move.order.wait_until_written()
-        except asyncio.CancelledError:
-            if move.running:
-                raise
-            raise ControllerFault("not-started", "the timed write was cancelled", "") from None
+        fired = await wait_for_write(order, lambda: not move.running)
         if fired.late:
-            session.line.free_slot(move.slot)
+            session.line.free_slot(slot)
             move.running = False
             raise missed_write_fault("the starting command", session.line.link, fired)
         late_ns = self._options.excess_delay_ns(fired)
-        session.line.record_write(move.slot, late_ns)
-        reply = await move.slot.answer
-        at_unit_ns = move.arrived_ns = fired.written_ns + move.slot.wire_ns
+        session.line.record_write(slot, late_ns)
+        reply = await slot.answer
+        at_unit_ns = move.arrived_ns = fired.written_ns + slot.wire_ns
         least_ns, most_ns = move.lowered.program_ns
         if reply is not None and reply.text == "Y":
             latest_ns = move.answered_ns = reply.at_ns - session.line.wire_ns(reply.characters)
@@ -299,18 +295,18 @@ class Smc30Mover:
         least_ns, most_ns = self._duration_bounds_ns(move)
         # The end of a long motion is queried without a pause, so that the latest instant before the end is known as
         # well.
-        close = move.timed is not None and move.timed.duration_s >= LONG_S
-        before_ns = 0 if move.timed is None or not close else move.timed.before_ns
-        await self._sleep_until(move, move.started.earliest_ns + least_ns - before_ns)
+        close = move.timed is not None and move.timed.duration_s >= MIN_POLLED_DURATION_S
+        before_ns = 0 if move.timed is None or not close else move.timed.end_poll_lead_ns
+        await self._sleep_until(move, move.start.earliest_ns + least_ns - before_ns)
         overdue_ns = self._clock.now_ns() + self._program_excess_ns(move)
         last_busy_ns = 0
         while (now := await unit.read_status()).busy:
             last_busy_ns = now.arrived_ns
             if move.timed is not None:
-                move.timed.moved(now.arrived_ns)
+                move.timed.mark_moving(now.arrived_ns)
             if self._clock.now_ns() > overdue_ns and move.stopped_ns is None:
                 return await self._kill_overdue(move)
-            if not close or move.stopped_ns is not None or self._clock.now_ns() > move.started.latest_ns + most_ns:
+            if not close or move.stopped_ns is not None or self._clock.now_ns() > move.start.latest_ns + most_ns:
                 await sleep_ns(self._clock, _POLL_NS)
         await unit.wait_for_stops()
         counts = await self._counts_at_rest()
@@ -323,7 +319,7 @@ class Smc30Mover:
             unit.limit = "none"
             self._learn_crystal(move, now.at_ns)
             return MoveOutcome("done", {lowered.axis: self._end_interval(move, last_busy_ns, now.at_ns)})
-        span = HostInterval(min(move.started.earliest_ns, now.at_ns), now.at_ns)
+        span = HostInterval(min(move.start.earliest_ns, now.at_ns), now.at_ns)
         stands = f"axis {lowered.axis} is at {counts}, not at its target {lowered.target}"
         if move.stopped_ns is not None:
             return MoveOutcome("stopped", {lowered.axis: span}, f"stopped on request; {stands}")
@@ -339,24 +335,24 @@ class Smc30Mover:
         move = self.move
         if move is not None and move.timed is not None:
             way = abs(place.counts - move.lowered.start_counts)
-            move.timed.stood(way, _GRAIN, place.arrived_ns, place.at_ns)
+            move.timed.add_position(way, _GRAIN, place.arrived_ns, place.at_ns)
 
     def _learn_crystal(self, move: LoadedStep, ready_ns: int) -> None:
         """Learn the crystal's rate and the start delay from a motion that has ended as planned."""
         if move.timed is None or move.stopped_ns is not None:
             return
         lowered = move.lowered
-        move.timed.ended(ready_ns)
+        move.timed.mark_ended(ready_ns)
         program_ns = sum(lowered.program_ns) // 2
         answered_ns = None if move.answered_ns is None else move.answered_ns + program_ns
         # Without the delay, which is not the same in all programs.
         began_ns = move.arrived_ns + program_ns - LINES_BEFORE * self._options.line_us * NS_PER_US
-        self._crystal.learn(move.timed, began_ns, answered_ns, self._clock.now_ns())
+        self._crystal.learn_from_move(move.timed, began_ns, answered_ns, self._clock.now_ns())
 
     def record_ready(self, asked_ns: int) -> None:
         """Record that the controller executed nothing at `asked_ns`: a step that should still move has ended."""
         move = self.move
-        if move is not None and move.started is not None and asked_ns > move.started.latest_ns:
+        if move is not None and move.started is not None and asked_ns > move.start.latest_ns:
             move.changed.set()
 
     def _end_interval(self, move: LoadedStep, last_busy_ns: int, ready_ns: int) -> HostInterval:
@@ -365,10 +361,9 @@ class Smc30Mover:
 
         The motion may be followed by more program lines; then the busy state gives no information.
         """
-        assert move.started is not None
         least_ns, most_ns = self._duration_bounds_ns(move)
-        earliest_ns = move.started.earliest_ns + least_ns - self._gap_spread_ns(move)
-        latest_ns = move.started.latest_ns + most_ns + self._gap_spread_ns(move)
+        earliest_ns = move.start.earliest_ns + least_ns - self._gap_spread_ns(move)
+        latest_ns = move.start.latest_ns + most_ns + self._gap_spread_ns(move)
         if move.lowered.drive is None:
             earliest_ns = max(earliest_ns, last_busy_ns)
         latest_ns = min(latest_ns, ready_ns)
@@ -377,7 +372,6 @@ class Smc30Mover:
     async def _kill_overdue(self, move: LoadedStep) -> MoveOutcome:
         """Handle a motion that is blocked by its Stop input, or still waits: it is killed, because it could continue at
         any moment (L830-L842)."""
-        assert move.started is not None
         self._unit.write_stop("K", *passive_commands(move.lowered))
         await self._unit.wait_for_stops()
         counts = await self._counts_at_rest()
@@ -389,7 +383,7 @@ class Smc30Mover:
         else:
             reason = f"axis {lowered.axis} does not reach its end and is at {counts}: is its Stop input active?"
         return MoveOutcome(
-            "fault", dict.fromkeys(lowered.durations_s, HostInterval(move.started.earliest_ns, now_ns)), reason
+            "fault", dict.fromkeys(lowered.durations_s, HostInterval(move.start.earliest_ns, now_ns)), reason
         )
 
     # Internals
@@ -453,7 +447,9 @@ class Smc30Mover:
     def _duration_bounds_ns(self, move: LoadedStep) -> tuple[int, int]:
         """Return the shortest and longest duration of the motion by everything known about the crystal."""
         shape = move.lowered.shape
-        return self._crystal.rate.took_ns(0.0 if shape is None else shape.duration_s, self._clock.now_ns())
+        return self._crystal.crystal_rate.host_duration_ns(
+            0.0 if shape is None else shape.duration_s, self._clock.now_ns()
+        )
 
     def _gap_spread_ns(self, move: LoadedStep) -> int:
         shape = move.lowered.shape

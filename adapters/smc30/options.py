@@ -6,8 +6,8 @@ from pydantic import Field
 
 from adapters.toolkit.firing import FiringOptions, Microseconds
 from orchestrator.clock.base import NS_PER_US
-from orchestrator.clock.inferred import UnreadClock
-from orchestrator.clock.latency import Latency
+from orchestrator.clock.inferred import InferredClock
+from orchestrator.clock.latency import StartLatency
 
 Milliamps = Annotated[int, Field(ge=0, le=12_000)]
 
@@ -64,11 +64,11 @@ class Smc30DriverOptions(FiringOptions):
         description="How long configuring waits for the end of a program or motion in progress.",
     )
 
-    def unread_clock(self, lines: int) -> UnreadClock:
+    def unread_clock(self, lines: int) -> InferredClock:
         """Return the assumptions about the controller's crystal, and about the time from the end of a starting command,
         without the delay of its program, to the motion after `lines` program lines."""
         usual_us = self.decode_us + lines * self.line_us
         least_us = max(0, self.decode_us - self.decode_spread_us) + lines * (self.line_us - self.line_spread_us)
         most_us = usual_us + self.decode_spread_us + lines * self.line_spread_us + self.wire_jitter_us
-        start = Latency(usual_us * NS_PER_US, least_us * NS_PER_US, most_us * NS_PER_US)
-        return UnreadClock(self.rate_ppm, self.clock_ppm, start)
+        start = StartLatency(usual_us * NS_PER_US, least_us * NS_PER_US, most_us * NS_PER_US)
+        return InferredClock(self.rate_ppm, self.clock_ppm, start)

@@ -134,7 +134,7 @@ def fit_shape(steps: int, duration_s: float, ramp_s: float, limits: Smc30Bounds,
         return None if one is None else Smc30Shape((one,))
     best = Smc30Shape((one,))
     for between in (False, True):
-        split = _split_move(steps, duration_s, limits, gap_s, between)
+        split = _split_move(steps, duration_s, limits, gap_s, between=between)
         if split is not None and abs(split.duration_s - duration_s) < abs(best.duration_s - duration_s):
             best = split
         if abs(best.duration_s - duration_s) <= _SPLIT_S:
@@ -142,13 +142,15 @@ def fit_shape(steps: int, duration_s: float, ramp_s: float, limits: Smc30Bounds,
     return best
 
 
-def _split_move(steps: int, duration_s: float, limits: Smc30Bounds, gap_s: float, between: bool) -> Smc30Shape | None:
+def _split_move(
+    steps: int, duration_s: float, limits: Smc30Bounds, gap_s: float, *, between: bool
+) -> Smc30Shape | None:
     """Return two constant rates around the mean, none above the start rate; or with a third one between them."""
     best: Smc30Shape | None = None
     moving_s = duration_s - gap_s * (2 if between else 1)
     if moving_s <= 0:
         return None
-    for slow, quick, middle in _rate_choices(steps / moving_s, min(limits.start_max, limits.top), between):
+    for slow, quick, middle in _rate_choices(steps / moving_s, min(limits.start_max, limits.top), between=between):
         for inner in range(1, min(_INNER, steps - 2) + 1) if middle else (0,):
             rest_s, rest = (moving_s - inner / middle, steps - inner) if middle else (moving_s, steps)
             first = round((rest_s - rest / quick) / (1 / slow - 1 / quick))
@@ -164,7 +166,7 @@ def _split_move(steps: int, duration_s: float, limits: Smc30Bounds, gap_s: float
     return best
 
 
-def _rate_choices(mean: float, most: int, between: bool) -> Iterator[tuple[int, int, int]]:
+def _rate_choices(mean: float, most: int, *, between: bool) -> Iterator[tuple[int, int, int]]:
     """Yield a rate below the mean, one above it, and one between them or 0; the nearest to the mean first."""
     for slow in range(min(most, floor(mean)), TOP_MIN - 1, -1):
         for quick in range(max(slow + 1, ceil(mean)), min(most, floor(_ABOVE * mean) + 1) + 1):

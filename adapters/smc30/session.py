@@ -9,10 +9,11 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from adapters.contract import NULL_LOG
 from adapters.smc30.frames import ReceivedReply, frame_line
 from adapters.smc30.line import LONGEST_REPLY, ExchangeDisturbed, Smc30Line
 from orchestrator.clock.base import Clock
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 
 _TRIES = 4
 _ERRORS = {  # L1538-L1562
@@ -26,7 +27,7 @@ DONE = re.compile("Y")
 _REPLY_CODES = re.compile(r"[YBR]|E[1-6]")
 
 
-class ControllerBusy(Exception):
+class ControllerBusy(TuttiError):
     """The controller executes a program, or its motor moves: it has accepted nothing (L1519-L1522)."""
 
 
@@ -43,8 +44,9 @@ class Smc30Answer:
 class Smc30Session:
     """The exchanges with one controller. unit: its address, None for one alone on its line."""
 
-    def __init__(self, common: Smc30Line, clock: Clock, unit: int | None, with_checksum: bool) -> None:
+    def __init__(self, common: Smc30Line, clock: Clock, unit: int | None, *, with_checksum: bool) -> None:
         self.line = common
+        self.log = NULL_LOG
         self.unit = unit
         self.stops = 0
         """Number of stops written to it: a command that waits for its turn must not start it after a stop."""
@@ -78,7 +80,8 @@ class Smc30Session:
                 for each in lines:
                     await self.send_once(each, since)
                 await self.send_setting("PX")
-            except ControllerFault:
+            except ControllerFault as error:
+                self.log.warning(f"the upload of the program failed: {error.text}", tries_left=left)
                 if not left:
                     raise
             else:
@@ -123,12 +126,12 @@ class Smc30Session:
 
     def frame_command(self, command: str) -> bytes:
         """Return the transmitted form of `command`."""
-        return frame_line(command, self.unit, self.with_checksum)
+        return frame_line(command, self.unit, with_checksum=self.with_checksum)
 
     @property
     def name(self) -> str:
         """The name of the controller in messages."""
-        return self.line.link.place if self.unit is None else f"unit {self.unit} of {self.line.link.place}"
+        return self.line.link.endpoint if self.unit is None else f"unit {self.unit} of {self.line.link.endpoint}"
 
     # Internals
 
@@ -142,6 +145,7 @@ class Smc30Session:
             except ExchangeDisturbed:
                 if not repeatable:
                     raise self._disturbed_refusal(command) from None
+                self.log.info(f"{command!r} is repeated: a stop on the line came during the exchange")
                 continue
             reply = replies[0] if replies else None
             text = None if reply is None else reply.text
@@ -160,6 +164,7 @@ class Smc30Session:
                     if reply is None
                     else self._garbled_fault(command, form.pattern, replies)
                 )
+            self.log.warning(f"{command!r} is repeated", answer=text or "none", tries_left=left)
         raise self._disturbed_refusal(command)
 
     async def _run_exchange(

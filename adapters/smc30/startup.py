@@ -47,7 +47,7 @@ async def _leave_programming(session: Smc30Session) -> None:
 
 async def _answers_otherwise(session: Smc30Session) -> bool:
     """Return whether the controller answers F in the other format, with or without a checksum."""
-    sent = frame_line("F", session.unit, not session.with_checksum)
+    sent = frame_line("F", session.unit, with_checksum=not session.with_checksum)
 
     def any_reply(replies: list[ReceivedReply]) -> bool:
         return bool(replies)

@@ -61,23 +61,7 @@ def homing_rate(axis: Axis) -> int:
 
 def check_fleet(config: Controller) -> None:
     """Check the fleet file offline. Raises `ValueError`."""
-    link = config.link
-    if isinstance(link, SerialLink):
-        if (link.data_bits, link.parity, link.stop_bits) != (7, "odd", 1):
-            raise ValueError(
-                f"link: {link.data_bits} data bits, parity {link.parity}, {link.stop_bits} stop bits; an "
-                "SMC30 uses 7 data bits, odd parity, 1 stop bit: set `data_bits: 7` and `parity: odd`"
-            )
-        if link.baud not in BAUDS:
-            raise ValueError(f"link.baud: {link.baud} is not possible; allowed: {', '.join(map(str, BAUDS))}")
-        if link.rtscts:
-            raise ValueError("link.rtscts: an SMC30 has no handshake lines; remove it")
-        if link.address is not None and link.address not in LINE_ADDRESSES:
-            raise ValueError(
-                f"link.address: {link.address} is not an address; allowed: 1 to 7, or none for a controller alone"
-            )
-    elif link.kind == "udp":
-        raise ValueError("link.kind: udp is not possible; allowed: serial, or tcp for a bridge to a serial port")
+    _check_link(config)
     if len(config.axes) != 1:
         raise ValueError(f"axes: {len(config.axes)} are named ({', '.join(config.axes)}); an SMC30 has one motor")
     Smc30DriverOptions.model_validate(config.options)
@@ -101,3 +85,23 @@ def check_fleet(config: Controller) -> None:
         for point_name, point in points.items():
             if point.number not in POINTS:
                 raise ValueError(f"{kind}.{point_name}.number: {point.number} does not exist; allowed: 1 to 3")
+
+
+def _check_link(config: Controller) -> None:
+    link = config.link
+    if isinstance(link, SerialLink):
+        if (link.data_bits, link.parity, link.stop_bits) != (7, "odd", 1):
+            raise ValueError(
+                f"link: {link.data_bits} data bits, parity {link.parity}, {link.stop_bits} stop bits; an "
+                "SMC30 uses 7 data bits, odd parity, 1 stop bit: set `data_bits: 7` and `parity: odd`"
+            )
+        if link.baud not in BAUDS:
+            raise ValueError(f"link.baud: {link.baud} is not possible; allowed: {', '.join(map(str, BAUDS))}")
+        if link.rtscts:
+            raise ValueError("link.rtscts: an SMC30 has no handshake lines; remove it")
+        if link.address is not None and link.address not in LINE_ADDRESSES:
+            raise ValueError(
+                f"link.address: {link.address} is not an address; allowed: 1 to 7, or none for a controller alone"
+            )
+    elif link.kind == "udp":
+        raise ValueError("link.kind: udp is not possible; allowed: serial, or tcp for a bridge to a serial port")

@@ -4,7 +4,8 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Generic, Protocol, TypeVar
 
-from adapters.contract import Driver, DriverSetup, HostInterval, MoveOutcome
+from adapters.contract import ControllerIdentity, Driver, DriverSetup, HostInterval, MoveOutcome
+from adapters.toolkit.refusals import log_refusals
 from orchestrator.link.base import LinkClosed
 
 
@@ -23,7 +24,11 @@ class StepMover(Protocol):
 
 
 class MoverDriver(Driver):
-    """A driver that delegates its steps to a mover."""
+    """A driver that delegates its steps to a mover, and logs refused ones."""
+
+    def __init__(self, setup: DriverSetup) -> None:
+        self._setup = setup
+        self._log = setup.log
 
     @property
     @abstractmethod
@@ -31,19 +36,26 @@ class MoverDriver(Driver):
         """The mover. Raises `LinkClosed` where it exists only while the controller is connected."""
 
     async def verify_armed(self) -> None:
-        await self.mover.verify_armed()
+        with log_refusals(self._log, "the check before the commit"):
+            await self.mover.verify_armed()
 
     async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        await self.mover.schedule_start(start_tolerance_ns, advance_ns)
+        with log_refusals(self._log, "the start"):
+            await self.mover.schedule_start(start_tolerance_ns, advance_ns)
 
     async def disarm_move(self) -> None:
         await self.mover.disarm_move()
 
     async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        return await self.mover.wait_for_start()
+        with log_refusals(self._log, "the start"):
+            return await self.mover.wait_for_start()
 
     async def wait_for_end(self) -> MoveOutcome:
-        return await self.mover.wait_for_end()
+        with log_refusals(self._log, "the end of the move"):
+            outcome = await self.mover.wait_for_end()
+        if outcome.state != "done":
+            self._log.info(f"the move ended as {outcome.state}: {outcome.reason}")
+        return outcome
 
 
 class MoverConnection(Protocol):
@@ -60,8 +72,14 @@ class ConnectedDriver(MoverDriver, Generic[_Connection]):
     """A driver whose `connect` creates a connection, and whose `close` ends it."""
 
     def __init__(self, setup: DriverSetup) -> None:
-        self._setup = setup
+        super().__init__(setup)
         self._connection: _Connection | None = None
+
+    def log_identity(self, place: str, identity: ControllerIdentity) -> None:
+        """Log that the controller has identified itself."""
+        self._log.info(
+            f"connected to {identity.model} {identity.firmware}".rstrip(), place=place, serial=identity.serial
+        )
 
     @property
     def connection(self) -> _Connection:

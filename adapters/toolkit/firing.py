@@ -13,7 +13,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from adapters.contract import TimedWriter, WriteResult
-from orchestrator.clock.base import NS_PER_US, Clock, Timer
+from orchestrator.clock.base import NS_PER_US, Clock, ClockTimer
 from orchestrator.link.base import Link
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.messages import BudgetTerm
@@ -87,7 +87,7 @@ def missed_write_fault(what: str, link: Link, fired: WriteResult) -> ControllerF
     """Return the fault to raise when `what` was not written to `link` because its instant had passed."""
     return ControllerFault(
         "late",
-        f"the instant to write {what} to {link.place} was missed: it was {fired.after_ns / 1e6:.1f} ms "
+        f"the instant to write {what} to {link.endpoint} was missed: it was {fired.after_ns / 1e6:.1f} ms "
         "past when the firing process was scheduled",
         "let the host run real-time processes, reduce its load, or allow a larger delay: "
         "`max_start_skew` of the job, and option fire_late_us where a trigger line, a stream or the next "
@@ -103,7 +103,7 @@ class _LoopWrite:
         self._clock = clock
         self._link = link
         self._order = order
-        self._timer: Timer = clock.call_at_ns(order.at_ns + wake_ns, self._write_now)
+        self._timer: ClockTimer = clock.call_at_ns(order.at_ns + wake_ns, self._write_now)
 
     def _write_now(self) -> None:
         if not self._fired.done():

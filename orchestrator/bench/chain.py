@@ -16,8 +16,9 @@ from adapters.shrc203.trapezoid import ShrcTrapezoid
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.link.base import Link, Received
+from orchestrator.link.base import Link, ReceivedBytes
 from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Controller
 from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
@@ -25,7 +26,7 @@ from sim.core.vectors import find_simulator
 
 MODEL = "shrc203"
 BAUD = 38400
-HOST_NS = NS_PER_MS  # from the arrival of a line to its handling
+HOST_DELAY_NS = NS_PER_MS  # from the arrival of a line to its handling
 FIRMWARE = FirmwareTiming(decode_ns=1_000_000, spread_ns=1_000_000)
 PPM = 50.0
 # Axes, the moves' own duration (ms), and the target for a move with its hand-over.
@@ -56,13 +57,13 @@ class ChainFigures(NamedTuple):
         return self.move_ms <= self.asked_ms and self.underruns == 0
 
 
-class _Chain(NamedTuple):
+class _ChainResult(NamedTuple):
     move_ms: float
     ahead_ms: float
     underruns: int
 
 
-class ChainBroke(Exception):
+class ChainBroke(TuttiError):
     """A chain did not run to its end, or not as commanded. The text names the chain and the reason."""
 
 
@@ -70,7 +71,7 @@ def bench_chain(moves: int, seeds: int) -> list[ChainFigures]:
     """Run a chain of `moves` for each number of axes and each seed. Raises `ChainBroke`."""
     figures: list[ChainFigures] = []
     for axes, duration_ms, asked_ms in CASES:
-        runs = [_run(axes, duration_ms, moves, seed) for seed in range(seeds)]
+        runs = [_run_chain(axes, duration_ms, moves, seed) for seed in range(seeds)]
         figures.append(
             ChainFigures(
                 axes=len(axes),
@@ -85,24 +86,26 @@ def bench_chain(moves: int, seeds: int) -> list[ChainFigures]:
     return figures
 
 
-def _run(axes: tuple[str, ...], duration_ms: int, moves: int, seed: int) -> _Chain:
-    return run_virtual(lambda clock: _measured(clock, axes, duration_ms, moves, seed))
+def _run_chain(axes: tuple[str, ...], duration_ms: int, moves: int, seed: int) -> _ChainResult:
+    return run_virtual(lambda clock: _measure_chain(clock, axes, duration_ms, moves, seed))
 
 
-async def _measured(clock: VirtualClock, axes: tuple[str, ...], duration_ms: int, moves: int, seed: int) -> _Chain:
+async def _measure_chain(
+    clock: VirtualClock, axes: tuple[str, ...], duration_ms: int, moves: int, seed: int
+) -> _ChainResult:
     draw = Random(seed)
     oscillator = Oscillator(0, draw.uniform(-PPM, PPM), 0.05, draw.getrandbits(32))
     unit = find_simulator(MODEL).build_controller(clock, {}, oscillator=oscillator, timing=FIRMWARE, seed=seed)
     wire = MemoryWire(clock, serial_wire(BAUD), unit, unit.port_names[0], "serial line", copy_context(), seed)
 
-    async def opened() -> Link:
-        return _SlowHost(await wire.open(), clock)
+    async def open_slow_link() -> Link:
+        return _SlowHost(await wire.open_link(), clock)
 
-    setup = DriverSetup("stage", _config(), ShrcOptions(), clock, opened, LoopTimedWriter(clock))
+    setup = DriverSetup("stage", _make_config(), ShrcOptions(), clock, open_slow_link, LoopTimedWriter(clock))
     driver = ShrcDriver(setup, ShrcOptions())
     await driver.connect()
     await driver.configure()
-    chains = {axis: [_move(draw, duration_ms) for _ in range(moves)] for axis in axes}
+    chains = {axis: [_draw_move(draw, duration_ms) for _ in range(moves)] for axis in axes}
     report = await driver.run_chain(chains)
     await driver.close()
     for axis, chain in chains.items():
@@ -112,10 +115,10 @@ async def _measured(clock: VirtualClock, axes: tuple[str, ...], duration_ms: int
             raise ChainBroke(f"seed {seed}, {len(axes)} axes, axis {axis}: {report.reason or 'other moves were made'}")
     ends = [each.end_ns for each in unit.commanded_motions if each.end_ns is not None]
     took_ns = max(ends) - min(each.start_ns for each in unit.commanded_motions)
-    return _Chain(took_ns / NS_PER_MS / moves, (report.least_ahead_ns or 0) / NS_PER_MS, len(report.underruns))
+    return _ChainResult(took_ns / NS_PER_MS / moves, (report.least_ahead_ns or 0) / NS_PER_MS, len(report.underruns))
 
 
-def _move(draw: Random, duration_ms: int) -> ChainMove:
+def _draw_move(draw: Random, duration_ms: int) -> ChainMove:
     """Draw a move that takes slightly less than `duration_ms`, with its own speeds."""
     s, f, r = draw.choice(START_SPEEDS), draw.choice(TOP_SPEEDS), draw.choice(RAMPS_MS)
     distance = round((s + f) * r / 1000 + f * (duration_ms - 2 * r) / 1000)
@@ -124,7 +127,7 @@ def _move(draw: Random, duration_ms: int) -> ChainMove:
     return ChainMove(draw.choice((1, -1)) * distance, ShrcTrapezoid(distance, s, f, r))
 
 
-def _config() -> Controller:
+def _make_config() -> Controller:
     limits = {"velocity": 50, "acceleration": 100_000}
     start_rate = {"min": 1, "max": 5}
     axes = {
@@ -136,15 +139,15 @@ def _config() -> Controller:
 
 
 class _SlowHost:
-    """A link whose received bytes are delivered `HOST_NS` late."""
+    """A link whose received bytes are delivered `HOST_DELAY_NS` late."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._clock = clock
 
     @property
-    def place(self) -> str:
-        return self._link.place
+    def endpoint(self) -> str:
+        return self._link.endpoint
 
     @property
     def char_ns(self) -> int:
@@ -153,16 +156,16 @@ class _SlowHost:
     def write(self, data: bytes) -> int:
         return self._link.write(data)
 
-    async def read(self) -> Received:
+    async def read(self) -> ReceivedBytes:
         received = await self._link.read()
-        await sleep_until_ns(self._clock, max(self._clock.now_ns(), received.at_ns + HOST_NS))
+        await sleep_until_ns(self._clock, max(self._clock.now_ns(), received.at_ns + HOST_DELAY_NS))
         return received
 
     def fileno(self) -> int:
         return self._link.fileno()
 
-    def wrote(self, at_ns: int, data: bytes) -> None:
-        self._link.wrote(at_ns, data)
+    def record_write(self, at_ns: int, data: bytes) -> None:
+        self._link.record_write(at_ns, data)
 
     async def close(self) -> None:
         await self._link.close()

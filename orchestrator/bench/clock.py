@@ -23,7 +23,7 @@ BEGIN_NS = 100 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
-class LinkCase:
+class ClockCase:
     """A link and a counter.
 
     Each direction takes latency_ns and up to jitter_ns more, with tail_chance up to tail_ns on top; replies are
@@ -45,11 +45,11 @@ class LinkCase:
 
 
 SAMPLE_NS = 1e9 / 1024
-SERIAL = LinkCase("", SAMPLE_NS, 0.0, latency_ns=20 * NS_PER_US, jitter_ns=80 * NS_PER_US, tail_chance=0.0005)
+SERIAL = ClockCase("", SAMPLE_NS, 0.0, latency_ns=20 * NS_PER_US, jitter_ns=80 * NS_PER_US, tail_chance=0.0005)
 HELD_NS = 16 * NS_PER_MS
 CASES = (
-    LinkCase("TCP, tick 1 µs", 1000.0, 20.0),
-    LinkCase("TCP, tick 0.98 ms", SAMPLE_NS, 60.0),
+    ClockCase("TCP, tick 1 µs", 1000.0, 20.0),
+    ClockCase("TCP, tick 0.98 ms", SAMPLE_NS, 60.0),
     replace(SERIAL, name="USB holds 0 to 16 ms", asked_us=300.0, hold_ns=HELD_NS),
     replace(SERIAL, name="USB holds 16 ms always", hold_ns=HELD_NS, constant_hold=True),
 )
@@ -75,7 +75,7 @@ class ClockFigures(NamedTuple):
     regression_us: float
 
 
-class _Reading(NamedTuple):
+class _ClockReading(NamedTuple):
     sent_ns: int
     received_ns: int
     ticks: int
@@ -83,17 +83,17 @@ class _Reading(NamedTuple):
 
 def bench_clock(trials: int, seed: int = 1) -> list[ClockFigures]:
     """Predict one tick per trial and link, AHEAD_NS after the last of HISTORY_S of samples."""
-    return [_figures(case, trials, seed) for case in CASES]
+    return [_measure_case(case, trials, seed) for case in CASES]
 
 
-def _figures(case: LinkCase, trials: int, seed: int) -> ClockFigures:
+def _measure_case(case: ClockCase, trials: int, seed: int) -> ClockFigures:
     errors: list[float] = []
     bounds: list[float] = []
     others: tuple[list[float], list[float]] = ([], [])
     for trial in range(trials):
         draw = Random(f"{seed} {case.name} {trial}")
         crystal = Oscillator(draw.randrange(10**12), draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, trial)
-        readings = _history(case, crystal, draw)
+        readings = _draw_history(case, crystal, draw)
         clock = SampleClock(case.tick_ns, case.decode_ns - case.least_ns)
         for each in readings:
             clock.add_full_reading(each.sent_ns, each.received_ns, each.ticks)
@@ -102,50 +102,52 @@ def _figures(case: LinkCase, trials: int, seed: int) -> ClockFigures:
         ahead_ns = readings[-1].received_ns + AHEAD_NS
         tick = int(crystal.device_ns(ahead_ns) // case.tick_ns)
         true_ns = crystal.true_ns(round(tick * case.tick_ns))
-        errors.append(abs(mapping.host_ns(tick) - true_ns) / NS_PER_US)
+        errors.append(abs(mapping.to_host_ns(tick) - true_ns) / NS_PER_US)
         bounds.append(mapping.bound_at_ns(ahead_ns) / NS_PER_US)
-        for found, line in zip(others, (_cristian(readings, case), _regression(readings, case)), strict=True):
-            found.append(abs(line.host_ns(tick) - true_ns) / NS_PER_US)
+        for found, line in zip(
+            others, (_estimate_cristian(readings, case), _estimate_regression(readings, case)), strict=True
+        ):
+            found.append(abs(line.to_host_ns(tick) - true_ns) / NS_PER_US)
     errors_sorted = sorted(errors)
     return ClockFigures(
         link=case.name,
         trials=trials,
-        p50_us=round(_share(errors_sorted, 0.5), 1),
-        p95_us=round(_share(errors_sorted, 0.95), 1),
+        p50_us=round(_percentile(errors_sorted, 0.5), 1),
+        p95_us=round(_percentile(errors_sorted, 0.95), 1),
         max_us=round(errors_sorted[-1], 1),
         asked_us=case.asked_us,
-        bound_us=round(_share(sorted(bounds), 0.5), 1),
+        bound_us=round(_percentile(sorted(bounds), 0.5), 1),
         misses=sum(error > bound for error, bound in zip(errors, bounds, strict=True)),
-        cristian_us=round(_share(sorted(others[0]), 0.95), 1),
-        regression_us=round(_share(sorted(others[1]), 0.95), 1),
+        cristian_us=round(_percentile(sorted(others[0]), 0.95), 1),
+        regression_us=round(_percentile(sorted(others[1]), 0.95), 1),
     )
 
 
-def _history(case: LinkCase, crystal: Oscillator, draw: Random) -> list[_Reading]:
-    readings: list[_Reading] = []
+def _draw_history(case: ClockCase, crystal: Oscillator, draw: Random) -> list[_ClockReading]:
+    readings: list[_ClockReading] = []
     now_ns = BEGIN_NS
     for _ in range(HISTORY_S * READINGS_HZ):
         now_ns += NS_PER_S // READINGS_HZ + draw.randrange(5 * NS_PER_MS)
-        read_ns = now_ns + _way(case, draw) + case.decode_ns + draw.randrange(case.spread_ns)
+        read_ns = now_ns + _draw_latency(case, draw) + case.decode_ns + draw.randrange(case.spread_ns)
         held_ns = case.hold_ns if case.constant_hold else draw.randrange(case.hold_ns + 1)
         ticks = int(crystal.device_ns(read_ns) // case.tick_ns)
-        readings.append(_Reading(now_ns + case.least_ns, read_ns + _way(case, draw) + held_ns, ticks))
+        readings.append(_ClockReading(now_ns + case.least_ns, read_ns + _draw_latency(case, draw) + held_ns, ticks))
     return readings
 
 
-def _way(case: LinkCase, draw: Random) -> int:
+def _draw_latency(case: ClockCase, draw: Random) -> int:
     tail_ns = draw.randrange(case.tail_ns) if draw.random() < case.tail_chance else 0
     return case.latency_ns + draw.randrange(case.jitter_ns) + tail_ns
 
 
-def _cristian(readings: list[_Reading], case: LinkCase) -> TickMapping:
+def _estimate_cristian(readings: list[_ClockReading], case: ClockCase) -> TickMapping:
     """Estimate by the middle of the fastest of the last minute's round trips, at the nominal rate."""
     recent = readings[-60 * READINGS_HZ :]
     best = min(recent, key=lambda each: each.received_ns - each.sent_ns)
-    return _line(best.ticks, (best.sent_ns + best.received_ns - case.tick_ns) / 2, case.tick_ns)
+    return _make_mapping(best.ticks, (best.sent_ns + best.received_ns - case.tick_ns) / 2, case.tick_ns)
 
 
-def _regression(readings: list[_Reading], case: LinkCase) -> TickMapping:
+def _estimate_regression(readings: list[_ClockReading], case: ClockCase) -> TickMapping:
     """Estimate by least squares through the middles of the round trips that are at most twice as slow as the
     fastest."""
     least_ns = min(each.received_ns - each.sent_ns for each in readings)
@@ -155,13 +157,13 @@ def _regression(readings: list[_Reading], case: LinkCase) -> TickMapping:
     mean_x, mean_y = sum(xs) / len(xs), sum(ys) / len(ys)
     over = sum((x - mean_x) ** 2 for x in xs)
     slope = sum((x - mean_x) * (y - mean_y) for x, y in zip(xs, ys, strict=True)) / over if over else case.tick_ns
-    return _line(round(mean_x), mean_y + (round(mean_x) - mean_x) * slope, slope)
+    return _make_mapping(round(mean_x), mean_y + (round(mean_x) - mean_x) * slope, slope)
 
 
-def _line(ticks: int, host_ns: float, tick_ns: float) -> TickMapping:
+def _make_mapping(ticks: int, host_ns: float, tick_ns: float) -> TickMapping:
     return TickMapping(ticks, round(host_ns), tick_ns, 0.0, 0, 0, 0.0, 0, 0)
 
 
-def _share(ordered: list[float], share: float) -> float:
+def _percentile(ordered: list[float], share: float) -> float:
     """Percentile by nearest rank."""
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))]

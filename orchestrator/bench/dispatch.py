@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.options import YaskawaOptions
-from orchestrator.bench.fleet import Steps, measured_fleet, run_steps
-from orchestrator.bench.spread import Noise, Spread, spread
-from orchestrator.bench.sync_fleets import smc4000
-from orchestrator.bench.truth import NothingHappened, Truth
+from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps
+from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
+from orchestrator.bench.sync_fleets import make_smc4000
+from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.client import Job
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.live import raw_ns
@@ -53,18 +53,18 @@ class DispatchFigures(NamedTuple):
     simulators_cpu: the simulators' share of the processor time of all processes."""
 
     controllers: int
-    first_motion: Spread
-    lead: Spread
-    armed_to_t0: Spread
-    parts: dict[str, Spread]
+    first_motion: DurationSpread
+    lead: DurationSpread
+    armed_to_t0: DurationSpread
+    parts: dict[str, DurationSpread]
     virtual_ms: float
     virtual_lead_ms: float
     virtual_path_ms: float
     simulators_cpu: float
-    noise: Spread
+    noise: DurationSpread
 
 
-class _Round(NamedTuple):
+class _DispatchRound(NamedTuple):
     """One round, ns: from the submission to the first motion; from the settling of T0, and from the arming, to T0;
     each part."""
 
@@ -74,11 +74,11 @@ class _Round(NamedTuple):
     parts: dict[str, int]
 
 
-def dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
+def make_dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
     """Return a fleet of `count` SMC-4000 with four axes each."""
     controllers: dict[str, dict[str, Any]] = {}
     for k in range(count):
-        plain = smc4000(k)
+        plain = make_smc4000(k)
         axis = plain["axes"]["x"]
         options = {
             "axes": 4,
@@ -99,80 +99,80 @@ def dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
 
 async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
     """Run `rounds` jobs live, and some in virtual time. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
-    fleet = dispatch_fleet()
-    virtual = await asyncio.to_thread(lambda: run_virtual(lambda clock: _virtual(fleet, clock)))
-    found: list[_Round] = []
-    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
-        await run_steps(tutti, _preparation(fleet))
-        truths = [Truth(live.state / "truth" / f"{name}.jsonl") for name in fleet.controllers]
-        used_s = _cpu_s(live)
+    fleet = make_dispatch_fleet()
+    virtual = await asyncio.to_thread(lambda: run_virtual(lambda clock: _measure_virtual(fleet, clock)))
+    found: list[_DispatchRound] = []
+    async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
+        await run_steps(tutti, _make_preparation(fleet))
+        truths = [TruthLog(live.state / "truth" / f"{name}.jsonl") for name in fleet.controllers]
+        used_s = _read_cpu_s(live)
         for k in range(KEPT_STEPS + 1 + rounds):
             asked_ns = raw_ns()
-            job = await tutti.submit(_job(fleet, k % 2))
+            job = await tutti.submit(_make_job(fleet, k % 2))
             accepted_ns = raw_ns() - asked_ns
             report = await tutti.wait_for_job(job, poll_s=0.1)
             if report.state != "done":
                 raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")
-            first_ns = min(await asyncio.gather(*(truth.after("start", asked_ns) for truth in truths)))
-            parts = _parts((await tutti.show_job(job)).transitions, accepted_ns)
-            found.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
-        sims_s, all_s = (after - before for before, after in zip(used_s, _cpu_s(live), strict=True))
+            first_ns = min(await asyncio.gather(*(truth.wait_for_event("start", asked_ns) for truth in truths)))
+            parts = _measure_parts((await tutti.show_job(job)).transitions, accepted_ns)
+            found.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
+        sims_s, all_s = (after - before for before, after in zip(used_s, _read_cpu_s(live), strict=True))
     counted = found[KEPT_STEPS + 1 :]
     options = YaskawaOptions()
     release_ns = GateTiming.for_options(options).release_before * options.tick_ns
     return DispatchFigures(
         controllers=len(fleet.controllers),
-        first_motion=spread([each.first_ns for each in counted], p99_ms=P99_MS),
-        lead=spread([each.lead_ns for each in counted], max_ms=LEAD_MS),
-        armed_to_t0=spread([each.armed_to_t0_ns for each in counted]),
-        parts={name: spread([each.parts[name] for each in counted]) for name in PARTS},
+        first_motion=make_spread([each.first_ns for each in counted], p99_ms=P99_MS),
+        lead=make_spread([each.lead_ns for each in counted], max_ms=LEAD_MS),
+        armed_to_t0=make_spread([each.armed_to_t0_ns for each in counted]),
+        parts={name: make_spread([each.parts[name] for each in counted]) for name in PARTS},
         virtual_ms=round(virtual.first_ns / 1e6, 1),
         virtual_lead_ms=round(virtual.lead_ns / 1e6, 1),
         virtual_path_ms=round((sum(virtual.parts.values()) + release_ns) / 1e6, 1),
         simulators_cpu=round(sims_s / all_s, 2) if all_s else 0.0,
-        noise=noise.spread(),
+        noise=noise.make_spread(),
     )
 
 
-async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
+async def _measure_virtual(fleet: Fleet, clock: VirtualClock) -> _DispatchRound:
     """Return the last of some rounds, when the fleet's times are learned; with the mean of the parts of all rounds,
     because a gate is checked only every few samples, and one round says little about that."""
     virtual = VirtualFleet(fleet, clock, 1, guardian=False)
     await virtual.start()
-    tutti = virtual.client()
-    await run_steps(tutti, _preparation(fleet))
-    rounds: list[_Round] = []
+    tutti = virtual.make_client()
+    await run_steps(tutti, _make_preparation(fleet))
+    rounds: list[_DispatchRound] = []
     for k in range(KNOWN_AFTER + 1):
         await sleep_ns(clock, NS_PER_S)
         before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
         asked_ns = clock.now_ns()
-        job = await tutti.submit(_job(fleet, k % 2))
+        job = await tutti.submit(_make_job(fleet, k % 2))
         accepted_ns = clock.now_ns() - asked_ns
         report = await job.result()
         first_ns = min(each.commanded_motions[before[name]].start_ns for name, each in virtual.controllers.items())
-        parts = _parts((await job.show()).transitions, accepted_ns)
-        rounds.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
+        parts = _measure_parts((await job.show()).transitions, accepted_ns)
+        rounds.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
     means = {name: sum(each.parts[name] for each in rounds) // len(rounds) for name in PARTS}
     return rounds[-1]._replace(parts=means)
 
 
-def _preparation(fleet: Fleet) -> Steps:
+def _make_preparation(fleet: Fleet) -> Steps:
     return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home", "axes": ["all"]}]
 
 
-def _job(fleet: Fleet, way: int) -> Job:
+def _make_job(fleet: Fleet, way: int) -> Job:
     steps = [{"do": "move", "by": dict.fromkeys(fleet.axis_names, -DISTANCE if way else DISTANCE)}]
     return Job.model_validate({"schema": "tutti.job/1", "name": "dispatch", "max_start_skew": "50 ms", "steps": steps})
 
 
-def _leads_ns(report: JobReport) -> tuple[int, int]:
+def _measure_leads_ns(report: JobReport) -> tuple[int, int]:
     """Return T0 relative to its settling, and to the beginning of the arming."""
     step = report.steps[0]
     assert step.t0_fleet_ns is not None and step.settled_fleet_ns is not None and step.arming_fleet_ns is not None
     return step.t0_fleet_ns - step.settled_fleet_ns, step.t0_fleet_ns - step.arming_fleet_ns
 
 
-def _parts(transitions: list[JobTransition], accepted_ns: int) -> dict[str, int]:
+def _measure_parts(transitions: list[JobTransition], accepted_ns: int) -> dict[str, int]:
     """Return the duration of each part; of a step that was armed twice, the last one."""
     at = {each.state: datetime.fromisoformat(each.utc) for each in transitions}
     parts = {"accept": accepted_ns}
@@ -182,16 +182,16 @@ def _parts(transitions: list[JobTransition], accepted_ns: int) -> dict[str, int]
     return parts
 
 
-def _cpu_s(live: LiveFleet) -> tuple[float, float]:
+def _read_cpu_s(live: LiveFleet) -> tuple[float, float]:
     """Return the processor time of the simulators, and of all processes of the fleet and this one."""
     ticks = os.sysconf("SC_CLK_TCK")
 
-    def used(pid: int) -> float:
+    def read_process_s(pid: int) -> float:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
-        return (int(fields[11]) + int(fields[12])) / ticks + sum(used(int(child)) for child in children)
+        return (int(fields[11]) + int(fields[12])) / ticks + sum(read_process_s(int(child)) for child in children)
 
-    by_child = {name: used(child.pid) for name, child in live.children.items()}
+    by_child = {name: read_process_s(child.pid) for name, child in live.children.items()}
     simulators = sum(value for name, value in by_child.items() if name.startswith("sim/"))
     mine = os.times()
     return simulators, sum(by_child.values()) + mine.user + mine.system

@@ -5,7 +5,7 @@ from math import ceil
 from typing import NamedTuple
 
 
-class Figure(NamedTuple):
+class BenchFigure(NamedTuple):
     """A distance over `n` values, in `unit`. asked: its target, in words; met: whether it is reached."""
 
     what: str
@@ -18,7 +18,7 @@ class Figure(NamedTuple):
     met: bool | None = None
 
 
-class Chosen(NamedTuple):
+class LoweringChoices(NamedTuple):
     """How many trapezoids of a range of speeds were lowered in which way."""
 
     cruise: str
@@ -30,15 +30,15 @@ class LoweringFigures(NamedTuple):
 
     make: str
     moves: int
-    figures: list[Figure]
-    chosen: list[Chosen]
+    figures: list[BenchFigure]
+    chosen: list[LoweringChoices]
 
 
-def figure(
-    what: str, values: list[float], unit: str, asked: str = "", keeps: Callable[[Figure], bool] | None = None
-) -> Figure:
+def make_figure(
+    what: str, values: list[float], unit: str, target: str = "", is_met: Callable[[BenchFigure], bool] | None = None
+) -> BenchFigure:
     """Compute percentiles by nearest rank."""
     ordered = sorted(values)
     p50, p99 = (ordered[ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
-    found = Figure(what, len(ordered), round(p50, 4), round(p99, 4), round(ordered[-1], 4), unit, asked)
-    return found if keeps is None else found._replace(met=keeps(found))
+    found = BenchFigure(what, len(ordered), round(p50, 4), round(p99, 4), round(ordered[-1], 4), unit, target)
+    return found if is_met is None else found._replace(met=is_met(found))

@@ -16,9 +16,9 @@ from adapters.contract import TimedWriter
 from adapters.host.firing_process import ProcessTimedWriter
 from adapters.link.tcp import open_tcp
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.fleet import measured_fleet
-from orchestrator.bench.spread import Spread, spread
-from orchestrator.bench.sync_fleets import smc4000
+from orchestrator.bench.fleet import run_measured_fleet
+from orchestrator.bench.spread import DurationSpread, make_spread
+from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link
 from orchestrator.model.fleet import Fleet, TcpLink
@@ -26,17 +26,17 @@ from orchestrator.model.fleet import Fleet, TcpLink
 CONTROLLERS = 16
 HZ = 10.0
 IDLE_MS, POLLING_MS = 0.05, 0.1
-AHEAD_S = (0.02, 0.06)  # from the request to its instant, as between `go` and T0
-LATE_NS = 1_000_000_000  # no write is discarded as too late: its delay is the figure
+LEAD_S = (0.02, 0.06)  # from the request to its instant, as between `go` and T0
+MAX_DELAY_NS = 1_000_000_000  # no write is discarded as too late: its delay is the figure
 
 
 class FiringFigures(NamedTuple):
     """Time from the scheduled instant to the write. loop_: by this process's event loop, without a firing process."""
 
-    idle: Spread
-    polling: Spread
-    loop_idle: Spread
-    loop_polling: Spread
+    idle: DurationSpread
+    polling: DurationSpread
+    loop_idle: DurationSpread
+    loop_polling: DurationSpread
 
 
 async def bench_firing(state: Path, shots: int) -> FiringFigures:
@@ -45,20 +45,30 @@ async def bench_firing(state: Path, shots: int) -> FiringFigures:
         process = ProcessTimedWriter()
         try:
             loop = LoopTimedWriter(LiveClock())
-            await _late_ns(process, link, 1)  # it has started
-            idle, loop_idle = await _late_ns(process, link, shots), await _late_ns(loop, link, shots)
-            async with measured_fleet(_fleet(), state):
-                polling, loop_polling = await _late_ns(process, link, shots), await _late_ns(loop, link, shots)
+            await _measure_delays_ns(process, link, 1)  # it has started
+            idle, loop_idle = (
+                await _measure_delays_ns(process, link, shots),
+                await _measure_delays_ns(loop, link, shots),
+            )
+            async with run_measured_fleet(_make_fleet(), state):
+                polling, loop_polling = (
+                    await _measure_delays_ns(process, link, shots),
+                    await _measure_delays_ns(loop, link, shots),
+                )
         finally:
             process.close()
     return FiringFigures(
-        spread(idle, p99_ms=IDLE_MS), spread(polling, p99_ms=POLLING_MS), spread(loop_idle), spread(loop_polling)
+        make_spread(idle, p99_ms=IDLE_MS),
+        make_spread(polling, p99_ms=POLLING_MS),
+        make_spread(loop_idle),
+        make_spread(loop_polling),
     )
 
 
-def _fleet() -> Fleet:
+def _make_fleet() -> Fleet:
     controllers = {
-        f"a{k}": {**smc4000(k), "state": {"moving_hz": HZ, "idle_hz": HZ}, "inputs": {}} for k in range(CONTROLLERS)
+        f"a{k}": {**make_smc4000(k), "state": {"moving_hz": HZ, "idle_hz": HZ}, "inputs": {}}
+        for k in range(CONTROLLERS)
     }
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "firing", "controllers": controllers})
 
@@ -74,11 +84,11 @@ async def _open_link() -> AsyncGenerator[Link]:
             await link.close()
 
 
-async def _late_ns(firer: TimedWriter, link: Link, shots: int) -> list[int]:
+async def _measure_delays_ns(firer: TimedWriter, link: Link, shots: int) -> list[int]:
     draw = Random(shots)
     late: list[int] = []
     for _ in range(shots):
-        at_ns = raw_ns() + round(draw.uniform(*AHEAD_S) * 1e9)
-        fired = await firer.schedule_write(link, b"\r", at_ns, at_ns + LATE_NS).wait_until_written()
+        at_ns = raw_ns() + round(draw.uniform(*LEAD_S) * 1e9)
+        fired = await firer.schedule_write(link, b"\r", at_ns, at_ns + MAX_DELAY_NS).wait_until_written()
         late.append(fired.written_ns - at_ns)
     return late

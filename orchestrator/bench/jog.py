@@ -11,9 +11,9 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from orchestrator.bench.fleet import Steps, measured_fleet, run_steps, until
-from orchestrator.bench.spread import Noise, Spread, spread
-from orchestrator.bench.truth import Truth
+from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps, wait_until
+from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
+from orchestrator.bench.truth import TruthLog
 from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.live import raw_ns
@@ -42,15 +42,15 @@ class JogFigures(NamedTuple):
     noise: wake-up delay of this process during the run.
     """
 
-    release: Spread
-    killed: Spread
-    first_motion: Spread
-    plain_release: Spread
-    api_stop: Spread
-    noise: Spread
+    release: DurationSpread
+    killed: DurationSpread
+    first_motion: DurationSpread
+    plain_release: DurationSpread
+    api_stop: DurationSpread
+    noise: DurationSpread
 
 
-class _Rig:
+class _JogRig:
     """The running fleet. `panel_code`: the panel's command line as a Python program."""
 
     def __init__(self, live: LiveFleet, tutti: Tutti, panel_code: str) -> None:
@@ -59,118 +59,118 @@ class _Rig:
         self._draw = Random(SEED)
         self._arrow = "left"
         self.tutti = tutti
-        self.truth = Truth(live.state / "truth" / "gantry.jsonl")
+        self.truth = TruthLog(live.state / "truth" / "gantry.jsonl")
 
-    async def panel(self, releases: bool) -> TerminalProcess:
+    async def start_panel(self, *, releases: bool) -> TerminalProcess:
         """Start a new panel and wait until it is ready, with the axis not leased."""
-        await until(self._free, "the axis is free")
+        await wait_until(self._is_axis_free, "the axis is free")
         arguments = ["axis", "jog", AXIS, "--connect", self._live.connect]
-        panel = TerminalProcess(self._code, arguments, releases)
+        panel = TerminalProcess(self._code, arguments, releases=releases)
 
-        async def ready() -> bool:
-            return "motor" in panel.screen and " on " in panel.screen
+        async def is_panel_ready() -> bool:
+            return "motor" in panel.screen_text and " on " in panel.screen_text
 
-        await until(ready, "the panel is ready")
+        await wait_until(is_panel_ready, "the panel is ready")
         return panel
 
-    def turn(self) -> str:
+    def next_arrow(self) -> str:
         """Return the other arrow."""
         self._arrow = "right" if self._arrow == "left" else "left"
         return self._arrow
 
-    async def hold(self) -> None:
+    async def keep_pressed(self) -> None:
         """Keep a key pressed for a while."""
         await asyncio.sleep(self._draw.uniform(*HELD_S))
 
-    def within(self, duration_s: float) -> float:
+    def draw_part(self, duration_s: float) -> float:
         """Draw a part of `duration_s`, in s."""
         return self._draw.uniform(0, duration_s)
 
-    async def _free(self) -> bool:
+    async def _is_axis_free(self) -> bool:
         return not (await self.tutti.status())["gantry"].leases
 
 
 async def bench_jog(fleet: Fleet, state: Path, panel_code: str, presses: int, kills: int) -> JogFigures:
     """Run all measurements. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
-    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+    async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
         here: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
         await run_steps(tutti, [*here, {"do": "move", "to": {AXIS: MIDDLE}}])
-        rig = _Rig(live, tutti, panel_code)
-        first_ns, release_ns = await _presses(rig, presses)
-        killed_ns = [await _kill(rig) for _ in range(kills)]
-        plain_ns = await _plain(rig, max(1, presses // 4))  # each takes two seconds
-        api_ns = await _api(rig, presses)
+        rig = _JogRig(live, tutti, panel_code)
+        first_ns, release_ns = await _measure_presses(rig, presses)
+        killed_ns = [await _measure_kill(rig) for _ in range(kills)]
+        plain_ns = await _measure_plain(rig, max(1, presses // 4))  # each takes two seconds
+        api_ns = await _measure_api(rig, presses)
         return JogFigures(
-            release=spread(release_ns, p99_ms=RELEASE_P99_MS),
-            killed=spread(killed_ns, max_ms=KILLED_MAX_MS),
-            first_motion=spread(first_ns),
-            plain_release=spread(plain_ns),
-            api_stop=spread(api_ns),
-            noise=noise.spread(),
+            release=make_spread(release_ns, p99_ms=RELEASE_P99_MS),
+            killed=make_spread(killed_ns, max_ms=KILLED_MAX_MS),
+            first_motion=make_spread(first_ns),
+            plain_release=make_spread(plain_ns),
+            api_stop=make_spread(api_ns),
+            noise=noise.make_spread(),
         )
 
 
-async def _presses(rig: _Rig, count: int) -> tuple[list[int], list[int]]:
+async def _measure_presses(rig: _JogRig, count: int) -> tuple[list[int], list[int]]:
     """Measure press to motion, and release to deceleration, for `count` presses on one panel."""
     first_ns: list[int] = []
     release_ns: list[int] = []
-    with contextlib.closing(await rig.panel(releases=True)) as panel:
+    with contextlib.closing(await rig.start_panel(releases=True)) as panel:
         for _ in range(count):
-            arrow = rig.turn()
-            pressed_ns = panel.press(arrow)
-            first_ns.append(await rig.truth.after("start", pressed_ns) - pressed_ns)
-            await rig.hold()
-            let_go_ns = panel.release(arrow)
-            release_ns.append(await rig.truth.after("slowing", let_go_ns) - let_go_ns)
-            await rig.truth.after("end", let_go_ns)
+            arrow = rig.next_arrow()
+            pressed_ns = panel.press_arrow(arrow)
+            first_ns.append(await rig.truth.wait_for_event("start", pressed_ns) - pressed_ns)
+            await rig.keep_pressed()
+            let_go_ns = panel.release_arrow(arrow)
+            release_ns.append(await rig.truth.wait_for_event("slowing", let_go_ns) - let_go_ns)
+            await rig.truth.wait_for_event("end", let_go_ns)
     return first_ns, release_ns
 
 
-async def _kill(rig: _Rig) -> int:
-    with contextlib.closing(await rig.panel(releases=True)) as panel:
-        pressed_ns = panel.press(rig.turn())
-        await rig.truth.after("start", pressed_ns)
-        await rig.hold()
+async def _measure_kill(rig: _JogRig) -> int:
+    with contextlib.closing(await rig.start_panel(releases=True)) as panel:
+        pressed_ns = panel.press_arrow(rig.next_arrow())
+        await rig.truth.wait_for_event("start", pressed_ns)
+        await rig.keep_pressed()
         killed_ns = panel.kill()
-        slowing_ns = await rig.truth.after("slowing", killed_ns)
-        await rig.truth.after("end", killed_ns)
+        slowing_ns = await rig.truth.wait_for_event("slowing", killed_ns)
+        await rig.truth.wait_for_event("end", killed_ns)
     return slowing_ns - killed_ns
 
 
-async def _plain(rig: _Rig, count: int) -> list[int]:
+async def _measure_plain(rig: _JogRig, count: int) -> list[int]:
     """Measure the same with key repeats only: the key is released at some time between two repeats, without an
     event."""
     durations_ns: list[int] = []
-    with contextlib.closing(await rig.panel(releases=False)) as panel:
+    with contextlib.closing(await rig.start_panel(releases=False)) as panel:
         for _ in range(count):
-            arrow = rig.turn()
-            pressed_ns = panel.press(arrow)
+            arrow = rig.next_arrow()
+            pressed_ns = panel.press_arrow(arrow)
             await asyncio.sleep(REPEAT_DELAY_S)
-            repeated_ns = panel.repeat(arrow)
-            await rig.truth.after("start", max(pressed_ns, repeated_ns - 50 * NS_PER_MS))
+            repeated_ns = panel.repeat_arrow(arrow)
+            await rig.truth.wait_for_event("start", max(pressed_ns, repeated_ns - 50 * NS_PER_MS))
             for _ in range(8):
                 await asyncio.sleep(REPEAT_S)
-                panel.repeat(arrow)
-            await asyncio.sleep(rig.within(REPEAT_S))
+                panel.repeat_arrow(arrow)
+            await asyncio.sleep(rig.draw_part(REPEAT_S))
             let_go_ns = raw_ns()
-            durations_ns.append(await rig.truth.after("slowing", let_go_ns) - let_go_ns)
-            await rig.truth.after("end", let_go_ns)
+            durations_ns.append(await rig.truth.wait_for_event("slowing", let_go_ns) - let_go_ns)
+            await rig.truth.wait_for_event("end", let_go_ns)
             # Otherwise the next press would count as one more repeat.
             await asyncio.sleep(1.0)
     return durations_ns
 
 
-async def _api(rig: _Rig, count: int) -> list[int]:
+async def _measure_api(rig: _JogRig, count: int) -> list[int]:
     durations_ns: list[int] = []
     async with rig.tutti.manual_control([AXIS], what="benchmark") as hand:
         for _ in range(count):
-            velocity = SPEED if rig.turn() == "right" else -SPEED
+            velocity = SPEED if rig.next_arrow() == "right" else -SPEED
             asked_ns = raw_ns()
             await hand.jog({AXIS: velocity})
-            await rig.truth.after("start", asked_ns)
+            await rig.truth.wait_for_event("start", asked_ns)
             await hand.renew_jog()
             stopped_ns = raw_ns()
             await hand.stop()
-            durations_ns.append(await rig.truth.after("slowing", stopped_ns) - stopped_ns)
-            await rig.truth.after("end", stopped_ns)
+            durations_ns.append(await rig.truth.wait_for_event("slowing", stopped_ns) - stopped_ns)
+            await rig.truth.wait_for_event("end", stopped_ns)
     return durations_ns

@@ -15,9 +15,9 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from orchestrator.bench.fleet import measured_fleet
-from orchestrator.bench.spread import Noise, Spread, spread
-from orchestrator.bench.truth import NothingHappened, Truth
+from orchestrator.bench.fleet import run_measured_fleet
+from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
+from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.client import Job, Refusal, Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.fleet import Fleet
@@ -30,10 +30,10 @@ SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
 # Declared: adapters stop by themselves after 0.5 s without a coordinator, a guardian after 0.3 s without its host; the
 # ramps of the job take 0.3 s. The wake-up delay of processes on this machine is measured in parallel.
 DECLARED_S = 0.8
-MOMENT_S = (0.0, 2.5)
-ASLEEP_S = 2.5
-AGAIN_S = 60.0
-LOOK_S = 0.2
+FAULT_WINDOW_S = (0.0, 2.5)
+STOPPED_S = 2.5
+RECOVERY_TIMEOUT_S = 60.0
+POLL_S = 0.2
 MOVES = 3
 
 
@@ -47,16 +47,16 @@ class KillFigures(NamedTuple):
     ends: of the jobs, by state."""
 
     rounds: int
-    rest: Spread
-    back: Spread
+    rest: DurationSpread
+    back: DurationSpread
     lost: int
     doubled: int
     moved_on: int
     ends: dict[str, int]
-    noise: Spread
+    noise: DurationSpread
 
 
-class _Seen(NamedTuple):
+class _KillRound(NamedTuple):
     """One round. rest_ns: None when the job completed despite the fault."""
 
     state: str
@@ -66,94 +66,94 @@ class _Seen(NamedTuple):
     doubled: bool
 
 
-async def bench_kills(fleet: Fleet, state: Path, rounds: int, told: Callable[[str], None]) -> KillFigures:
+async def bench_kills(fleet: Fleet, state: Path, rounds: int, on_line: Callable[[str], None]) -> KillFigures:
     """Run `rounds` faults. Raises `UpFailed`, `NothingHappened`."""
-    async with measured_fleet(fleet, state, standby=True) as (live, tutti), Noise() as noise:
-        rig = _Rig(live, tutti, Random(SEED))
-        await rig.work_again()
-        seen: list[_Seen] = []
+    async with run_measured_fleet(fleet, state, standby=True) as (live, tutti), WakeUpNoise() as noise:
+        rig = _KillRig(live, tutti, Random(SEED))
+        await rig.wait_for_recovery()
+        seen: list[_KillRound] = []
         for k in range(rounds):
             target, number = TARGETS[k % len(TARGETS)], SIGNALS[k // len(TARGETS) % len(SIGNALS)]
-            seen.append(await rig.round(target, number))
+            seen.append(await rig.run_round(target, number))
             rest_ns = seen[-1].rest_ns
             rest = "" if rest_ns is None else f", at rest after {rest_ns / 1e6:.0f} ms"
-            told(f"{k + 1} of {rounds}: {number.name} of {target}: job {seen[-1].state}{rest}")
+            on_line(f"{k + 1} of {rounds}: {number.name} of {target}: job {seen[-1].state}{rest}")
         rests = [each.rest_ns for each in seen if each.rest_ns is not None]
         return KillFigures(
             rounds=len(seen),
-            rest=spread(rests or [0]),
-            back=spread([each.back_ns for each in seen]),
+            rest=make_spread(rests or [0]),
+            back=make_spread([each.back_ns for each in seen]),
             lost=sum(each.lost for each in seen),
             doubled=sum(each.doubled for each in seen),
-            moved_on=sum(rest_ns > (DECLARED_S * 1e9 + noise.spread().max_ms * 1e6) for rest_ns in rests),
+            moved_on=sum(rest_ns > (DECLARED_S * 1e9 + noise.make_spread().max_ms * 1e6) for rest_ns in rests),
             ends={state: sum(each.state == state for each in seen) for state in sorted({e.state for e in seen})},
-            noise=noise.spread(),
+            noise=noise.make_spread(),
         )
 
 
-class _Rig:
+class _KillRig:
     """The running fleet."""
 
     def __init__(self, live: LiveFleet, tutti: Tutti, draw: Random) -> None:
         self._live = live
         self._tutti = tutti
         self._draw = draw
-        self._truths = {name: Truth(live.state / "truth" / f"{name}.jsonl") for name in live.fleet.controllers}
-        self._prepare = _job(
-            "prepare", [{"do": "enable", "axes": list(live.fleet.controllers)}, {"do": "home"}, _move(5)]
+        self._truths = {name: TruthLog(live.state / "truth" / f"{name}.jsonl") for name in live.fleet.controllers}
+        self._prepare = _make_job(
+            "prepare", [{"do": "enable", "axes": list(live.fleet.controllers)}, {"do": "home"}, _make_move(5)]
         )
 
-    async def round(self, target: str, number: signal.Signals) -> _Seen:
+    async def run_round(self, target: str, number: signal.Signals) -> _KillRound:
         """Run one job and one fault."""
         key = self._tutti.new_id()
-        steps = [_move(60 if k % 2 == 0 else 5) for k in range(MOVES)]
+        steps = [_make_move(60 if k % 2 == 0 else 5) for k in range(MOVES)]
         began_ns = raw_ns()
-        job = await self._tutti.submit(_job("work", steps), client_key=key)
-        await asyncio.sleep(self._draw.uniform(*MOMENT_S))
-        pid, broken_ns = self._pid(target), raw_ns()
+        job = await self._tutti.submit(_make_job("work", steps), client_key=key)
+        await asyncio.sleep(self._draw.uniform(*FAULT_WINDOW_S))
+        pid, broken_ns = self._find_pid(target), raw_ns()
         os.kill(pid, number)
         if number is signal.SIGSTOP:
-            await asyncio.sleep(ASLEEP_S)
+            await asyncio.sleep(STOPPED_S)
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
-        state = await self._end(job)
-        ends = [end_ns for truth in self._truths.values() for end_ns in truth.ends_after(broken_ns)]
-        starts = max(truth.count("start", began_ns) for truth in self._truths.values())
-        await self.work_again()
+        state = await self._wait_for_end(job)
+        ends = [end_ns for truth in self._truths.values() for end_ns in truth.find_ends(broken_ns)]
+        starts = max(truth.count_events("start", began_ns) for truth in self._truths.values())
+        await self.wait_for_recovery()
         back_ns = raw_ns() - broken_ns
         # Submitting it again with its key must return the same job, and must not run it again.
-        same = await self._tutti.submit(_job("work", steps), client_key=key)
+        same = await self._tutti.submit(_make_job("work", steps), client_key=key)
         rest_ns = max(ends, default=broken_ns) - broken_ns if state != "done" else None
-        return _Seen(state, rest_ns, back_ns, lost=state == "lost", doubled=same != job or starts > 2 * MOVES)
+        return _KillRound(state, rest_ns, back_ns, lost=state == "lost", doubled=same != job or starts > 2 * MOVES)
 
-    async def work_again(self) -> None:
+    async def wait_for_recovery(self) -> None:
         """Wait until a job over all axes is done."""
         why = ""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(AGAIN_S):
+            async with asyncio.timeout(RECOVERY_TIMEOUT_S):
                 while True:
                     try:
-                        report = await self._tutti.wait_for_job(await self._tutti.submit(self._prepare), poll_s=LOOK_S)
+                        report = await self._tutti.wait_for_job(await self._tutti.submit(self._prepare), poll_s=POLL_S)
                         if report.state == "done":
                             return
                         why = report.reason
                     except Refusal as error:
                         why = error.text
-                    await asyncio.sleep(LOOK_S)
-        raise NothingHappened(f"the fleet does not recover within {AGAIN_S:g} s: {why}")
+                    await asyncio.sleep(POLL_S)
+        raise NothingHappened(f"the fleet does not recover within {RECOVERY_TIMEOUT_S:g} s: {why}")
 
-    async def _end(self, job: str) -> str:
+    async def _wait_for_end(self, job: str) -> str:
         """Return the final state of the job; `lost` when it is not in the journal."""
         try:
-            async with asyncio.timeout(AGAIN_S):
-                report = await self._tutti.wait_for_job(job, poll_s=LOOK_S)
+            async with asyncio.timeout(RECOVERY_TIMEOUT_S):
+                report = await self._tutti.wait_for_job(job, poll_s=POLL_S)
         except Refusal:
             return "lost"
         except TimeoutError:
-            raise NothingHappened(f"job {job} has not ended after {AGAIN_S:g} s") from None
+            raise NothingHappened(f"job {job} has not ended after {RECOVERY_TIMEOUT_S:g} s") from None
         return report.state if report.state in FINISHED_STATES else "lost"
 
-    def _pid(self, target: str) -> int:
+    def _find_pid(self, target: str) -> int:
         children = self._live.children
         host = next(name for name in children if name.startswith("host/"))
         if target == "host":
@@ -164,10 +164,10 @@ class _Rig:
         return children[{"guardian": host, "standby": STANDBY}.get(target, target)].pid
 
 
-def _move(place: float) -> dict[str, object]:
+def _make_move(place: float) -> dict[str, object]:
     return {"do": "move", "to": {"gantry.x": place, "stage.u": place / 10}, "speed": 0.3}
 
 
-def _job(name: str, steps: list[dict[str, object]]) -> Job:
+def _make_job(name: str, steps: list[dict[str, object]]) -> Job:
     plain = {"schema": "tutti.job/1", "name": name, "max_start_skew": "50 ms", "steps": steps}
     return Job.model_validate(plain)

@@ -2,7 +2,7 @@
 virtual time.
 
 Plans pass through the real driver: compiled, armed, released, and watched, on a simulated controller with a crystal
-of its own. To add a make, add its `Subject`.
+of its own. To add a make, add its `BenchedMake`.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, DriverSetup, Lowered
 from adapters.host.host import find_make
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
+from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from orchestrator.bench.lowering_ppsmc import bench_ppsmc
 from orchestrator.bench.lowering_steppers import STEPPERS, bench_stepper
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
@@ -43,14 +43,14 @@ CRUISES = {  # counts/s, slowest and fastest; one of this many moves has such a 
     "200-2k": (200.0, 2_000.0, 10),
     "20-200": (20.0, 200.0, 10),
 }
-SIMULATED = 25  # one of this many lowered trapezoids is executed
-LEAST_SIMULATED = 20
-CONTOURS = 1000  # trapezoids per contour, with each crystal
+SIMULATED_EVERY = 25  # one of this many lowered trapezoids is executed
+MIN_SIMULATED = 20
+TRAPEZOIDS_PER_CONTOUR = 1000  # trapezoids per contour, with each crystal
 ASKED_RECORD, ASKED_BETWEEN, ASKED_P99_MS = 1.0, 1.0, 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class BenchedMake:
     """The benchmark's parameters of a make.
 
     config: a controller of four axes a, b, c, d with a scale of 1.
@@ -67,60 +67,60 @@ class Subject:
     way: Callable[[Lowered], str]
 
 
-def _yaskawa(adapter: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
+def _make_yaskawa_config(adapter: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
     axis = {"unit": "counts", "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION, "jerk": JERK}}
     axes = {name: {**axis, "motors": [motor]} for name, motor in zip("abcd", "XYZW", strict=True)}
     return {"adapter": adapter, "link": dict(link), "axes": axes}
 
 
-def _records(lowered: Lowered) -> int:
+def _record_samples(lowered: Lowered) -> int:
     words = lowered.commands[0].split()
     return int(words[words.index("of") + 1])
 
 
-def _way(lowered: Lowered) -> str:
+def _describe_lowering(lowered: Lowered) -> str:
     return "contour" if lowered.commands[0].startswith("contour") else "registers"
 
 
-SUBJECTS = {
-    "smc4000": Subject(
-        config=_yaskawa("smc4000", {"kind": "tcp", "host": "10.0.0.1", "port": 23}),
+BENCHED_MAKES = {
+    "smc4000": BenchedMake(
+        config=_make_yaskawa_config("smc4000", {"kind": "tcp", "host": "10.0.0.1", "port": 23}),
         port="tcp",
         wire=LAN,
         sample_ns=976_562.5,
-        record_samples=_records,
-        way=_way,
+        record_samples=_record_samples,
+        way=_describe_lowering,
     ),
-    "smc2000": Subject(
-        config=_yaskawa("smc2000", {"kind": "serial", "device": "/dev/ttyUSB0", "baud": 19200}),
+    "smc2000": BenchedMake(
+        config=_make_yaskawa_config("smc2000", {"kind": "serial", "device": "/dev/ttyUSB0", "baud": 19200}),
         port="serial",
         wire=serial_wire(19200),
         sample_ns=976_562.5,
-        record_samples=_records,
-        way=_way,
+        record_samples=_record_samples,
+        way=_describe_lowering,
     ),
 }
 
 
-OTHERS: dict[str, Callable[[int, int], LoweringFigures]] = {
+OTHER_BENCHES: dict[str, Callable[[int, int], LoweringFigures]] = {
     **{make: partial(bench_stepper, make) for make in STEPPERS},
     "ppsmc": bench_ppsmc,
 }
 """Makes with a benchmark of their own, by number of moves and seed."""
-MAKES = (*SUBJECTS, *OTHERS)
+MAKES = (*BENCHED_MAKES, *OTHER_BENCHES)
 
 
 def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
     """Lower `moves` trapezoids, execute a seeded part of them and some contours. make: one of `MAKES`."""
-    if make in OTHERS:
-        return OTHERS[make](moves, seed)
-    subject = SUBJECTS[make]
+    if make in OTHER_BENCHES:
+        return OTHER_BENCHES[make](moves, seed)
+    subject = BENCHED_MAKES[make]
     at_record: list[float] = []
     between: list[float] = []
     beyond: list[float] = []
-    each = max(1, moves // CONTOURS)
+    each = max(1, moves // TRAPEZOIDS_PER_CONTOUR)
     for number, ppm in enumerate(CRYSTALS_PPM if subject.record_samples is not None else ()):
-        for records, rest, sag in _contours(subject, ppm, each, seed + number):
+        for records, rest, sag in _measure_contours(subject, ppm, each, seed + number):
             at_record += records
             between += rest
             beyond += [distance - sag for distance in rest]
@@ -128,26 +128,26 @@ def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
         []
         if subject.record_samples is None
         else [
-            figure("contour, at record instants", at_record, "counts", "max<=1", lambda f: f.max <= ASKED_RECORD),
-            figure("contour, between them", between, "counts"),
-            figure("contour, between, less a·h²/8", beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN),
+            make_figure("contour, at record instants", at_record, "counts", "max<=1", lambda f: f.max <= ASKED_RECORD),
+            make_figure("contour, between them", between, "counts"),
+            make_figure("contour, between, less a·h²/8", beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN),
         ]
     )
-    chosen: list[Chosen] = []
+    chosen: list[LoweringChoices] = []
     for number, (cruise, (low, high, share)) in enumerate(CRUISES.items()):
-        found = _trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
+        found = _measure_trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
         # Slower moves are shown for information: their accuracy depends on the make's speed resolution.
-        bound, keeps = ("p99<0.2", _keeps_duration) if cruise == FAST else ("", None)
+        bound, keeps = ("p99<0.2", _meets_duration) if cruise == FAST else ("", None)
         figures += [
-            figure(f"{cruise}, lowered-planned", found.lowered_ms, "ms", bound, keeps),
-            figure(f"{cruise}, real-lowered", found.simulated_samples, "samples", "max<1", lambda f: f.max < 1.0),
-            figure(f"{cruise}, real-planned", found.planned_ms, "ms"),
+            make_figure(f"{cruise}, lowered-planned", found.lowered_ms, "ms", bound, keeps),
+            make_figure(f"{cruise}, real-lowered", found.simulated_samples, "samples", "max<1", lambda f: f.max < 1.0),
+            make_figure(f"{cruise}, real-planned", found.planned_ms, "ms"),
         ]
-        chosen.append(Chosen(cruise, found.ways))
+        chosen.append(LoweringChoices(cruise, found.ways))
     return LoweringFigures(make, moves, figures, chosen)
 
 
-def _keeps_duration(found: Figure) -> bool:
+def _meets_duration(found: BenchFigure) -> bool:
     return found.p99 < ASKED_P99_MS
 
 
@@ -155,7 +155,7 @@ def _keeps_duration(found: Figure) -> bool:
 
 
 @dataclass(slots=True)
-class _World:
+class _LoweringBench:
     clock: VirtualClock
     controller: SimulatedController
     driver: Driver
@@ -164,39 +164,39 @@ class _World:
     built_ns: int
     sample_ns: float
 
-    async def ready(self) -> None:
+    async def wait_until_ready(self) -> None:
         """Connect, switch the motors on, and wait until the clock estimate has converged."""
         await self.driver.connect()
         await self.driver.configure()
-        await self.driver.set_enabled(list(self.config.axes), True)
+        await self.driver.set_enabled(list(self.config.axes), on=True)
         for _ in range(300):
             await self.driver.poll()
             await sleep_ns(self.clock, 100 * NS_PER_MS)
 
-    def mapping(self) -> TickMapping:
+    def clock_mapping(self) -> TickMapping:
         mapping = self.driver.clock_mapping()
         if mapping is None:
             raise RuntimeError("the controller has no clock estimate")
         return mapping
 
-    def motor(self, axis: str) -> str:
+    def motor_of(self, axis: str) -> str:
         return self.config.axes[axis].motors[0]
 
     # By the simulator's own crystal
 
-    def sample(self, true_ns: int) -> int:
+    def sample_at(self, true_ns: int) -> int:
         """Return the sample that begins at `true_ns`."""
         elapsed_ns = self.crystal.device_ns(true_ns) - self.crystal.device_ns(self.built_ns)
         return round(elapsed_ns / self.sample_ns)
 
-    def true_ns(self, sample: int) -> int:
+    def sample_begin_ns(self, sample: int) -> int:
         return self.crystal.true_ns(self.crystal.device_ns(self.built_ns) + ceil(sample * self.sample_ns))
 
 
-def _with(subject: Subject, ppm: float, seed: int, main: Callable[[_World], Any]) -> Any:
+def _run_with_driver(subject: BenchedMake, ppm: float, seed: int, main: Callable[[_LoweringBench], Any]) -> Any:
     """Run `main` with a driver connected to a simulated controller."""
 
-    async def run(clock: VirtualClock) -> Any:
+    async def run_bench(clock: VirtualClock) -> Any:
         config = Controller.model_validate(subject.config)
         make = find_make(config.adapter)
         crystal = Oscillator(Random(seed).randrange(10**9), ppm)
@@ -207,19 +207,21 @@ def _with(subject: Subject, ppm: float, seed: int, main: Callable[[_World], Any]
         )
         wire = MemoryWire(clock, subject.wire, controller, subject.port, "bench", copy_context(), seed)
         options = make.options_model.model_validate(config.options)
-        driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open, LoopTimedWriter(clock)))
-        world = _World(clock, controller, driver, config, crystal, built_ns, subject.sample_ns)
-        await world.ready()
+        driver = make.create_driver(
+            DriverSetup("bench", config, options, clock, wire.open_link, LoopTimedWriter(clock))
+        )
+        world = _LoweringBench(clock, controller, driver, config, crystal, built_ns, subject.sample_ns)
+        await world.wait_until_ready()
         return await main(world)
 
-    return run_virtual(run)
+    return run_virtual(run_bench)
 
 
-async def _start(world: _World, profiles: Mapping[str, Profile]) -> tuple[Lowered, TickMapping, int]:
+async def _start_step(world: _LoweringBench, profiles: Mapping[str, Profile]) -> tuple[Lowered, TickMapping, int]:
     """Arm a step and release it; return the mapping that it was frozen with, and T0."""
     driver = world.driver
     await driver.poll()
-    mapping = world.mapping()
+    mapping = world.clock_mapping()
     lowered = driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 150 * NS_PER_MS
     await driver.arm_move(lowered, t0_ns, mapping)
@@ -228,7 +230,7 @@ async def _start(world: _World, profiles: Mapping[str, Profile]) -> tuple[Lowere
     return lowered, mapping, t0_ns
 
 
-async def _finish(world: _World) -> None:
+async def _finish_step(world: _LoweringBench) -> None:
     """Watch the step to its end, as an adapter does."""
     await world.driver.wait_for_start()
     outcome = await world.driver.wait_for_end()
@@ -239,24 +241,26 @@ async def _finish(world: _World) -> None:
 # Contours
 
 
-def _contours(subject: Subject, ppm: float, count: int, seed: int) -> list[tuple[list[float], list[float], float]]:
+def _measure_contours(
+    subject: BenchedMake, ppm: float, count: int, seed: int
+) -> list[tuple[list[float], list[float], float]]:
     """Return, for each of `count` moves: distances to the plan at the record instants and at the samples between,
     counts, and a·h²/8."""
 
-    async def main(world: _World) -> list[tuple[list[float], list[float], float]]:
+    async def measure(world: _LoweringBench) -> list[tuple[list[float], list[float], float]]:
         draw = Random(seed)
         found: list[tuple[list[float], list[float], float]] = []
         at = dict.fromkeys(world.config.axes, 0)
         for _ in range(count):
-            profiles = _jerk_limited(at, draw)
-            found.append(await _follow(world, subject, profiles))
+            profiles = _draw_contour(at, draw)
+            found.append(await _measure_contour(world, subject, profiles))
             at = {axis: profile.end_counts for axis, profile in profiles.items()}
         return found
 
-    return _with(subject, ppm, seed, main)
+    return _run_with_driver(subject, ppm, seed, measure)
 
 
-def _jerk_limited(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
+def _draw_contour(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
     """Draw a step of about `CONTOUR_S`, with one axis at its limits."""
     longest = VELOCITY * (CONTOUR_S - VELOCITY / ACCELERATION - ACCELERATION / JERK)
     first = draw.choice(list(at))
@@ -275,28 +279,28 @@ def _jerk_limited(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
     return dict(plan_step(moves).profiles)
 
 
-async def _follow(
-    world: _World, subject: Subject, profiles: Mapping[str, Profile]
+async def _measure_contour(
+    world: _LoweringBench, subject: BenchedMake, profiles: Mapping[str, Profile]
 ) -> tuple[list[float], list[float], float]:
-    lowered, mapping, t0_ns = await _start(world, profiles)
+    lowered, mapping, t0_ns = await _start_step(world, profiles)
     before = len(world.controller.commanded_motions)
     await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-    begun = world.sample(world.clock.now_ns())
+    begun = world.sample_at(world.clock.now_ns())
     assert subject.record_samples is not None
     record, samples = subject.record_samples(lowered), ceil(lowered.durations_s[max(profiles)] * 1e9 / lowered.tick_ns)
-    watching = asyncio.get_running_loop().create_task(_finish(world))
+    watching = asyncio.get_running_loop().create_task(_finish_step(world))
     seen: list[tuple[int, dict[str, float]]] = []
     # From some samples before the start, which is not determined yet, to some after the end.
     for sample in range(begun + 1, begun + samples + 40):
-        await sleep_until_ns(world.clock, world.true_ns(sample))
-        seen.append((sample, {axis: world.controller.position(world.motor(axis)) for axis in profiles}))
+        await sleep_until_ns(world.clock, world.sample_begin_ns(sample))
+        seen.append((sample, {axis: world.controller.position(world.motor_of(axis)) for axis in profiles}))
     await watching
-    start = world.sample(min(motion.start_ns for motion in world.controller.commanded_motions[before:]))
+    start = world.sample_at(min(motion.start_ns for motion in world.controller.commanded_motions[before:]))
     plans = {axis: (profile.start_counts, profile.make_evaluator()) for axis, profile in profiles.items()}
     at_record: list[float] = []
     between: list[float] = []
     for sample, positions in seen:
-        time_s = (mapping.host_ns(sample) - t0_ns) * 1e-9
+        time_s = (mapping.to_host_ns(sample) - t0_ns) * 1e-9
         for axis, (origin, plan) in plans.items():
             distance = abs(positions[axis] - origin - plan(time_s).position)
             (between if (sample - start) % record else at_record).append(distance)
@@ -307,7 +311,7 @@ async def _follow(
 # Trapezoids
 
 
-class _Trapezoids(NamedTuple):
+class _TrapezoidResults(NamedTuple):
     """Differences of durations: lowered and simulated minus planned in ms, simulated minus lowered in samples."""
 
     lowered_ms: list[float]
@@ -316,42 +320,42 @@ class _Trapezoids(NamedTuple):
     ways: dict[str, int]
 
 
-def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int) -> _Trapezoids:
+def _measure_trapezoids(subject: BenchedMake, low: float, high: float, count: int, seed: int) -> _TrapezoidResults:
     """Run `count` moves of one axis with cruises from `low` to `high` counts/s."""
 
-    async def main(world: _World) -> _Trapezoids:
+    async def measure(world: _LoweringBench) -> _TrapezoidResults:
         draw = Random(seed)
-        found = _Trapezoids([], [], [], {})
-        executed = set(draw.sample(range(count), min(count, max(LEAST_SIMULATED, count // SIMULATED))))
+        found = _TrapezoidResults([], [], [], {})
+        executed = set(draw.sample(range(count), min(count, max(MIN_SIMULATED, count // SIMULATED_EVERY))))
         at = 0
         for number in range(count):
-            profile = _trapezoid(at, low, high, draw)
-            lowered = world.driver.lower_profiles({"a": profile}, StartOptions(), world.mapping())
+            profile = _draw_trapezoid(at, low, high, draw)
+            lowered = world.driver.lower_profiles({"a": profile}, StartOptions(), world.clock_mapping())
             way = subject.way(lowered)
             found.ways[way] = found.ways.get(way, 0) + 1
             found.lowered_ms.append(abs(lowered.durations_s["a"] - profile.duration_s) * 1e3)
             if number not in executed:
                 continue
-            motion = await _execute(world, profile)
+            motion = await _execute_profile(world, profile)
             at = profile.end_counts
             if motion.end_ns is None:
                 raise RuntimeError("a move of the benchmark has no end")
-            samples = world.sample(motion.end_ns) - world.sample(motion.start_ns)
+            samples = world.sample_at(motion.end_ns) - world.sample_at(motion.start_ns)
             predicted = lowered.durations_s["a"] * 1e9 / lowered.tick_ns
             found.simulated_samples.append(abs(samples - predicted))
             found.planned_ms.append(abs((motion.end_ns - motion.start_ns) * 1e-6 - profile.duration_s * 1e3))
         return found
 
-    return _with(subject, Random(seed).uniform(-100.0, 100.0), seed, main)
+    return _run_with_driver(subject, Random(seed).uniform(-100.0, 100.0), seed, measure)
 
 
-async def _execute(world: _World, profile: Profile) -> CommandedMotion:
-    await _start(world, {"a": profile})
-    await _finish(world)
+async def _execute_profile(world: _LoweringBench, profile: Profile) -> CommandedMotion:
+    await _start_step(world, {"a": profile})
+    await _finish_step(world)
     return world.controller.commanded_motions[-1]
 
 
-def _trapezoid(at: int, low: float, high: float, draw: Random) -> Profile:
+def _draw_trapezoid(at: int, low: float, high: float, draw: Random) -> Profile:
     """Draw a cruise between `low` and `high`, ramps of 0.05 to 1 s, up to 8 s at speed; alternating directions."""
     velocity = low * (high / low) ** draw.random()
     acceleration = min(velocity / draw.uniform(0.05, 1.0), ACCELERATION)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, DriverSetup
 from adapters.host.host import find_make
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
+from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import LAN, MemoryWire
@@ -33,8 +33,8 @@ DURATION_MOST_S = 120.0
 ACCELERATION = 1_000_000.0  # steps/s²
 CLASSES = ((16.0, 100.0), (100.0, 300.0), (300.0, 1000.0), (1000.0, QUICKEST))  # steps/s, of the mean rate
 VERNIER = 1000.0  # Hz²/s, see above
-SIMULATED = 25  # one of this many lowered moves is executed
-LEAST_SIMULATED = 20
+SIMULATED_EVERY = 25  # one of this many lowered moves is executed
+MIN_SIMULATED = 20
 ASKED_P99_MS, ASKED_MAX_MS = 1.0, 0.1
 CONFIG: dict[str, Any] = {
     "adapter": MAKE,
@@ -50,7 +50,7 @@ CONFIG: dict[str, Any] = {
 }
 
 
-class _Found(NamedTuple):
+class _PpsmcMove(NamedTuple):
     """One move: its mean rate, steps/s, and duration, s; differences of durations in ms, executed only for a part.
 
     again_ms: difference between the proposed duration and the result of planning for it.
@@ -64,45 +64,45 @@ class _Found(NamedTuple):
     planned_ms: float | None
 
     @property
-    def reached(self) -> bool:
+    def is_reachable(self) -> bool:
         return self.rate**2 >= VERNIER * self.duration_s
 
 
 def bench_ppsmc(moves: int, seed: int) -> LoweringFigures:
     """Lower `moves` and execute a part of them, with the rate of the controller's crystal known as if measured."""
     ppm = Random(seed).uniform(-100.0, 100.0)
-    found: list[_Found] = run_virtual(lambda clock: _measure(clock, moves, ppm, seed))
+    found: list[_PpsmcMove] = run_virtual(lambda clock: _measure_moves(clock, moves, ppm, seed))
     executed = [each for each in found if each.predicted_ms is not None]
-    reached = [each for each in found if each.reached]
-    slow = [each for each in found if not each.reached]
+    reached = [each for each in found if each.is_reachable]
+    slow = [each for each in found if not each.is_reachable]
     figures = [
-        figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=1", _keeps_p99),
-        figure("V² >= 1000 T, lowered-planned", [each.lowered_ms for each in reached], "ms", "p99<=1", _keeps_p99),
-        *([figure("V² < 1000 T, lowered-planned", [each.lowered_ms for each in slow], "ms")] if slow else []),
-        figure("all, proposal planned again", [each.again_ms for each in found], "ms", "p99<=1", _keeps_p99),
-        figure(
+        make_figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=1", _meets_p99),
+        make_figure("V² >= 1000 T, lowered-planned", [each.lowered_ms for each in reached], "ms", "p99<=1", _meets_p99),
+        *([make_figure("V² < 1000 T, lowered-planned", [each.lowered_ms for each in slow], "ms")] if slow else []),
+        make_figure("all, proposal planned again", [each.again_ms for each in found], "ms", "p99<=1", _meets_p99),
+        make_figure(
             "all, real-lowered",
             [each.predicted_ms for each in executed if each.predicted_ms is not None],
             "ms",
             "max<=0.1",
             lambda f: f.max <= ASKED_MAX_MS,
         ),
-        figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
+        make_figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
     ]
     for low, high in CLASSES:
         of_class = [each.lowered_ms for each in found if low <= each.rate < high]
         if of_class:
-            figures.append(figure(f"{low:g}-{high:g}, lowered-planned", of_class, "ms"))
+            figures.append(make_figure(f"{low:g}-{high:g}, lowered-planned", of_class, "ms"))
     within = sum(each.lowered_ms <= ASKED_P99_MS for each in found)
-    chosen = [Chosen("all", {"within 1 ms": within, "further away": len(found) - within})]
+    chosen = [LoweringChoices("all", {"within 1 ms": within, "further away": len(found) - within})]
     return LoweringFigures(MAKE, moves, figures, chosen)
 
 
-def _keeps_p99(found: Figure) -> bool:
+def _meets_p99(found: BenchFigure) -> bool:
     return found.p99 <= ASKED_P99_MS
 
 
-async def _measure(clock: VirtualClock, moves: int, ppm: float, seed: int) -> list[_Found]:
+async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int) -> list[_PpsmcMove]:
     crystal = Oscillator(Random(seed).randrange(10**9), ppm)
     timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
     unit = find_simulator(MAKE).build_controller(clock, {}, oscillator=crystal, timing=timing, seed=seed)
@@ -112,30 +112,30 @@ async def _measure(clock: VirtualClock, moves: int, ppm: float, seed: int) -> li
     )
     make = find_make(MAKE)
     options = make.options_model.model_validate(config.options)
-    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open, LoopTimedWriter(clock)))
+    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open_link, LoopTimedWriter(clock)))
     await driver.connect()
     await driver.configure()
-    await driver.set_enabled(["a"], True)
+    await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
-    executed = set(draw.sample(range(moves), min(moves, max(LEAST_SIMULATED, moves // SIMULATED))))
-    at, found = 0, list[_Found]()
+    executed = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
+    at, found = 0, list[_PpsmcMove]()
     while len(found) < moves:
-        profile = _feasible(at, draw)
+        profile = _draw_feasible(at, draw)
         if profile is None:
             continue
         lowered_s = driver.lower_profiles({"a": profile}, StartOptions(), None).durations_s["a"]
         rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
         predicted_ms = planned_ms = None
         if len(found) in executed:
-            real_s = await _executed(clock, driver, unit, profile)
+            real_s = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             predicted_ms, planned_ms = abs(real_s - lowered_s) * 1e3, abs(real_s - profile.duration_s) * 1e3
         found.append(
-            _Found(
+            _PpsmcMove(
                 rate=rate,
                 duration_s=profile.duration_s,
                 lowered_ms=abs(lowered_s - profile.duration_s) * 1e3,
-                again_ms=_again_ms(driver, profile, lowered_s),
+                again_ms=_measure_proposal_ms(driver, profile, lowered_s),
                 predicted_ms=predicted_ms,
                 planned_ms=planned_ms,
             )
@@ -144,13 +144,13 @@ async def _measure(clock: VirtualClock, moves: int, ppm: float, seed: int) -> li
     return found
 
 
-def _again_ms(driver: Driver, profile: Profile, answered_s: float) -> float:
+def _measure_proposal_ms(driver: Driver, profile: Profile, answered_s: float) -> float:
     """Return the remaining difference after all members have been planned for the proposed duration, as in a step."""
     longer = profile.stretch_time(max(1.0, answered_s / profile.duration_s))
     return abs(driver.lower_profiles({"a": longer}, StartOptions(), None).durations_s["a"] - longer.duration_s) * 1e3
 
 
-def _feasible(at: int, draw: Random) -> Profile | None:
+def _draw_feasible(at: int, draw: Random) -> Profile | None:
     """Draw a move from `at` that is 1.02 to 3 times slower than the fastest; return None when this draw gives none."""
     velocity = SLOWEST * (QUICKEST / SLOWEST) ** draw.random()
     acceleration = min(velocity / draw.uniform(0.05, 1.0), ACCELERATION)
@@ -159,12 +159,12 @@ def _feasible(at: int, draw: Random) -> Profile | None:
         return None
     target = at - steps if at > 0 else at + steps
     plan = plan_step([AxisMove("a", at, target, velocity, acceleration)])
-    longer = plan.stretched(plan.duration_s * draw.uniform(1.02, 3.0))
+    longer = plan.stretch_to(plan.duration_s * draw.uniform(1.02, 3.0))
     mean = steps / longer.duration_s
     return longer.profiles["a"] if mean >= SLOWEST and longer.duration_s <= DURATION_MOST_S else None
 
 
-async def _executed(clock: VirtualClock, driver: Driver, unit: SimulatedController, profile: Profile) -> float:
+async def _measure_execution(clock: VirtualClock, driver: Driver, unit: SimulatedController, profile: Profile) -> float:
     """Return the true duration of the motion, s."""
     lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)
     t0_ns = clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 50 * NS_PER_MS

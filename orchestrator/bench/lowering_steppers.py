@@ -16,7 +16,7 @@ from adapters.host.host import find_make
 from adapters.shrc203.fleetaxes import axis_bounds
 from adapters.shrc203.trapezoid import fit_trapezoid
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
+from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, can_wire, serial_wire
@@ -33,13 +33,13 @@ STEPS_LEAST, STEPS_MOST = 50, 300_000
 SLOWEST = 16.0  # steps/s, of the mean rate
 DURATION_MOST_S = 120.0
 CLASSES = (16.0, 33.0, 100.0, 1000.0)  # steps/s, of the mean rate, up to the fastest
-SIMULATED = 25  # one of this many lowered moves is executed
-LEAST_SIMULATED = 20
+SIMULATED_EVERY = 25  # one of this many lowered moves is executed
+MIN_SIMULATED = 20
 ASKED_P99_MS, ASKED_MAX_MS = 0.2, 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Stepper:
+class BenchedStepper:
     """A make and its controller of one axis `a`.
 
     quickest, acceleration: in steps/s (²).
@@ -59,7 +59,7 @@ class Stepper:
     alone: Callable[[Controller, Profile], float] | None = None
 
 
-def _one_trapezoid(config: Controller, profile: Profile) -> float:
+def _fit_one_trapezoid(config: Controller, profile: Profile) -> float:
     way = abs(profile.end_counts - profile.start_counts)
     shape = fit_trapezoid(way, profile.duration_s, profile.durations_s[0], axis_bounds(config.axes["a"]))
     assert shape is not None
@@ -69,7 +69,7 @@ def _one_trapezoid(config: Controller, profile: Profile) -> float:
 STEPPERS = {
     each.make: each
     for each in (
-        Stepper(
+        BenchedStepper(
             "smc30",
             {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"},
             {},
@@ -83,7 +83,7 @@ STEPPERS = {
             200_000.0,
             "G",
         ),
-        Stepper(
+        BenchedStepper(
             "shrc203",
             {"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},
             {"nm_per_pulse": 100},
@@ -97,9 +97,9 @@ STEPPERS = {
             50_000.0,
             500_000.0,
             "MP",
-            alone=_one_trapezoid,
+            alone=_fit_one_trapezoid,
         ),
-        Stepper(
+        BenchedStepper(
             "cia402",
             {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 1},
             {},
@@ -114,7 +114,7 @@ STEPPERS = {
 }
 
 
-class _Found(NamedTuple):
+class _StepperMove(NamedTuple):
     """One move: its mean rate, steps/s; differences of durations in ms, executed only for a part, and by one command
     alone where that is known; motor commands."""
 
@@ -130,46 +130,49 @@ class _Found(NamedTuple):
 def bench_stepper(make: str, moves: int, seed: int) -> LoweringFigures:
     """Lower `moves` of one of `STEPPERS` and execute a part of them."""
     subject = STEPPERS[make]
-    ppm = Random(seed).uniform(-100.0, 100.0)
     refused = [0]
-    found: list[_Found] = run_virtual(lambda clock: _measure(clock, subject, moves, ppm, seed, refused))
+    found: list[_StepperMove] = run_virtual(lambda clock: _measure_moves(clock, subject, moves, seed, refused))
     executed = [each for each in found if each.predicted_ms is not None]
     figures = [
-        figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=0.2", _keeps_p99),
-        figure(
+        make_figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=0.2", _meets_p99),
+        make_figure(
             "all, real-lowered",
             [each.predicted_ms for each in executed if each.predicted_ms is not None],
             "ms",
             "max<=0.1",
             lambda f: f.max <= ASKED_MAX_MS,
         ),
-        figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
+        make_figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
     ]
     if subject.alone is not None:
         alone = [each.alone_ms for each in found if each.alone_ms is not None]
-        figures.append(figure("all, lowered-planned by one command", alone, "ms"))
-    chosen: list[Chosen] = [Chosen("refused", {"slower than the controller supports": refused[0]})]
+        figures.append(make_figure("all, lowered-planned by one command", alone, "ms"))
+    chosen: list[LoweringChoices] = [LoweringChoices("refused", {"slower than the controller supports": refused[0]})]
     # Visible where one step of the cruise speed changes the duration by more than the longest ramp can compensate.
     within = [each.lowered_ms for each in found if each.planned_s < each.rate]
     if within:
-        figures.append(figure("seconds < steps/s, lowered-planned", within, "ms", "p99<=0.2", _keeps_p99))
+        figures.append(make_figure("seconds < steps/s, lowered-planned", within, "ms", "p99<=0.2", _meets_p99))
     for low, high in pairwise((*CLASSES, subject.quickest)):
         of_class = [each for each in found if low <= each.rate < high]
         name = f"{low:g}-{high:g}"
         if of_class:
-            figures.append(figure(f"{name}, lowered-planned", [each.lowered_ms for each in of_class], "ms"))
+            figures.append(make_figure(f"{name}, lowered-planned", [each.lowered_ms for each in of_class], "ms"))
         split = sum(each.commands > 1 for each in of_class)
-        chosen.append(Chosen(name, {"one command": len(of_class) - split, "several commands": split}))
+        chosen.append(LoweringChoices(name, {"one command": len(of_class) - split, "several commands": split}))
     return LoweringFigures(make, moves, figures, chosen)
 
 
-def _keeps_p99(found: Figure) -> bool:
+def _meets_p99(found: BenchFigure) -> bool:
     return found.p99 <= ASKED_P99_MS
 
 
-async def _measure(
-    clock: VirtualClock, subject: Stepper, moves: int, ppm: float, seed: int, refused: list[int]
-) -> list[_Found]:
+def _draw_drift_ppm(seed: int) -> float:
+    return Random(seed).uniform(-100.0, 100.0)
+
+
+async def _measure_moves(
+    clock: VirtualClock, subject: BenchedStepper, moves: int, seed: int, refused: list[int]
+) -> list[_StepperMove]:
     config = Controller.model_validate(
         {
             "adapter": subject.make,
@@ -180,7 +183,7 @@ async def _measure(
         }
     )
     make = find_make(subject.make)
-    crystal = Oscillator(Random(seed).randrange(10**9), ppm)
+    crystal = Oscillator(Random(seed).randrange(10**9), _draw_drift_ppm(seed))
     timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
     unit = find_simulator(subject.make).build_controller(
         clock, subject.simulate, oscillator=crystal, timing=timing, seed=seed
@@ -188,15 +191,15 @@ async def _measure(
     model = serial_wire(subject.link["baud"]) if "baud" in subject.link else can_wire()
     wire = MemoryWire(clock, model, unit, subject.port, "bench", copy_context(), seed)
     options = make.options_model.model_validate(config.options)
-    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open, LoopTimedWriter(clock)))
+    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open_link, LoopTimedWriter(clock)))
     await driver.connect()
     await driver.configure()
-    await driver.set_enabled(["a"], True)
+    await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
-    executed = set(draw.sample(range(moves), min(moves, max(LEAST_SIMULATED, moves // SIMULATED))))
-    at, found = 0, list[_Found]()
+    executed = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
+    at, found = 0, list[_StepperMove]()
     while len(found) < moves:
-        profile = _feasible(subject, at, draw)
+        profile = _draw_feasible(subject, at, draw)
         if profile is None:
             continue
         try:
@@ -212,13 +215,13 @@ async def _measure(
         if subject.alone is not None:
             alone_ms = abs(subject.alone(config, profile) - profile.duration_s) * 1e3
         if len(found) in executed:
-            start_ns, end_ns = await _executed(clock, driver, unit, profile)
+            start_ns, end_ns = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             device_s = (crystal.device_ns(end_ns) - crystal.device_ns(start_ns)) * 1e-9
             predicted_ms = abs(device_s - predicted_s) * 1e3
             planned_ms = abs((end_ns - start_ns) * 1e-9 - profile.duration_s) * 1e3
         found.append(
-            _Found(
+            _StepperMove(
                 rate,
                 profile.duration_s,
                 abs(predicted_s - profile.duration_s) * 1e3,
@@ -232,7 +235,7 @@ async def _measure(
     return found
 
 
-def _feasible(subject: Stepper, at: int, draw: Random) -> Profile | None:
+def _draw_feasible(subject: BenchedStepper, at: int, draw: Random) -> Profile | None:
     """Draw a move from `at` that is 1.02 to 3 times slower than the fastest; return None when this draw gives none."""
     velocity = SLOWEST * (subject.quickest / SLOWEST) ** draw.random()
     acceleration = min(velocity / draw.uniform(0.05, 1.0), subject.acceleration)
@@ -241,12 +244,14 @@ def _feasible(subject: Stepper, at: int, draw: Random) -> Profile | None:
         return None
     target = at - steps if at > 0 else at + steps
     plan = plan_step([AxisMove("a", at, target, velocity, acceleration)])
-    longer = plan.stretched(plan.duration_s * draw.uniform(1.02, 3.0))
+    longer = plan.stretch_to(plan.duration_s * draw.uniform(1.02, 3.0))
     mean = steps / longer.duration_s
     return longer.profiles["a"] if mean >= SLOWEST and longer.duration_s <= DURATION_MOST_S else None
 
 
-async def _executed(clock: Clock, driver: Driver, unit: SimulatedController, profile: Profile) -> tuple[int, int]:
+async def _measure_execution(
+    clock: Clock, driver: Driver, unit: SimulatedController, profile: Profile
+) -> tuple[int, int]:
     """Return the true instants of the motion's start and end."""
     before = len(unit.commanded_motions)
     lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)

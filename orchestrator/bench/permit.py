@@ -10,9 +10,9 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from orchestrator.bench.fleet import measured_fleet, run_steps, submit, until
-from orchestrator.bench.spread import Noise, Spread, spread
-from orchestrator.bench.truth import Truth
+from orchestrator.bench.fleet import run_measured_fleet, run_steps, submit_steps, wait_until
+from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
+from orchestrator.bench.truth import TruthLog
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.fleet import Controller, Fleet, Permit, TcpLink
 
@@ -35,12 +35,12 @@ class PermitFigures(NamedTuple):
 
     controllers: int
     poll_ms: float
-    stopped: Spread
-    first: Spread
-    noise: Spread
+    stopped: DurationSpread
+    first: DurationSpread
+    noise: DurationSpread
 
 
-def fleet_of(gantry: Controller, count: int) -> Fleet:
+def make_permit_fleet(gantry: Controller, count: int) -> Fleet:
     """Return `count` controllers like `gantry` with the first of its axes, and a permit on an input of the first
     one."""
     axis, input_ = next(iter(gantry.axes)), next(iter(gantry.inputs))
@@ -56,39 +56,39 @@ def fleet_of(gantry: Controller, count: int) -> Fleet:
 
 async def bench_permit(gantry: Controller, state: Path, rounds: int) -> PermitFigures:
     """Lose the permit `rounds` times in a slow step over all axes. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
-    fleet, draw = fleet_of(gantry, CONTROLLERS), Random(SEED)
+    fleet, draw = make_permit_fleet(gantry, CONTROLLERS), Random(SEED)
     number = next(iter(gantry.inputs.values())).number
     first_ns: list[int] = []
     last_ns: list[int] = []
-    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+    async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
         axes = list(fleet.controllers)
         middle = dict.fromkeys(fleet.axis_names, MIDDLE)
         await run_steps(tutti, [{"do": "enable", "axes": axes}, {"do": "home"}, {"do": "move", "to": middle}])
-        truths = [Truth(live.state / "truth" / f"{name}.jsonl") for name in axes]
+        truths = [TruthLog(live.state / "truth" / f"{name}.jsonl") for name in axes]
         for k in range(rounds):
             began_ns = raw_ns()
             by = dict.fromkeys(fleet.axis_names, -DISTANCE if k % 2 else DISTANCE)
-            job = await submit(tutti, [{"do": "move", "by": by, "speed": SPEED}])
-            await asyncio.gather(*(truth.after("start", began_ns) for truth in truths))
+            job = await submit_steps(tutti, [{"do": "move", "by": by, "speed": SPEED}])
+            await asyncio.gather(*(truth.wait_for_event("start", began_ns) for truth in truths))
             await asyncio.sleep(draw.uniform(*MOVING_S))
             lost_ns = raw_ns()
-            live.tell_simulator("g1", input=(number, False))
-            slowing_ns = await asyncio.gather(*(truth.after("slowing", lost_ns) for truth in truths))
+            live.change_simulation("g1", input=(number, False))
+            slowing_ns = await asyncio.gather(*(truth.wait_for_event("slowing", lost_ns) for truth in truths))
             first_ns.append(min(slowing_ns) - lost_ns)
             last_ns.append(max(slowing_ns) - lost_ns)
             await tutti.wait_for_job(job, poll_s=0.1)
-            live.tell_simulator("g1", input=(number, True))
+            live.change_simulation("g1", input=(number, True))
 
-            async def closed() -> bool:
+            async def is_permit_restored() -> bool:
                 states = (await tutti.status()).values()
                 return all(each.mode == "idle" and not any(each.inputs.values()) for each in states)
 
-            await until(closed, "the permit is restored")
+            await wait_until(is_permit_restored, "the permit is restored")
         poll_ms = 1000 / gantry.state.moving_hz
         return PermitFigures(
             controllers=len(axes),
             poll_ms=poll_ms,
-            stopped=spread(last_ns, max_ms=BEYOND_POLL_MS + poll_ms),
-            first=spread(first_ns),
-            noise=noise.spread(),
+            stopped=make_spread(last_ns, max_ms=BEYOND_POLL_MS + poll_ms),
+            first=make_spread(first_ns),
+            noise=noise.make_spread(),
         )

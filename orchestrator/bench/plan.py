@@ -6,7 +6,7 @@ from collections.abc import Callable
 from random import Random
 from typing import Any, NamedTuple
 
-from orchestrator.plan.shape import workspace
+from orchestrator.plan.shape import get_workspace
 from orchestrator.plan.step import AxisMove, plan_step
 
 SIZES = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024)
@@ -31,20 +31,20 @@ def bench_plan(order: int, rounds: int) -> list[PlanRow]:
     draw = Random(SEED)
     rows: list[PlanRow] = []
     for axes in SIZES:
-        moves = [_move(f"bench.a{k}", draw, order) for k in range(axes)]
-        solver, trajectory, question = workspace(axes)
+        moves = [_draw_move(f"bench.a{k}", draw, order) for k in range(axes)]
+        solver, trajectory, question = get_workspace(axes)
         plan_us: list[float] = []
         bare_us: list[float] = []
         for _ in range(rounds):
             # Alternating, so that other load on the machine affects both.
-            plan_us.append(_timed(lambda moves=moves: plan_step(moves)))
-            bare_us.append(_timed(lambda s=solver, q=question, t=trajectory: s.calculate(q, t)))
+            plan_us.append(_measure_call(lambda moves=moves: plan_step(moves)))
+            bare_us.append(_measure_call(lambda s=solver, q=question, t=trajectory: s.calculate(q, t)))
         plan, bare = statistics.median(plan_us), statistics.median(bare_us)
         rows.append(PlanRow(axes, round(plan, 2), round(bare, 2), round(plan / bare, 2)))
     return rows
 
 
-def _move(axis: str, draw: Random, order: int) -> AxisMove:
+def _draw_move(axis: str, draw: Random, order: int) -> AxisMove:
     return AxisMove(
         axis=axis,
         start_counts=0,
@@ -57,7 +57,7 @@ def _move(axis: str, draw: Random, order: int) -> AxisMove:
     )
 
 
-def _timed(call: Callable[[], Any]) -> float:
+def _measure_call(call: Callable[[], Any]) -> float:
     began_ns = time.perf_counter_ns()
     call()
     return (time.perf_counter_ns() - began_ns) / 1000

@@ -20,9 +20,18 @@ MAKE = "smc2000"
 BAUD = 19200
 AXES = {"x": "X", "y": "Y"}
 FIRMWARE = FirmwareTiming(decode_ns=500_000, spread_ns=50_000)
-SETTLE = 3  # polls before the measurement: the length of a reply is known from the previous one
-# Controllers on the line, delay of received bytes in a serial adapter (ms), and simultaneous polls of each.
-CASES = ((1, 0, 1), (1, 16, 1), (1, 16, 2), (3, 0, 1), (3, 16, 1))
+SETTLING_POLLS = 3  # polls before the measurement: the length of a reply is known from the previous one
+
+
+class PollCase(NamedTuple):
+    """Controllers on the line, delay of received bytes in a serial adapter (ms), and simultaneous polls of each."""
+
+    units: int
+    hold_ms: int
+    at_once: int
+
+
+CASES = tuple(PollCase(*each) for each in ((1, 0, 1), (1, 16, 1), (1, 16, 2), (3, 0, 1), (3, 16, 1)))
 
 
 class PollRate(NamedTuple):
@@ -44,27 +53,28 @@ class PollRate(NamedTuple):
 
 def bench_poll(seconds: float, seed: int = 1) -> list[PollRate]:
     """Poll controllers of two axes for `seconds` of virtual time each."""
-    return [run_virtual(lambda clock, case=case: _measured(clock, *case, seconds, seed)) for case in CASES]
+    return [run_virtual(lambda clock, case=case: _measure_rate(clock, case, seconds, seed)) for case in CASES]
 
 
-async def _measured(clock: VirtualClock, units: int, hold_ms: int, at_once: int, seconds: float, seed: int) -> PollRate:
-    wire, drivers = _line(clock, units, hold_ms, seed)
+async def _measure_rate(clock: VirtualClock, case: PollCase, seconds: float, seed: int) -> PollRate:
+    units, hold_ms, at_once = case
+    wire, drivers = _make_line(clock, units, hold_ms, seed)
     for driver in drivers:
         await driver.connect()
         await driver.configure()
-        for _ in range(SETTLE):
+        for _ in range(SETTLING_POLLS):
             await driver.poll()
     characters = 0
 
-    def counted(data: bytes) -> bytes:
+    def count_bytes(data: bytes) -> bytes:
         nonlocal characters
         characters += len(data)
         return data
 
-    wire.to_far = wire.to_near = counted
+    wire.to_far = wire.to_near = count_bytes
     began_ns = clock.now_ns()
     until_ns = began_ns + round(seconds * NS_PER_S)
-    polls = sum(await asyncio.gather(*(_poll(clock, each, until_ns) for each in drivers for _ in range(at_once))))
+    polls = sum(await asyncio.gather(*(_poll_until(clock, each, until_ns) for each in drivers for _ in range(at_once))))
     rate = polls * NS_PER_S / (clock.now_ns() - began_ns)
     each = characters / polls
     allowed = NS_PER_S / (each * wire.model.char_ns)
@@ -73,7 +83,7 @@ async def _measured(clock: VirtualClock, units: int, hold_ms: int, at_once: int,
     )
 
 
-async def _poll(clock: Clock, driver: Driver, until_ns: int) -> int:
+async def _poll_until(clock: Clock, driver: Driver, until_ns: int) -> int:
     polls = 0
     while clock.now_ns() < until_ns:
         await driver.poll()
@@ -81,7 +91,7 @@ async def _poll(clock: Clock, driver: Driver, until_ns: int) -> int:
     return polls
 
 
-def _line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tuple[MemoryWire, list[Driver]]:
+def _make_line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tuple[MemoryWire, list[Driver]]:
     draw, make = Random(seed), find_make(MAKE)
     addresses = [None] if count == 1 else list(range(count))
     branches = {
@@ -100,15 +110,17 @@ def _line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tuple[Mem
     shared: dict[str, Any] = {}
     drivers: list[Driver] = []
     for name, branch in branches.items():
-        config = _config(branch.address)
+        config = _make_config(branch.address)
         options = make.options_model.model_validate({})
         drivers.append(
-            make.create_driver(DriverSetup(name, config, options, clock, wire.open, LoopTimedWriter(clock), shared))
+            make.create_driver(
+                DriverSetup(name, config, options, clock, wire.open_link, LoopTimedWriter(clock), shared)
+            )
         )
     return wire, drivers
 
 
-def _config(address: int | None) -> Controller:
+def _make_config(address: int | None) -> Controller:
     limits = {"velocity": 100, "acceleration": 1000}
     axes = {name: {"motors": [motor], "unit": "mm", "scale": 1000, "limits": limits} for name, motor in AXES.items()}
     link = {"kind": "serial", "device": "/dev/null", "baud": BAUD, "address": address}

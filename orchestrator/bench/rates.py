@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 from orchestrator.bench.sync_fleets import DRIFT_PPM, HOLD_MS, PP_SPREAD_MS, WANDER_PPM
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
-from orchestrator.clock.inferred import UnreadClock
-from orchestrator.clock.latency import Latency
+from orchestrator.clock.inferred import InferredClock
+from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.timed import TimedMove
 from sim.core.oscillator import Oscillator
 
@@ -29,7 +29,7 @@ RAMP_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class LinkCase:
+class RateCase:
     """A controller on its link.
 
     char_ns: a character. Each direction takes way_ns and up to jitter_ns more; replies are delayed by up to hold_ns.
@@ -45,7 +45,7 @@ class LinkCase:
     char_ns: int
     decode_ns: int
     spread_ns: int
-    declared: Latency
+    declared: StartLatency
     way_ns: int = 20 * NS_PER_US
     jitter_ns: int = 80 * NS_PER_US
     hold_ns: int = 0
@@ -58,30 +58,32 @@ class LinkCase:
     answer_characters: int = 3
 
 
-def _declared(usual_us: int, spread_us: int) -> Latency:
+def _make_declared(usual_us: int, spread_us: int) -> StartLatency:
     jitter_us = 1000  # of the serial line, in the options of all makes
-    return Latency(
+    return StartLatency(
         usual_us * NS_PER_US, (usual_us - spread_us) * NS_PER_US, (usual_us + spread_us + jitter_us) * NS_PER_US
     )
 
 
 _HELD_NS = round(HOLD_MS * NS_PER_MS)
-STAGE = LinkCase(
+STAGE = RateCase(
     "SHRC-203, 38,400 baud",
     260_417,
     NS_PER_MS,
     800 * NS_PER_US,
-    _declared(1000, 1000),
+    _make_declared(1000, 1000),
     line=True,
     ask_characters=6,
 )
-STEPS = LinkCase("SMC30, 9,600 baud", 1_041_667, NS_PER_MS, 200 * NS_PER_US, _declared(1000, 1000), positions=False)
-PP = LinkCase(
+STEPS = RateCase(
+    "SMC30, 9,600 baud", 1_041_667, NS_PER_MS, 200 * NS_PER_US, _make_declared(1000, 1000), positions=False
+)
+PP = RateCase(
     "pp SMC, TCP",
     0,
     5 * NS_PER_MS,
     round(PP_SPREAD_MS * NS_PER_MS),
-    _declared(12_500, 7_500),
+    _make_declared(12_500, 7_500),
     way_ns=100 * NS_PER_US,
     jitter_ns=100 * NS_PER_US,
     quick_ns=5 * NS_PER_MS,
@@ -136,15 +138,15 @@ def bench_rates(trials: int, seed: int = 1) -> tuple[list[RateFigures], list[Sta
     rates: list[RateFigures] = []
     starts: list[StartFigures] = []
     for case in CASES:
-        found = [_trial(case, Random(f"{seed} {case.name} {trial}"), trial) for trial in range(trials)]
+        found = [_run_trial(case, Random(f"{seed} {case.name} {trial}"), trial) for trial in range(trials)]
         for number, moves in enumerate(MOVES):
             at = [each[number] for each in found]
-            rates.append(_rate_figures(case.name, moves, at))
-            starts.append(_start_figures(case.name, moves, at))
+            rates.append(_make_rate_figures(case.name, moves, at))
+            starts.append(_make_start_figures(case.name, moves, at))
     return rates, starts
 
 
-class _Known(NamedTuple):
+class _RateTrial(NamedTuple):
     """The estimates after some moves. rate, start: errors of the estimate, of the assumed value, and of the mean."""
 
     rate: tuple[float, float, float]
@@ -153,133 +155,138 @@ class _Known(NamedTuple):
     outside: bool
 
 
-def _trial(case: LinkCase, draw: Random, number: int) -> list[_Known]:
+def _run_trial(case: RateCase, draw: Random, number: int) -> list[_RateTrial]:
     crystal = Oscillator(0, draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, number)
-    learned = UnreadClock(0.0, REACH_PPM, case.declared)
+    learned = InferredClock(0.0, REACH_PPM, case.declared)
     measured: list[float] = []
     acknowledged: list[int] = []
-    known: list[_Known] = []
+    known: list[_RateTrial] = []
     now_ns = NS_PER_S
     outside = False
     for count in range(1, MOVES[-1] + 1):
         arrived_ns = now_ns + round(draw.uniform(*PAUSES_S) * NS_PER_S)
         duration_s = draw.uniform(SHORTEST_S, LONGEST_S)
-        promised = learned.latency
-        started_ns = arrived_ns + _way_ns(case, draw) + _decoding_ns(case, draw)
+        promised = learned.start_latency
+        started_ns = arrived_ns + _draw_latency_ns(case, draw) + _draw_decoding_ns(case, draw)
         outside = outside or not promised.earliest_ns <= started_ns - arrived_ns <= promised.latest_ns
-        move, now_ns = _seen(case, draw, crystal, arrived_ns, started_ns, duration_s)
-        learned.learn(move, arrived_ns, None if case.asked_behind else move.started_ns[1], now_ns)
+        move, now_ns = _simulate_observations(case, draw, crystal, (arrived_ns, started_ns), duration_s)
+        learned.learn_from_move(move, arrived_ns, None if case.asked_behind else move.started_ns[1], now_ns)
         heard_ns = move.started_ns[1]
         measured.append((duration_s * NS_PER_S / (now_ns - heard_ns) - 1) * 1e6)
         acknowledged.append(heard_ns - arrived_ns)
         if count in MOVES:
-            known.append(_known(case, learned, crystal, now_ns, (_mean(measured), _mean(acknowledged)), outside))
+            known.append(
+                _compare_estimates(
+                    case, learned, crystal, now_ns, (_compute_mean(measured), _compute_mean(acknowledged))
+                )._replace(outside=outside)
+            )
     return known
 
 
-def _known(
-    case: LinkCase, learned: UnreadClock, crystal: Oscillator, now_ns: int, means: tuple[float, float], outside: bool
-) -> _Known:
+def _compare_estimates(
+    case: RateCase, learned: InferredClock, crystal: Oscillator, now_ns: int, means: tuple[float, float]
+) -> _RateTrial:
     """Compare estimates with the truth. means: of the measured rates, and of the acknowledgements."""
     ahead_ns = round(LONGEST_S * NS_PER_S)
     true_ppm = ((crystal.device_ns(now_ns + ahead_ns) - crystal.device_ns(now_ns)) / ahead_ns - 1) * 1e6
     middle_ns = case.decode_ns + case.spread_ns / 2 + case.way_ns + case.jitter_ns / 2
     usual, declared, mean = (
-        abs(each - middle_ns) / NS_PER_US for each in (learned.latency.usual_ns, case.declared.usual_ns, means[1])
+        abs(each - middle_ns) / NS_PER_US for each in (learned.start_latency.usual_ns, case.declared.usual_ns, means[1])
     )
-    return _Known(
-        rate=(abs(learned.rate.rate_ppm - true_ppm), abs(true_ppm), abs(means[0] - true_ppm)),
-        bound_ppm=learned.rate.bound_ppm(now_ns, LONGEST_S),
+    return _RateTrial(
+        rate=(abs(learned.crystal_rate.rate_ppm - true_ppm), abs(true_ppm), abs(means[0] - true_ppm)),
+        bound_ppm=learned.crystal_rate.bound_ppm(now_ns, LONGEST_S),
         start=(usual, declared, mean),
-        outside=outside,
+        outside=False,
     )
 
 
-def _seen(
-    case: LinkCase, draw: Random, crystal: Oscillator, arrived_ns: int, started_ns: int, duration_s: float
+def _simulate_observations(
+    case: RateCase, draw: Random, crystal: Oscillator, times_ns: tuple[int, int], duration_s: float
 ) -> tuple[TimedMove, int]:
-    """Simulate the adapter's observations of a move; return also the instant of the last one. arrived_ns: the start
-    command was at the controller's end of the line."""
-    heard_ns = started_ns + _back_ns(case, draw) - case.quick_ns
+    """Simulate the adapter's observations of a move; return also the instant of the last one. times_ns: when the
+    start command was at the controller's end of the line, and when the motion started."""
+    arrived_ns, started_ns = times_ns
+    heard_ns = started_ns + _draw_reply_ns(case, draw) - case.quick_ns
     if case.asked_behind:
-        heard_ns += _decoding_ns(case, draw)
-    move = TimedMove(duration_s, _legs(case, duration_s), (arrived_ns + case.quick_ns, heard_ns))
+        heard_ns += _draw_decoding_ns(case, draw)
+    move = TimedMove(duration_s, _make_legs(case, duration_s), (arrived_ns + case.quick_ns, heard_ns))
     began_ns = crystal.device_ns(started_ns)
     end_ns = crystal.true_ns(began_ns + round(duration_s * NS_PER_S))
     asked_ns = heard_ns
     # Some queries from the start on, and consecutive ones from before the fastest crystal's end.
-    near_ns = round(started_ns + duration_s * NS_PER_S * (1 - REACH_PPM * 1e-6)) - move.before_ns
+    near_ns = round(started_ns + duration_s * NS_PER_S * (1 - REACH_PPM * 1e-6)) - move.end_poll_lead_ns
     while True:
         arrives_ns = asked_ns + case.ask_characters * case.char_ns
-        looked_ns = arrives_ns + _way_ns(case, draw) + _decoding_ns(case, draw)
-        answer_ns = looked_ns + (_decoding_ns(case, draw) if case.asked_behind else 0) + _back_ns(case, draw)
+        looked_ns = arrives_ns + _draw_latency_ns(case, draw) + _draw_decoding_ns(case, draw)
+        answer_ns = looked_ns + (_draw_decoding_ns(case, draw) if case.asked_behind else 0) + _draw_reply_ns(case, draw)
         told_ns = answer_ns - case.quick_ns
         if looked_ns > end_ns:
             break
-        move.moved(arrives_ns)
+        move.mark_moving(arrives_ns)
         if case.positions and asked_ns < near_ns:
             way = case.speed * ((crystal.device_ns(looked_ns) - began_ns) / NS_PER_S - RAMP_S / 2)
-            move.stood(floor(way), 1.0, arrives_ns, told_ns)
+            move.add_position(floor(way), 1.0, arrives_ns, told_ns)
         asked_ns = answer_ns + case.answer_characters * case.char_ns
         asked_ns = max(asked_ns, min(near_ns, asked_ns + POLL_NS))
     if case.line:
-        told_ns = min(told_ns, end_ns + _back_ns(case, draw))
-    move.ended(told_ns)
+        told_ns = min(told_ns, end_ns + _draw_reply_ns(case, draw))
+    move.mark_ended(told_ns)
     return move, told_ns
 
 
-def _legs(case: LinkCase, duration_s: float) -> tuple[tuple[float, float, float], ...]:
+def _make_legs(case: RateCase, duration_s: float) -> tuple[tuple[float, float, float], ...]:
     steep = case.speed / RAMP_S
     return (RAMP_S, 0.0, steep), (duration_s - 2 * RAMP_S, case.speed, 0.0), (RAMP_S, case.speed, -steep)
 
 
-def _way_ns(case: LinkCase, draw: Random) -> int:
+def _draw_latency_ns(case: RateCase, draw: Random) -> int:
     return case.way_ns + draw.randrange(case.jitter_ns)
 
 
-def _back_ns(case: LinkCase, draw: Random) -> int:
-    return _way_ns(case, draw) + draw.randrange(case.hold_ns + 1)
+def _draw_reply_ns(case: RateCase, draw: Random) -> int:
+    return _draw_latency_ns(case, draw) + draw.randrange(case.hold_ns + 1)
 
 
-def _decoding_ns(case: LinkCase, draw: Random) -> int:
+def _draw_decoding_ns(case: RateCase, draw: Random) -> int:
     return case.decode_ns + draw.randrange(case.spread_ns)
 
 
-def _rate_figures(link: str, moves: int, at: Sequence[_Known]) -> RateFigures:
+def _make_rate_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> RateFigures:
     errors, nominal, mean = (sorted(each.rate[k] for each in at) for k in range(3))
     return RateFigures(
         link=link,
         moves=moves,
         trials=len(at),
-        p50_ppm=round(_share(errors, 0.5), 2),
-        p95_ppm=round(_share(errors, 0.95), 2),
+        p50_ppm=round(_percentile(errors, 0.5), 2),
+        p95_ppm=round(_percentile(errors, 0.95), 2),
         max_ppm=round(errors[-1], 2),
-        bound_ppm=round(_share(sorted(each.bound_ppm for each in at), 0.5), 1),
+        bound_ppm=round(_percentile(sorted(each.bound_ppm for each in at), 0.5), 1),
         misses=sum(each.rate[0] > each.bound_ppm for each in at),
-        nominal_ppm=round(_share(nominal, 0.95), 1),
-        mean_ppm=round(_share(mean, 0.95), 1),
+        nominal_ppm=round(_percentile(nominal, 0.95), 1),
+        mean_ppm=round(_percentile(mean, 0.95), 1),
     )
 
 
-def _start_figures(link: str, moves: int, at: Sequence[_Known]) -> StartFigures:
+def _make_start_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> StartFigures:
     errors, declared, mean = (sorted(each.start[k] for each in at) for k in range(3))
     return StartFigures(
         link=link,
         moves=moves,
         trials=len(at),
-        p50_us=round(_share(errors, 0.5)),
-        p95_us=round(_share(errors, 0.95)),
+        p50_us=round(_percentile(errors, 0.5)),
+        p95_us=round(_percentile(errors, 0.95)),
         max_us=round(errors[-1]),
         misses=sum(each.outside for each in at),
-        declared_us=round(_share(declared, 0.95)),
-        mean_us=round(_share(mean, 0.95)),
+        declared_us=round(_percentile(declared, 0.95)),
+        mean_us=round(_percentile(mean, 0.95)),
     )
 
 
-def _mean(values: Sequence[float]) -> float:
+def _compute_mean(values: Sequence[float]) -> float:
     return sum(values) / len(values)
 
 
-def _share(ordered: Sequence[float], share: float) -> float:
+def _percentile(ordered: Sequence[float], share: float) -> float:
     """Percentile by nearest rank."""
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))]

@@ -36,7 +36,7 @@ OTHER = "other"
 WINDOWS = 5  # of which the fastest counts: other load on the machine only slows it down
 
 
-class Window(NamedTuple):
+class SpeedWindow(NamedTuple):
     """fleet_s: time that passed in the fleet. cpu_s: processor time of this machine for it.
 
     speedup: factor relative to real time. controller_s: controller seconds per processor second.
@@ -61,13 +61,13 @@ class SimFigures(NamedTuple):
     controllers: int
     axes: int
     poll_hz: float
-    idle: Window
-    moving: Window
-    step: Window | None
+    idle: SpeedWindow
+    moving: SpeedWindow
+    step: SpeedWindow | None
     shares: dict[str, float]
 
 
-def fleet_of(count: int) -> Fleet:
+def make_sim_fleet(count: int) -> Fleet:
     """Return `count` controllers of four axes, all on one adapter host."""
     axes = {
         motor.lower(): {
@@ -101,49 +101,49 @@ def bench_sim(controllers: int, seconds: float, *, step: bool = False, seed: int
 
     step: also in a step of a job; homing all axes first takes much longer than the rest.
     """
-    fleet = fleet_of(controllers)
+    fleet = make_sim_fleet(controllers)
 
-    async def measured(clock: VirtualClock) -> SimFigures:
+    async def measure_fleet(clock: VirtualClock) -> SimFigures:
         virtual = VirtualFleet(fleet, clock, seed)
         await virtual.start()
-        idle = await _timed(clock, controllers, seconds)
-        await _move(virtual)
-        moving = await _timed(clock, controllers, seconds)
-        shares = await _profiled(clock, seconds / WINDOWS)
+        idle = await _measure_window(clock, controllers, seconds)
+        await _start_motion(virtual)
+        moving = await _measure_window(clock, controllers, seconds)
+        shares = await _measure_shares(clock, seconds / WINDOWS)
         in_step = None
         if step:
-            await _stop(virtual)
-            await _step(virtual)
-            in_step = await _timed(clock, controllers, seconds)
+            await _stop_motion(virtual)
+            await _start_job(virtual)
+            in_step = await _measure_window(clock, controllers, seconds)
         return SimFigures(controllers, controllers * len(MOTORS), POLL_HZ, idle, moving, in_step, shares)
 
-    return run_virtual(measured)
+    return run_virtual(measure_fleet)
 
 
-def _tell(virtual: VirtualFleet, text: bytes) -> None:
+def _send_to_all(virtual: VirtualFleet, text: bytes) -> None:
     """Send a command of another host to all controllers, on a separate connection."""
 
-    def tell(controller: SimulatedController) -> None:
+    def send_to_controller(controller: SimulatedController) -> None:
         line = controller.connect("tcp", lambda reply: None, lambda: None)
-        line.receive(text)
+        line.receive_bytes(text)
 
     for name in virtual.controllers:
-        virtual.within(name, tell)
+        virtual.act_on_controller(name, send_to_controller)
 
 
-async def _move(virtual: VirtualFleet) -> None:
-    _tell(virtual, b"SH\rSP*=1000\rPR*=300000\rBG\r")
-    await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+async def _start_motion(virtual: VirtualFleet) -> None:
+    _send_to_all(virtual, b"SH\rSP*=1000\rPR*=300000\rBG\r")
+    await virtual.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
 
 
-async def _stop(virtual: VirtualFleet) -> None:
-    _tell(virtual, b"ST\r")
-    await virtual.until(lambda states: all(state.mode == "idle" for state in states.values()))
+async def _stop_motion(virtual: VirtualFleet) -> None:
+    _send_to_all(virtual, b"ST\r")
+    await virtual.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
 
 
-async def _step(virtual: VirtualFleet) -> None:
+async def _start_job(virtual: VirtualFleet) -> None:
     """Bring all axes into one long move of a job. Raises `RuntimeError` when a job fails."""
-    client, names = virtual.client(), list(virtual.fleet.controllers)
+    client, names = virtual.make_client(), list(virtual.fleet.controllers)
     prepare = Job.model_validate(
         {"schema": "tutti.job/1", "name": "prepare", "steps": [{"do": "enable", "axes": names}, {"do": "home"}]}
     )
@@ -152,10 +152,10 @@ async def _step(virtual: VirtualFleet) -> None:
         raise RuntimeError(f"the benchmark's job is {report.state}: {report.reason}")
     move = {"do": "move", "to": dict.fromkeys(virtual.fleet.axis_names, TRAVEL_MM), "speed": SPEED}
     await client.submit(Job.model_validate({"schema": "tutti.job/1", "name": "long move", "steps": [move]}))
-    await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+    await virtual.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
 
 
-async def _timed(clock: VirtualClock, controllers: int, seconds: float) -> Window:
+async def _measure_window(clock: VirtualClock, controllers: int, seconds: float) -> SpeedWindow:
     await sleep_ns(clock, round(SETTLING_S * NS_PER_S))
     part_s = seconds / WINDOWS
     cpu_s = inf
@@ -164,10 +164,10 @@ async def _timed(clock: VirtualClock, controllers: int, seconds: float) -> Windo
         await sleep_ns(clock, round(part_s * NS_PER_S))
         cpu_s = min(cpu_s, time.process_time() - began_s)
     speedup = part_s / max(cpu_s, 1e-9)
-    return Window(round(part_s, 3), round(cpu_s, 4), round(speedup, 2), round(speedup * controllers, 1))
+    return SpeedWindow(round(part_s, 3), round(cpu_s, 4), round(speedup, 2), round(speedup * controllers, 1))
 
 
-async def _profiled(clock: VirtualClock, seconds: float) -> dict[str, float]:
+async def _measure_shares(clock: VirtualClock, seconds: float) -> dict[str, float]:
     """Return the share of time spent in the sources of each part; built-in functions count for their callers."""
     profile = cProfile.Profile(builtins=False)
     profile.enable()
@@ -176,10 +176,10 @@ async def _profiled(clock: VirtualClock, seconds: float) -> dict[str, float]:
     spent = dict.fromkeys((*PARTS, OTHER), 0.0)
     for entry in profile.getstats():
         code = entry.code
-        spent[OTHER if isinstance(code, str) else _part(code.co_filename)] += entry.inlinetime
+        spent[OTHER if isinstance(code, str) else _find_part(code.co_filename)] += entry.inlinetime
     total = sum(spent.values()) or 1.0
     return {part: round(100 * share / total, 1) for part, share in spent.items()}
 
 
-def _part(source: str) -> str:
+def _find_part(source: str) -> str:
     return next((part for part, places in PARTS.items() if any(place in source for place in places)), OTHER)

@@ -29,7 +29,7 @@ from sim.core.vectors import find_simulator
 
 MAKE = "smc30"
 BAUD = 9600
-UNITS = range(1, 8)
+CONTROLLERS = range(1, 8)
 SPREAD = 0.1  # of the firmware's delays around their typical values
 CRYSTAL_PPM = 100.0
 DECODE_US, LINE_MS, START_MS, FILTER_MS, POLL_MS = 1000, 1.0, 1.0, 0.16, 1.0
@@ -55,32 +55,34 @@ class BusRow(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Bus:
+class _Smc30Bus:
     clock: VirtualClock
-    units: list[SimulatedController]
+    simulators: list[SimulatedController]
     drivers: list[Driver]
     wire: MemoryWire
     draw: Random
     at: int = 0
 
-    def starts(self, before: int) -> list[int]:
+    def find_starts(self, before: int) -> list[int]:
         """Return the instant of the motion after the first `before`, of every controller."""
-        return [unit.commanded_motions[before].start_ns for unit in self.units]
+        return [unit.commanded_motions[before].start_ns for unit in self.simulators]
 
 
 def bench_smc30_bus(rounds: int, seed: int = 11) -> list[BusRow]:
     """Measure `rounds` starts of each method, with new controllers and a new line every time."""
-    one_by_one = [_run(seed + number, "E")[0] for number in range(rounds)]
-    slots = [_run(seed + number, "slots") for number in range(rounds)]
-    line = [_run(seed + number, "line") for number in range(rounds)]
+    one_by_one = [_run_start(seed + number, "E")[0] for number in range(rounds)]
+    slots = [_run_start(seed + number, "slots") for number in range(rounds)]
+    line = [_run_start(seed + number, "line") for number in range(rounds)]
     return [
-        _row("E to one after another", [(skew, None) for skew in one_by_one], None),
-        _row("slots, compensated", slots, ASKED_SLOTS_MS),
-        _row("wired line", line, ASKED_LINE_MS),
+        _make_row("E to one after another", [(skew, None) for skew in one_by_one], None),
+        _make_row("slots, compensated", slots, ASKED_SLOTS_MS),
+        _make_row("wired line", line, ASKED_LINE_MS),
     ]
 
 
-def _row(way: str, found: "list[tuple[float, float]] | list[tuple[float, None]]", asked_ms: float | None) -> BusRow:
+def _make_row(
+    way: str, found: "list[tuple[float, float]] | list[tuple[float, None]]", asked_ms: float | None
+) -> BusRow:
     skews = sorted(skew for skew, _ in found)
     p50, p99 = (skews[ceil(share * len(skews)) - 1] for share in (0.5, 0.99))
     offs = [off for _, off in found if off is not None]
@@ -90,31 +92,31 @@ def _row(way: str, found: "list[tuple[float, float]] | list[tuple[float, None]]"
     return row if asked_ms is None else row._replace(asked=f"p99<={asked_ms:g}", met=row.p99_ms <= asked_ms)
 
 
-def _run(seed: int, way: str) -> tuple[float, float]:
+def _run_start(seed: int, way: str) -> tuple[float, float]:
     """Return the skew of one start, and the largest distance of a motion's start from T0, in ms."""
 
-    async def main(clock: VirtualClock) -> tuple[float, float]:
-        bus = _build(clock, seed)
+    async def measure(clock: VirtualClock) -> tuple[float, float]:
+        bus = _build_bus(clock, seed)
         if way == "E":
             return await _one_by_one(bus), 0.0
-        starts, t0_ns = await _together(bus, line=way == "line")
+        starts, t0_ns = await _start_together(bus, line=way == "line")
         return (max(starts) - min(starts)) * 1e-6, max(abs(each - t0_ns) for each in starts) * 1e-6
 
-    return run_virtual(main)
+    return run_virtual(measure)
 
 
-def _build(clock: VirtualClock, seed: int) -> _Bus:
+def _build_bus(clock: VirtualClock, seed: int) -> _Smc30Bus:
     draw = Random(seed)
 
-    def spread(value: float) -> float:
+    def draw_around(value: float) -> float:
         return value * draw.uniform(1 - SPREAD, 1 + SPREAD)
 
-    def branch(address: int) -> DeviceSpec:
+    def make_device(address: int) -> DeviceSpec:
         options = {
             "checksum": True,
-            "line_ms": spread(LINE_MS),
-            "start_latency_ms": spread(START_MS),
-            "input_filter_ms": spread(FILTER_MS),
+            "line_ms": draw_around(LINE_MS),
+            "start_latency_ms": draw_around(START_MS),
+            "input_filter_ms": draw_around(FILTER_MS),
             "input_poll_ms": POLL_MS,
         }
         crystal = Oscillator(draw.randrange(10**9), draw.uniform(-CRYSTAL_PPM, CRYSTAL_PPM))
@@ -122,19 +124,21 @@ def _build(clock: VirtualClock, seed: int) -> _Bus:
         timing = FirmwareTiming(round(least_us * NS_PER_US), round(2 * SPREAD * DECODE_US * NS_PER_US))
         return DeviceSpec(address, options, crystal, timing, draw.randrange(10**9))
 
-    line = build_line(find_simulator(MAKE), clock, {f"u{address}": branch(address) for address in UNITS})
+    line = build_line(find_simulator(MAKE), clock, {f"u{address}": make_device(address) for address in CONTROLLERS})
     wire = MemoryWire(clock, serial_wire(BAUD), line.endpoint, "serial", "bus", copy_context(), seed)
     make, shared = find_make(MAKE), dict[str, Any]()
     firer = LoopTimedWriter(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
     drivers: list[Driver] = []
-    for address in UNITS:
-        config = Controller.model_validate(_config(address))
+    for address in CONTROLLERS:
+        config = Controller.model_validate(_make_config(address))
         options = make.options_model.model_validate(config.options)
-        drivers.append(make.create_driver(DriverSetup(f"u{address}", config, options, clock, wire.open, firer, shared)))
-    return _Bus(clock, [line.devices[f"u{address}"] for address in UNITS], drivers, wire, draw)
+        drivers.append(
+            make.create_driver(DriverSetup(f"u{address}", config, options, clock, wire.open_link, firer, shared))
+        )
+    return _Smc30Bus(clock, [line.devices[f"u{address}"] for address in CONTROLLERS], drivers, wire, draw)
 
 
-def _config(address: int) -> dict[str, Any]:
+def _make_config(address: int) -> dict[str, Any]:
     link = {"kind": "serial", "device": "/dev/ttyS0", "baud": BAUD, "data_bits": 7, "parity": "odd", "address": address}
     axis = {
         "motors": ["1"],
@@ -145,12 +149,12 @@ def _config(address: int) -> dict[str, Any]:
     return {"adapter": MAKE, "link": link, "axes": {"a": axis}, "inputs": {"go": {"number": LINE_INPUT}}}
 
 
-async def _together(bus: _Bus, *, line: bool) -> tuple[list[int], int]:
+async def _start_together(bus: _Smc30Bus, *, line: bool) -> tuple[list[int], int]:
     """Run one step of all seven through their drivers, armed in parallel, like a coordinator; return starts and T0."""
     for driver in bus.drivers:
         await driver.connect()
         await driver.configure()
-        await driver.set_enabled(["a"], True)
+        await driver.set_enabled(["a"], on=True)
     profiles = dict(plan_step([AxisMove("a", 0, STEPS, VELOCITY, ACCELERATION)]).profiles)
     how = (
         StartOptions(wait=TriggerWait(input="go", earliest_ns=-EDGE_NS, latest_ns=EDGE_NS))
@@ -166,32 +170,32 @@ async def _together(bus: _Bus, *, line: bool) -> tuple[list[int], int]:
     await asyncio.gather(*(driver.go() for driver in bus.drivers))
     if line:
         await sleep_until_ns(bus.clock, t0_ns + bus.draw.randint(-EDGE_NS, EDGE_NS))
-        for unit in bus.units:
-            unit.set_input(LINE_INPUT, True)
+        for unit in bus.simulators:
+            unit.set_input(LINE_INPUT, level=True)
     spans = await asyncio.gather(*(driver.wait_for_start() for driver in bus.drivers))
-    for (driver, _), span, unit in zip(pairs, spans, bus.units, strict=True):
+    for (driver, _), span, unit in zip(pairs, spans, bus.simulators, strict=True):
         outcome, began_ns = await driver.wait_for_end(), unit.commanded_motions[0].start_ns
         if outcome.state != "done" or not span["a"].earliest_ns <= began_ns <= span["a"].latest_ns:
             raise RuntimeError(f"a start of the benchmark differs from its driver's report: {outcome.reason or span}")
         await driver.close()
-    return bus.starts(0), t0_ns
+    return bus.find_starts(0), t0_ns
 
 
-async def _one_by_one(bus: _Bus) -> float:
+async def _one_by_one(bus: _Smc30Bus) -> float:
     """Send E to each, as soon as the previous one has replied, by a program with the same move."""
-    link = await bus.wire.open()
-    for address in UNITS:
+    link = await bus.wire.open_link()
+    for address in CONTROLLERS:
         for text in ("PO", "S100", "T2000", "R99", f"G+{STEPS}", "PX"):
-            await _said(link, address, text)
-    for address in UNITS:
-        await _said(link, address, "E")
+            await _send_line(link, address, text)
+    for address in CONTROLLERS:
+        await _send_line(link, address, "E")
     await sleep_ns(bus.clock, 500 * NS_PER_MS)
     await link.close()
-    starts = bus.starts(0)
+    starts = bus.find_starts(0)
     return (max(starts) - min(starts)) * 1e-6
 
 
-async def _said(link: Link, address: int, text: str) -> None:
+async def _send_line(link: Link, address: int, text: str) -> None:
     """Send a line with its checksum; return when its reply has arrived."""
     line = f"{address}{text}".encode()
     link.write(line + bytes((sum(line) % 128,)) + b"\r")

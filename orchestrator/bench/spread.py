@@ -10,7 +10,7 @@ from orchestrator.clock.live import raw_ns
 NOISE_EVERY_S = 0.005
 
 
-class Spread(NamedTuple):
+class DurationSpread(NamedTuple):
     """`n` durations in ms. asked: their target, in words; met: whether it is reached, where there is one."""
 
     n: int
@@ -21,7 +21,9 @@ class Spread(NamedTuple):
     met: bool | None = None
 
 
-def spread(durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: float | None = None) -> Spread:
+def make_spread(
+    durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: float | None = None
+) -> DurationSpread:
     """Compute percentiles by nearest rank, with a target for the 99th or for the largest."""
     ordered = sorted(each / 1e6 for each in durations_ns)
     p50, p99 = (ordered[math.ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
@@ -30,27 +32,27 @@ def spread(durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: flo
         asked, met = f"p99 < {p99_ms:g} ms", p99 < p99_ms
     elif max_ms is not None:
         asked, met = f"max < {max_ms:g} ms", ordered[-1] < max_ms
-    return Spread(len(ordered), round(p50, 3), round(p99, 3), round(ordered[-1], 3), asked, met)
+    return DurationSpread(len(ordered), round(p50, 3), round(p99, 3), round(ordered[-1], 3), asked, met)
 
 
-class Noise:
+class WakeUpNoise:
     """Measures the wake-up delay of sleeping processes on this machine: no program on it can react more evenly."""
 
     def __init__(self) -> None:
         self._late_ns: list[int] = []
 
     async def __aenter__(self) -> Self:
-        self._task = asyncio.get_running_loop().create_task(self._listen())
+        self._task = asyncio.get_running_loop().create_task(self._sample_delays())
         return self
 
     async def __aexit__(self, *_: object) -> None:
         self._task.cancel()
 
-    def spread(self) -> Spread:
+    def make_spread(self) -> DurationSpread:
         """Return the delays so far."""
-        return spread(self._late_ns or [0])
+        return make_spread(self._late_ns or [0])
 
-    async def _listen(self) -> None:
+    async def _sample_delays(self) -> None:
         while True:
             before_ns = raw_ns()
             await asyncio.sleep(NOISE_EVERY_S)

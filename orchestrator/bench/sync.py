@@ -12,26 +12,26 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple
 
-from orchestrator.bench.sync_baselines import BASELINES, Baseline
-from orchestrator.bench.sync_bounds import Bound, drifting_ticks, latencies, ticks
-from orchestrator.bench.sync_fleets import PP_SPREAD_MS, sync_fleet
+from orchestrator.bench.sync_baselines import BASELINES, BaselineMethod
+from orchestrator.bench.sync_bounds import Bound, bound_of_drifting_ticks, bound_of_latencies, bound_of_ticks
+from orchestrator.bench.sync_fleets import PP_SPREAD_MS, make_sync_fleet
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport, StepRecording, StepReport
 from orchestrator.runtime.virtual import VirtualFleet
-from orchestrator.runtime.workers import spread
+from orchestrator.runtime.workers import map_in_processes
 
 HISTORY_S = 300
-STEPS_A_WORLD = 40
-WORLDS = 10  # of a row of many trials, at least
-LOOKS = 24  # samples of the path of each step
+STEPS_PER_FLEET = 40
+MIN_FLEETS = 10  # of a row of many trials, at least
+PATH_SAMPLES = 24  # samples of the path of each step
 PEAK_SHARE = 0.1  # of the peak velocity; below it a distance is not converted to a time
 PAUSE_NS = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class SyncCase:
     """A row: a fleet, and its moves.
 
     cruise_s: at half the speed limit.
@@ -56,31 +56,31 @@ class Case:
 
 TICK_MS = 1000 / 1024
 CASES = (
-    Case(
+    SyncCase(
         "clock",
         "8 SMC-4000",
         asked="p99 1 tick + 0.15 ms, p50 0.7 tick",
         most_ms={"start_p99": TICK_MS + 0.15, "start_p50": 0.7 * TICK_MS},
-        bound=ticks(8, TICK_MS),
+        bound=bound_of_ticks(8, TICK_MS),
     ),
-    Case(
+    SyncCase(
         "clock",
         "64 SMC-4000",
         trials=0.1,
         asked="p99 1 tick + 0.2 ms",
         most_ms={"start_p99": TICK_MS + 0.2},
-        bound=ticks(64, TICK_MS),
+        bound=bound_of_ticks(64, TICK_MS),
     ),
-    Case(
+    SyncCase(
         "clock, align 10 s",
         "2 SMC-4000",
         step={"align": "10 s"},
         steps_a_world=4,
         asked="p50 0.12, p99 0.5 ms",
         most_ms={"start_p50": 0.12, "start_p99": 0.5},
-        bound=drifting_ticks(10, TICK_MS),
+        bound=bound_of_drifting_ticks(10, TICK_MS),
     ),
-    Case(
+    SyncCase(
         "clock, align 300 s",
         "2 SMC-4000",
         step={"align": "300 s"},
@@ -88,45 +88,45 @@ CASES = (
         trials=0.3,
         asked="p99 0.3 ms",
         most_ms={"start_p99": 0.3},
-        bound=drifting_ticks(300, TICK_MS),
+        bound=bound_of_drifting_ticks(300, TICK_MS),
     ),
-    Case(
+    SyncCase(
         "clock, contour",
         "8 SMC-4000",
         limits={"jerk": 20_000.0},
         trials=0.5,
         asked="path p99 0.3 ms",
         most_ms={"path_p99": 0.3},
-        bound=ticks(8, TICK_MS),
+        bound=bound_of_ticks(8, TICK_MS),
     ),
-    Case(
+    SyncCase(
         "clock, 60 s",
         "8 SMC-4000",
         cruise_s=60.0,
         trials=0.3,
         asked="end, path p99 1 tick + 0.3 ms",
         most_ms={"end_p99": TICK_MS + 0.3, "path_p99": TICK_MS + 0.3},
-        bound=ticks(8, TICK_MS),
+        bound=bound_of_ticks(8, TICK_MS),
     ),
-    Case(
+    SyncCase(
         "clock",
         "8 SMC-2000, own ports",
         asked="p99 2 ms",
         most_ms={"start_p99": 2.0},
-        bound=ticks(8, TICK_MS),
+        bound=bound_of_ticks(8, TICK_MS),
     ),
-    Case("clock", "8 SMC-2000, one chain", trials=0.2, bound=ticks(8, TICK_MS)),
-    Case("best", "mixed", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
-    Case("best", "mixed, lines", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
-    Case("line", "mixed, lines", step={"start": "line"}, trials=0.5),
+    SyncCase("clock", "8 SMC-2000, one chain", trials=0.2, bound=bound_of_ticks(8, TICK_MS)),
+    SyncCase("best", "mixed", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
+    SyncCase("best", "mixed, lines", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
+    SyncCase("line", "mixed, lines", step={"start": "line"}, trials=0.5),
     # Two controllers that begin up to 15 ms late cannot be timed better, except by a trigger line or by their own
     # clock.
-    Case(
+    SyncCase(
         "best",
         "mixed with pp",
         asked="p99 9 ms",
         most_ms={"start_p99": 9.0},
-        bound=latencies(PP_SPREAD_MS),
+        bound=bound_of_latencies(PP_SPREAD_MS),
     ),
 )
 
@@ -164,7 +164,7 @@ class SyncFigures(NamedTuple):
     met: bool | None = None
 
 
-class Trial(NamedTuple):
+class SyncTrial(NamedTuple):
     """One step, ns."""
 
     start_ns: int
@@ -178,36 +178,45 @@ class Trial(NamedTuple):
     worst: str
 
 
+class SyncOptions(NamedTuple):
+    """only: a regular expression for the names of the rows to run."""
+
+    trials: int
+    seed: int = 1
+    only: str = ""
+    history_s: int = HISTORY_S
+    processes: int = 1
+
+
 def bench_sync(
-    trials: int,
-    seed: int = 1,
-    only: str = "",
-    history_s: int = HISTORY_S,
-    processes: int = 1,
-    told: Callable[[SyncFigures], None] = lambda _: None,
+    options: SyncOptions, on_row: Callable[[SyncFigures], None] = lambda _: None
 ) -> tuple[list[SyncFigures], dict[str, list[float]]]:
-    """Run all rows whose name matches `only` (a regular expression), baselines first; return also their start skews,
-    ms."""
+    """Run the chosen rows, baselines first; return also their start skews, ms."""
+    trials, seed, only, history_s, processes = options
     rows: list[SyncFigures] = []
     starts: dict[str, list[float]] = {}
 
-    def take(row: SyncFigures, skews_ms: list[float]) -> None:
+    def add_row(row: SyncFigures, skews_ms: list[float]) -> None:
         rows.append(row)
         starts[f"{row.fleet}: {row.way}"] = skews_ms
-        told(row)
+        on_row(row)
 
     for row, baseline in enumerate(BASELINES):
         if re.search(only, f"{baseline.fleet}, {baseline.way}"):
-            olds = [OldTrial(row, seed, number) for number in range(trials)]
-            take(*_baseline(baseline, list(spread(_play_old, olds, processes))))
+            olds = [BaselineTrial(row, seed, number) for number in range(trials)]
+            add_row(*_make_baseline_figures(baseline, list(map_in_processes(_run_baseline_trial, olds, processes))))
     for row, case in enumerate(CASES):
         if re.search(only, f"{case.fleet}, {case.name}"):
-            worlds = list(_worlds(row, max(2, round(trials * case.trials)), seed, history_s))
-            take(*_figures(case, [trial for found in spread(_play, worlds, processes) for trial in found]))
+            worlds = list(_make_fleet_trials(row, max(2, round(trials * case.trials)), seed, history_s))
+            add_row(
+                *_make_figures(
+                    case, [trial for found in map_in_processes(_run_fleet_trials, worlds, processes) for trial in found]
+                )
+            )
     return rows, starts
 
 
-class OldTrial(NamedTuple):
+class BaselineTrial(NamedTuple):
     """One trial of a row of BASELINES."""
 
     row: int
@@ -215,17 +224,17 @@ class OldTrial(NamedTuple):
     number: int
 
 
-def _play_old(trial: OldTrial) -> float:
+def _run_baseline_trial(trial: BaselineTrial) -> float:
     """Return the start skew, ms."""
     draw = Random(f"{trial.seed} {trial.number}")
     return run_virtual(lambda clock: BASELINES[trial.row].trial(clock, draw)) / 1e6
 
 
-def _baseline(baseline: Baseline, skews_ms: list[float]) -> tuple[SyncFigures, list[float]]:
-    return SyncFigures(baseline.fleet, baseline.way, len(skews_ms), *_spread(skews_ms)), skews_ms
+def _make_baseline_figures(baseline: BaselineMethod, skews_ms: list[float]) -> tuple[SyncFigures, list[float]]:
+    return SyncFigures(baseline.fleet, baseline.way, len(skews_ms), *_compute_spread(skews_ms)), skews_ms
 
 
-class World(NamedTuple):
+class FleetTrials(NamedTuple):
     """Some steps of a row of CASES, after history_s of polls."""
 
     row: int
@@ -234,50 +243,50 @@ class World(NamedTuple):
     history_s: int
 
 
-def _worlds(row: int, trials: int, seed: int, history_s: int) -> Iterator[World]:
+def _make_fleet_trials(row: int, trials: int, seed: int, history_s: int) -> Iterator[FleetTrials]:
     # The polls before take as long as forty steps.
-    a_world = CASES[row].steps_a_world or max(STEPS_A_WORLD, trials // WORLDS)
+    a_world = CASES[row].steps_a_world or max(STEPS_PER_FLEET, trials // MIN_FLEETS)
     for number, begun in enumerate(range(0, trials, a_world)):
-        yield World(row, seed * 1000 + number, min(a_world, trials - begun), history_s)
+        yield FleetTrials(row, seed * 1000 + number, min(a_world, trials - begun), history_s)
 
 
-def _play(world: World) -> list[Trial]:
-    return run_virtual(lambda clock: _steps(clock, world))
+def _run_fleet_trials(world: FleetTrials) -> list[SyncTrial]:
+    return run_virtual(lambda clock: _run_trials(clock, world))
 
 
-def _figures(case: Case, found: list[Trial]) -> tuple[SyncFigures, list[float]]:
+def _make_figures(case: SyncCase, found: list[SyncTrial]) -> tuple[SyncFigures, list[float]]:
     starts = [each.start_ns / 1e6 for each in found]
     figures = SyncFigures(
         fleet=case.fleet,
         way=case.name,
         trials=len(found),
-        **dict(zip(("start_p50", "start_p99", "start_max"), _spread(starts), strict=True)),
+        **dict(zip(("start_p50", "start_p99", "start_max"), _compute_spread(starts), strict=True)),
         bound_p99=None if case.bound is None else round(case.bound(), 3),
-        end_p99=_share([each.end_ns / 1e6 for each in found], 0.99),
-        path_p99=_share([each.path_ns / 1e6 for each in found], 0.99),
-        budget=_share([each.budget_ns / 1e6 for each in found], 0.5),
-        width=_share([each.width_ns / 1e6 for each in found], 0.99),
+        end_p99=_percentile([each.end_ns / 1e6 for each in found], 0.99),
+        path_p99=_percentile([each.path_ns / 1e6 for each in found], 0.99),
+        budget=_percentile([each.budget_ns / 1e6 for each in found], 0.5),
+        width=_percentile([each.width_ns / 1e6 for each in found], 0.99),
         misses=sum(each.missed for each in found),
         late=sum(each.late for each in found),
         worst=max({each.worst for each in found}, key=lambda name: sum(each.worst == name for each in found)),
         asked=case.asked,
     )
-    irreducible = _share([each.irreducible_ns / 1e6 for each in found], 0.5)
+    irreducible = _percentile([each.irreducible_ns / 1e6 for each in found], 0.5)
     figures = figures._replace(width_most=round(max(3 * figures.start_p99, 2 * irreducible), 3))
     most_ms = {**case.most_ms, "width": figures.width_most}
     met = all(getattr(figures, name) <= most for name, most in most_ms.items()) if case.most_ms else None
     return figures._replace(met=met), starts
 
 
-async def _steps(clock: VirtualClock, world: World) -> list[Trial]:
+async def _run_trials(clock: VirtualClock, world: FleetTrials) -> list[SyncTrial]:
     case = CASES[world.row]
     draw = Random(f"{case.name} {case.fleet} {world.seed}")
-    fleet = VirtualFleet(sync_fleet(case.fleet, world.seed, **case.limits), clock, world.seed, guardian=False)
+    fleet = VirtualFleet(make_sync_fleet(case.fleet, world.seed, **case.limits), clock, world.seed, guardian=False)
     await fleet.start()
     names = list(fleet.fleet.controllers)
-    await _run(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
+    await _run_job(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
     await sleep_ns(clock, world.history_s * NS_PER_S)
-    found: list[Trial] = []
+    found: list[SyncTrial] = []
     for k in range(world.steps):
         await sleep_ns(clock, draw.randrange(PAUSE_NS))
         targets = {
@@ -286,18 +295,18 @@ async def _steps(clock: VirtualClock, world: World) -> list[Trial]:
             for limits in [fleet.fleet.controllers[name].axes["x"].limits]
         }
         move = {"do": "move", "to": targets, "speed": 0.5, **case.step}
-        found.append(await _trial(fleet, move, round(case.cruise_s / LOOKS * NS_PER_S), draw))
+        found.append(await _run_trial(fleet, move, round(case.cruise_s / PATH_SAMPLES * NS_PER_S), draw))
     return found
 
 
-async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: Random) -> Trial:
+async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: Random) -> SyncTrial:
     before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
     seen: list[tuple[int, dict[str, float]]] = []
     watching = asyncio.get_running_loop().create_task(_watch_path(fleet, look_ns, draw, seen))
-    report = await _run(fleet, [move])
+    report = await _run_job(fleet, [move])
     watching.cancel()
     step = report.steps[0]
-    client = fleet.client("path")
+    client = fleet.make_client("path")
     recording = await client.load_recording(report.job_id, 0)
     await client.close()
     assert recording is not None
@@ -309,7 +318,7 @@ async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: 
     assert skew is not None and budget is not None
     moved = dict(zip(fleet.controllers, made, strict=True))
     late = any(
-        step.members[name].start_class == "host" and fleet.wires[name].kept_a_start(motion.start_ns)
+        step.members[name].start_class == "host" and fleet.wires[name].delayed_start(motion.start_ns)
         for name, motion in moved.items()
     )
     missed = not late and not skew.at_least_ns <= start_ns <= skew.at_most_ns
@@ -317,10 +326,10 @@ async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: 
         for evidence in step.members[name].evidence.values():
             for said in (evidence.start,) if late else (evidence.start, evidence.start_for_verdict):
                 missed = missed or not said.earliest_ns <= motion.start_ns - origin_ns <= said.latest_ns
-    return Trial(
+    return SyncTrial(
         start_ns,
         max(ends) - min(ends),
-        _path_skew(recording, origin_ns, seen),
+        _measure_path_skew(recording, origin_ns, seen),
         budget.predicted_ns,
         skew.at_most_ns - skew.at_least_ns,
         sum(sorted(_irreducible_ns(step, name) for name in fleet.controllers)[-2:]),
@@ -351,7 +360,7 @@ async def _watch_path(
         seen.append((fleet.clock.now_ns(), where))
 
 
-def _path_skew(recording: StepRecording, origin_ns: int, seen: list[tuple[int, dict[str, float]]]) -> float:
+def _measure_path_skew(recording: StepRecording, origin_ns: int, seen: list[tuple[int, dict[str, float]]]) -> float:
     """Return the largest distance in time between the axes' positions on the plan, ns: (position - plan) / planned
     velocity, where that is at least a tenth of the axis's peak."""
     worst_ns = 0.0
@@ -371,7 +380,7 @@ def _path_skew(recording: StepRecording, origin_ns: int, seen: list[tuple[int, d
     return worst_ns
 
 
-async def _run(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobReport:
+async def _run_job(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobReport:
     job = Job.model_validate(
         {
             "schema": "tutti.job/1",
@@ -381,7 +390,7 @@ async def _run(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobReport:
             "steps": steps,
         }
     )
-    client = fleet.client("sync")
+    client = fleet.make_client("sync")
     try:
         report = await client.wait_for_job(await client.submit(job))
     finally:
@@ -391,11 +400,11 @@ async def _run(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobReport:
     return report
 
 
-def _spread(values: list[float]) -> tuple[float, float, float]:
-    return _share(values, 0.5), _share(values, 0.99), _share(values, 1.0)
+def _compute_spread(values: list[float]) -> tuple[float, float, float]:
+    return _percentile(values, 0.5), _percentile(values, 0.99), _percentile(values, 1.0)
 
 
-def _share(values: list[float], share: float) -> float:
+def _percentile(values: list[float], share: float) -> float:
     """Percentile by nearest rank."""
     ordered = sorted(values)
     return round(ordered[min(len(ordered) - 1, int(share * len(ordered)))], 3)

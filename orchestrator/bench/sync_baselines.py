@@ -30,7 +30,7 @@ _SILENCE_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Baseline:
+class BaselineMethod:
     """A row: fleet, method, and the function that runs one trial and returns its start skew in ns."""
 
     fleet: str
@@ -38,21 +38,21 @@ class Baseline:
     trial: Callable[[VirtualClock, Random], Coroutine[Any, Any, int]]
 
 
-def _crystal(draw: Random) -> Oscillator:
+def _draw_crystal(draw: Random) -> Oscillator:
     return Oscillator(draw.randrange(10**11), draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, draw.randrange(2**31))
 
 
-def _aged(draw: Random) -> int:
+def _draw_age(draw: Random) -> int:
     """Return a time since power-up after which the phases of the servo ticks are random."""
     return draw.randrange(200 * NS_PER_S, 600 * NS_PER_S)
 
 
-def _skew(units: list[SimulatedController]) -> int:
+def _measure_skew(units: list[SimulatedController]) -> int:
     starts = [unit.commanded_motions[-1].start_ns for unit in units]
     return max(starts) - min(starts)
 
 
-async def _drain(link: Link) -> None:
+async def _read_available(link: Link) -> None:
     """Read everything that has arrived so far."""
     with suppress(TimeoutError):
         while True:
@@ -60,25 +60,25 @@ async def _drain(link: Link) -> None:
                 await link.read()
 
 
-async def _answered(link: Link, ends: bytes) -> None:
+async def _wait_for_acknowledgement(link: Link, ends: bytes) -> None:
     """Read until an acknowledgement has arrived."""
     seen = b""
     while not seen.endswith(ends):
         seen += (await link.read()).data
 
 
-async def _broadcast(clock: VirtualClock, draw: Random, shared: bool) -> int:
+async def _start_by_broadcast(clock: VirtualClock, draw: Random, *, shared: bool) -> int:
     """Send `!BG` to a daisy chain; with shared sample clock, `TM -1` in all controllers but the first (SMC-2000,
     L975)."""
     branches = {
-        f"u{k}": DeviceSpec(k, {"axes": 2, "echo": False}, _crystal(draw), _TIMING, draw.randrange(2**31))
+        f"u{k}": DeviceSpec(k, {"axes": 2, "echo": False}, _draw_crystal(draw), _TIMING, draw.randrange(2**31))
         for k in range(COUNT)
     }
     line = build_line(find_simulator("smc2000"), clock, branches)
     if shared:
         line.endpoint.share_clock()  # type: ignore[attr-defined]  # of a chain
-    link = await _wire(clock, line.endpoint, "serial", draw, 19200).open()
-    await sleep_ns(clock, _aged(draw))
+    link = await _make_wire(clock, line.endpoint, "serial", draw, 19200).open_link()
+    await sleep_ns(clock, _draw_age(draw))
     for k in range(COUNT):
         external = ("TM -1",) if shared and k else ()
         link.write("".join(f"{command}\r" for command in (f"%{k}", *external, *_LOAD)).encode())
@@ -86,11 +86,11 @@ async def _broadcast(clock: VirtualClock, draw: Random, shared: bool) -> int:
     link.write(b"!BGX\r")
     await sleep_ns(clock, _SETTLE_NS)
     await link.close()
-    return _skew(list(line.devices.values()))
+    return _measure_skew(list(line.devices.values()))
 
 
 @dataclass(frozen=True, slots=True)
-class _Make:
+class _ManualMake:
     """The manual commands of a make. load: lines; go: the start command; ends: the end of its acknowledgement."""
 
     model: str
@@ -103,9 +103,9 @@ class _Make:
     eol: str = "\r"
 
 
-_SMC4000 = _Make("smc4000", 0, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
-_SMC2000 = _Make("smc2000", 19200, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
-_SHRC203 = _Make(
+_SMC4000 = _ManualMake("smc4000", 0, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
+_SMC2000 = _ManualMake("smc2000", 19200, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
+_SHRC203 = _ManualMake(
     "shrc203",
     38400,
     {"divide": 20, "speed": [100, 20000, 100]},
@@ -117,50 +117,60 @@ _SHRC203 = _Make(
 )
 
 
-async def _one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_Make], waits: bool) -> int:
+async def _start_one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_ManualMake], *, waits: bool) -> int:
     """Send the start command to each controller on its own link; waits: only after the previous one has
     acknowledged."""
     units: list[SimulatedController] = []
     links: list[Link] = []
     for k, make in enumerate(makes):
-        branch = DeviceSpec(None, make.options, _crystal(draw), make.timing, draw.randrange(2**31))
+        branch = DeviceSpec(None, make.options, _draw_crystal(draw), make.timing, draw.randrange(2**31))
         line = build_line(find_simulator(make.model), clock, {f"u{k}": branch})
         units += line.devices.values()
-        links.append(await _wire(clock, line.endpoint, "serial" if make.baud else "tcp", draw, make.baud).open())
+        links.append(
+            await _make_wire(clock, line.endpoint, "serial" if make.baud else "tcp", draw, make.baud).open_link()
+        )
         for text in make.load:
             links[-1].write((text + make.eol).encode())
             await sleep_ns(clock, _SETTLE_NS)
-    await sleep_ns(clock, _aged(draw))
+    await sleep_ns(clock, _draw_age(draw))
     for link in links:
-        await _drain(link)
+        await _read_available(link)
     for make, link in zip(makes, links, strict=True):
         await sleep_ns(clock, draw.randrange(*_WRITE_NS))
         link.write((make.go + make.eol).encode())
         if waits:
-            await _answered(link, make.ends)
+            await _wait_for_acknowledgement(link, make.ends)
     await sleep_ns(clock, _SETTLE_NS)
     for link in links:
         await link.close()
-    return _skew(units)
+    return _measure_skew(units)
 
 
-def _wire(clock: VirtualClock, far: LineEndpoint, port: str, draw: Random, baud: int) -> MemoryWire:
+def _make_wire(clock: VirtualClock, far: LineEndpoint, port: str, draw: Random, baud: int) -> MemoryWire:
     model = serial_wire(baud, hold_ns=_HOLD_NS) if baud else LAN
     return MemoryWire(clock, model, far, port, port, copy_context(), draw.randrange(2**31))
 
 
-def _by_hand(fleet: str, makes: Sequence[_Make]) -> tuple[Baseline, Baseline]:
+def _make_manual_baselines(fleet: str, makes: Sequence[_ManualMake]) -> tuple[BaselineMethod, BaselineMethod]:
     return (
-        Baseline(fleet, "old: go, then wait", lambda clock, draw: _one_by_one(clock, draw, makes, True)),
-        Baseline(fleet, "old: go to all", lambda clock, draw: _one_by_one(clock, draw, makes, False)),
+        BaselineMethod(
+            fleet, "old: go, then wait", lambda clock, draw: _start_one_by_one(clock, draw, makes, waits=True)
+        ),
+        BaselineMethod(fleet, "old: go to all", lambda clock, draw: _start_one_by_one(clock, draw, makes, waits=False)),
     )
 
 
 BASELINES = (
-    Baseline("8 SMC-2000, one chain", "old: !BG", lambda clock, draw: _broadcast(clock, draw, False)),
-    Baseline("8 SMC-2000, one chain", "old: !BG, shared clock", lambda clock, draw: _broadcast(clock, draw, True)),
-    *_by_hand("8 SMC-4000", [_SMC4000] * COUNT),
-    *_by_hand("8 SMC-2000, own ports", [_SMC2000] * COUNT),
+    BaselineMethod(
+        "8 SMC-2000, one chain", "old: !BG", lambda clock, draw: _start_by_broadcast(clock, draw, shared=False)
+    ),
+    BaselineMethod(
+        "8 SMC-2000, one chain",
+        "old: !BG, shared clock",
+        lambda clock, draw: _start_by_broadcast(clock, draw, shared=True),
+    ),
+    *_make_manual_baselines("8 SMC-4000", [_SMC4000] * COUNT),
+    *_make_manual_baselines("8 SMC-2000, own ports", [_SMC2000] * COUNT),
     # of controllers started by one trigger line
-    *_by_hand("mixed", [_SMC4000, _SMC4000, _SMC2000, _SMC2000, _SHRC203, _SHRC203]),
+    *_make_manual_baselines("mixed", [_SMC4000, _SMC4000, _SMC2000, _SMC2000, _SHRC203, _SHRC203]),
 )

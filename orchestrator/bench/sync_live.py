@@ -8,14 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from orchestrator.bench.fleet import measured_fleet
-from orchestrator.bench.spread import Noise, Spread, spread
-from orchestrator.bench.sync_fleets import sync_fleet
+from orchestrator.bench.fleet import run_measured_fleet
+from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
+from orchestrator.bench.sync_fleets import make_sync_fleet
 from orchestrator.bench.truth import NothingHappened
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.job import Job
 from orchestrator.model.messages import LeaderHeartbeat
-from orchestrator.runtime.demo_truth import verdicts_against_truth
+from orchestrator.runtime.demo_truth import check_verdicts
 
 FLEETS = ("8 SMC-4000", "mixed")
 
@@ -26,19 +26,19 @@ class LiveSync(NamedTuple):
     noise: wake-up delay of a process on this machine."""
 
     fleet: str
-    start: Spread
+    start: DurationSpread
     outside: int
-    noise: Spread
+    noise: DurationSpread
 
 
-async def bench_sync_live(steps: int, state: Path, told: Callable[[str], None]) -> list[LiveSync]:
+async def bench_sync_live(steps: int, state: Path, on_line: Callable[[str], None]) -> list[LiveSync]:
     """Run `steps` steps on each fleet. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
-    return [await _fleet(name, steps, state / str(number), told) for number, name in enumerate(FLEETS)]
+    return [await _run_fleet(name, steps, state / str(number), on_line) for number, name in enumerate(FLEETS)]
 
 
-async def _fleet(name: str, steps: int, state: Path, told: Callable[[str], None]) -> LiveSync:
-    told(f"{name}: {steps} steps")
-    fleet = sync_fleet(name, 1)
+async def _run_fleet(name: str, steps: int, state: Path, on_line: Callable[[str], None]) -> LiveSync:
+    on_line(f"{name}: {steps} steps")
+    fleet = make_sync_fleet(name, 1)
     names = list(fleet.controllers)
     far = {f"{each}.x": fleet.controllers[each].axes["x"].limits.velocity * 0.5 for each in names}
     moves: list[dict[str, object]] = [
@@ -53,15 +53,15 @@ async def _fleet(name: str, steps: int, state: Path, told: Callable[[str], None]
             "steps": [{"do": "enable", "axes": names}, {"do": "home"}, *moves],
         }
     )
-    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+    async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
         began_ns = raw_ns()
         report = await tutti.wait_for_job(await tutti.submit(job), poll_s=0.2)
         if report.state != "done":
             raise NothingHappened(f"{name}: the job is {report.state}: {report.reason}")
-        async with tutti.subscribe_samples(tutti.keys.leader) as heard:
-            origin_ns = LeaderHeartbeat.model_validate_json((await heard.get()).payload).origin_host_ns
-        held = verdicts_against_truth(fleet, report, live.state / "truth", origin_ns)
-        told(f"{name}: {(raw_ns() - began_ns) / 1e9:.0f} s")
+        async with tutti.subscribe_samples(tutti.keys.leader) as heartbeats:
+            origin_ns = LeaderHeartbeat.model_validate_json((await heartbeats.get()).payload).origin_host_ns
+        held = check_verdicts(fleet, report, live.state / "truth", origin_ns)
+        on_line(f"{name}: {(raw_ns() - began_ns) / 1e9:.0f} s")
         return LiveSync(
-            name, spread([each.skew_ns for each in held]), sum(not each.held for each in held), noise.spread()
+            name, make_spread([each.skew_ns for each in held]), sum(not each.held for each in held), noise.make_spread()
         )

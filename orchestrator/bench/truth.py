@@ -5,16 +5,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-LOOK_S = 0.02
-GIVE_UP_S = 20.0
-UNORDERED_NS = 5_000_000_000  # an entry may be this much older than the one written before it, with some margin
+from orchestrator.model.errors import TuttiError
+
+POLL_S = 0.02
+TIMEOUT_S = 20.0
+REORDER_NS = 5_000_000_000  # an entry may be this much older than the one written before it, with some margin
 
 
-class NothingHappened(Exception):
+class NothingHappened(TuttiError):
     """An expected event did not happen. The text names it."""
 
 
-class Truth:
+class TruthLog:
     """The ground truth log of one simulated controller, from now on."""
 
     def __init__(self, path: Path) -> None:
@@ -22,41 +24,41 @@ class Truth:
         self._offset = path.stat().st_size
         self._entries: list[dict[str, Any]] = []
 
-    async def after(self, event: str, at_ns: int) -> int:
+    async def wait_for_event(self, event: str, at_ns: int) -> int:
         """Return the instant of the first `start`, `slowing` or `end` of any axis after `at_ns`. Raises
         `NothingHappened`."""
         try:
-            async with asyncio.timeout(GIVE_UP_S):
-                while (found := self._first(event, at_ns)) is None:
-                    await asyncio.sleep(LOOK_S)
-                    self._read()
+            async with asyncio.timeout(TIMEOUT_S):
+                while (found := self._find_first(event, at_ns)) is None:
+                    await asyncio.sleep(POLL_S)
+                    self._read_entries()
         except TimeoutError:
-            raise NothingHappened(f"{self._path.stem}: no {event!r} within {GIVE_UP_S:g} s") from None
+            raise NothingHappened(f"{self._path.stem}: no {event!r} within {TIMEOUT_S:g} s") from None
         return found
 
-    def ends_after(self, at_ns: int) -> list[int]:
+    def find_ends(self, at_ns: int) -> list[int]:
         """Return the ends of motions that moved after `at_ns`, as far as recorded."""
-        self._read()
+        self._read_entries()
         return [entry["end_ns"] for entry in self._entries if entry["event"] == "end" and entry["end_ns"] > at_ns]
 
-    def count(self, event: str, at_ns: int) -> int:
+    def count_events(self, event: str, at_ns: int) -> int:
         """Return the number of such events of any axis after `at_ns`."""
-        self._read()
+        self._read_entries()
         return sum(entry["event"] == event and entry[f"{event}_ns"] > at_ns for entry in self._entries)
 
-    def _first(self, event: str, at_ns: int) -> int | None:
+    def _find_first(self, event: str, at_ns: int) -> int | None:
         """Find the first such event. Looks back only as far as necessary: a scan of all entries would disturb the
         measurement."""
         first: int | None = None
         for entry in reversed(self._entries):
             ns = entry[f"{entry['event']}_ns"]
-            if ns < at_ns - UNORDERED_NS:
+            if ns < at_ns - REORDER_NS:
                 break
             if entry["event"] == event and ns > at_ns:
                 first = ns if first is None else min(first, ns)
         return first
 
-    def _read(self) -> None:
+    def _read_entries(self) -> None:
         with self._path.open("rb") as file:
             file.seek(self._offset)
             whole, newline, _ = file.read().rpartition(b"\n")

@@ -24,34 +24,34 @@ class VirtualRun(NamedTuple):
 def bench_virtual(fleet: Fleet, hours: float, seed: int = 1) -> VirtualRun:
     """Move all axes of `fleet` to and fro between the quarters of their soft limits for `hours` of fleet time."""
     began_s = time.process_time()
-    fleet_s, moves = run_virtual(lambda clock: _run(fleet, clock, hours, seed))
+    fleet_s, moves = run_virtual(lambda clock: _run_fleet(fleet, clock, hours, seed))
     cpu_s = time.process_time() - began_s
     return VirtualRun(round(fleet_s, 1), round(cpu_s, 2), moves, round(fleet_s / cpu_s, 1))
 
 
-async def _run(fleet: Fleet, clock: VirtualClock, hours: float, seed: int) -> tuple[float, int]:
+async def _run_fleet(fleet: Fleet, clock: VirtualClock, hours: float, seed: int) -> tuple[float, int]:
     virtual = VirtualFleet(fleet, clock, seed)
     await virtual.start()
-    client = virtual.client()
+    client = virtual.make_client()
     controllers = list(fleet.controllers)
     steps: list[dict[str, object]] = [{"do": "enable", "axes": controllers}, {"do": "home"}]
-    await _do(client, "prepare", steps)
+    await _run_job(client, "prepare", steps)
     moves, end_ns = 0, clock.now_ns() + round(hours * 3600 * NS_PER_S)
-    there, back = (_move(fleet, share) for share in (0.75, 0.25))
+    there, back = (_make_move(fleet, share) for share in (0.75, 0.25))
     while clock.now_ns() < end_ns:
-        await _do(client, "to and fro", [there, back] * 25)
+        await _run_job(client, "to and fro", [there, back] * 25)
         moves += 50
     return clock.now_ns() / NS_PER_S, moves
 
 
-async def _do(client: Tutti, name: str, steps: list[dict[str, object]]) -> None:
+async def _run_job(client: Tutti, name: str, steps: list[dict[str, object]]) -> None:
     job = Job.model_validate({"schema": "tutti.job/1", "name": name, "steps": steps})
     report = await client.wait_for_job(await client.submit(job), poll_s=60.0)
     if report.state != "done":
         raise RuntimeError(f"the benchmark's job {name!r} is {report.state}: {report.reason}")
 
 
-def _move(fleet: Fleet, share: float) -> dict[str, object]:
+def _make_move(fleet: Fleet, share: float) -> dict[str, object]:
     """Return a move of every axis with soft limits to a share of its range."""
     targets: dict[str, float] = {}
     for name in fleet.axis_names:

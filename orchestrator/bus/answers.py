@@ -6,17 +6,17 @@ from collections import OrderedDict
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-KEPT = 256
+MAX_ANSWERS = 256
 
 
-class Answers:
-    """The newest `KEPT` answers, by verb and request id."""
+class AnswerCache:
+    """The newest `MAX_ANSWERS` answers, by verb and request id."""
 
     def __init__(self) -> None:
         # Answers are kept as bytes: a host has thousands, and finished tasks would keep their whole state alive.
         self._given: OrderedDict[tuple[str, str], bytes | asyncio.Task[bytes]] = OrderedDict()
 
-    async def once(self, verb: str, request_id: str, work: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
+    async def answer_once(self, verb: str, request_id: str, work: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
         """Return the result of `work`, or the past or pending result of the same request. The work continues when
         its caller gives up."""
         key = (verb, request_id)
@@ -25,12 +25,12 @@ class Answers:
             return given
         if given is None:
             given = self._given[key] = asyncio.get_running_loop().create_task(work())
-            given.add_done_callback(lambda done: self._keep(key, done))
-            while len(self._given) > KEPT:
+            given.add_done_callback(lambda done: self._store_answer(key, done))
+            while len(self._given) > MAX_ANSWERS:
                 self._given.popitem(last=False)
         return await asyncio.shield(given)
 
-    def _keep(self, key: tuple[str, str], done: "asyncio.Task[bytes]") -> None:
+    def _store_answer(self, key: tuple[str, str], done: "asyncio.Task[bytes]") -> None:
         # A task that failed is kept: a repeated request gets the same error.
         if key in self._given and not done.cancelled() and done.exception() is None:
             self._given[key] = done.result()

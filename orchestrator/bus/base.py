@@ -13,6 +13,8 @@ from collections.abc import Awaitable, Callable
 from enum import Enum
 from typing import NamedTuple, Protocol
 
+from orchestrator.model.errors import TuttiError
+
 
 class Priority(Enum):
     """How a sample is queued. `STATE` may be dropped when a peer cannot keep up; the others are never dropped
@@ -23,14 +25,14 @@ class Priority(Enum):
     ESTOP = "estop"
 
 
-class Sample(NamedTuple):
+class BusSample(NamedTuple):
     """One value published on a key."""
 
     key: str
     payload: bytes
 
 
-class BusError(Exception):
+class BusError(TuttiError):
     """A request that got no valid answer."""
 
 
@@ -46,11 +48,11 @@ class RequestRefused(BusError):
     """The serving side answered with an error; its text is the message."""
 
 
-class BusClosed(Exception):
+class BusClosed(TuttiError):
     """The bus was used after `close()`. End publishers and requests before the bus is closed."""
 
 
-Handler = Callable[[Sample], Awaitable[bytes]]
+RequestHandler = Callable[[BusSample], Awaitable[bytes]]
 """Answers a request: receives key and payload, returns the reply's payload. Raises `RequestRefused` to answer with
 an error.
 
@@ -59,7 +61,7 @@ sample's key is the requested key, or the served expression if a wildcard was re
 """
 
 
-class Declared(Protocol):
+class BusDeclaration(Protocol):
     """A subscription, a served key, a presence token or a watch; it is active until undeclared."""
 
     async def undeclare(self) -> None:
@@ -76,11 +78,11 @@ class Bus(Protocol):
         e-stop may be published on an expression: all subscribers of matching keys receive it."""
         ...
 
-    async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:
+    async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
         """Call `callback` with every sample on matching keys, from other processes and from this one."""
         ...
 
-    async def serve(self, expression: str, handler: Handler) -> Declared:
+    async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
         """Answer requests on matching keys. Requests are handled concurrently."""
         ...
 
@@ -98,11 +100,11 @@ class Bus(Protocol):
         key."""
         ...
 
-    async def announce(self, key: str) -> Declared:
+    async def announce(self, key: str) -> BusDeclaration:
         """Announce presence under `key` until undeclared, closed, or dead."""
         ...
 
-    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> Declared:
+    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         """Call `callback(key, present)` with the present tokens and with every change."""
         ...
 

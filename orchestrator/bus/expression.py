@@ -42,18 +42,18 @@ def is_wild(expression: str) -> bool:
 
 
 @lru_cache(maxsize=65536)
-def intersects(one: str, other: str) -> bool:
+def expressions_intersect(one: str, other: str) -> bool:
     """Whether a key exists that matches both expressions."""
     if not is_wild(one) and not is_wild(other):
         return one == other
-    return _meet(one.split("/"), other.split("/"))
+    return _chunks_intersect(one.split("/"), other.split("/"))
 
 
-def _meet(one: list[str], other: list[str]) -> bool:
+def _chunks_intersect(one: list[str], other: list[str]) -> bool:
     if not one or not other:
         return all(chunk == "**" for chunk in one or other)
     if one[0] == "**":
-        return _meet(one[1:], other) or _meet(one, other[1:])
+        return _chunks_intersect(one[1:], other) or _chunks_intersect(one, other[1:])
     if other[0] == "**":
-        return _meet(one, other[1:]) or _meet(one[1:], other)
-    return (one[0] == other[0] or "*" in (one[0], other[0])) and _meet(one[1:], other[1:])
+        return _chunks_intersect(one, other[1:]) or _chunks_intersect(one[1:], other)
+    return (one[0] == other[0] or "*" in (one[0], other[0])) and _chunks_intersect(one[1:], other[1:])

@@ -5,13 +5,15 @@ import asyncio
 from orchestrator.bus.base import Bus, BusError
 from orchestrator.bus.keys import ROOT
 
-ANSWER_S = 2.0
+ANSWER_TIMEOUT_S = 2.0
 
 
 async def find_fleets(bus: Bus) -> list[str]:
     """The fleets that have a coordinator or an adapter which answers, sorted by name."""
     asked = [f"{ROOT}/*/time", f"{ROOT}/*/ctl/*/state"]
-    found = await asyncio.gather(*(bus.request_all(each, b"", ANSWER_S) for each in asked), return_exceptions=True)
+    found = await asyncio.gather(
+        *(bus.request_all(each, b"", ANSWER_TIMEOUT_S) for each in asked), return_exceptions=True
+    )
     keys: set[str] = set()
     for replies in found:
         if isinstance(replies, dict):

@@ -19,12 +19,12 @@ def check_id(text: str, what: str) -> str:
     return text
 
 
-def _chunk(text: str | None, what: str) -> str:
+def _make_chunk(text: str | None, what: str) -> str:
     return "*" if text is None else check_id(text, what)
 
 
 @dataclass(frozen=True, slots=True)
-class Keys:
+class FleetKeys:
     """Makes and parses the keys of one fleet. Every method raises `ValueError` for an invalid id."""
 
     fleet: str
@@ -41,30 +41,30 @@ class Keys:
 
     def state(self, ctl: str | None = None) -> str:
         """Full state of a controller; published and served by its adapter."""
-        return self._ctl(ctl, "state")
+        return self._controller_key(ctl, "state")
 
     def event(self, ctl: str | None = None) -> str:
         """Events of a controller, which must not be lost; published by its adapter, and served to fill gaps."""
-        return self._ctl(ctl, "event")
+        return self._controller_key(ctl, "event")
 
     def info(self, ctl: str | None = None) -> str:
         """Identity and capabilities of a controller; served by its adapter."""
-        return self._ctl(ctl, "info")
+        return self._controller_key(ctl, "info")
 
     def clock(self, ctl: str | None = None) -> str:
         """A controller's clock mapping and its bounds; published by its adapter."""
-        return self._ctl(ctl, "clock")
+        return self._controller_key(ctl, "clock")
 
-    def cmd(self, ctl: str | None = None, verb: str | None = None) -> str:
+    def command(self, ctl: str | None = None, verb: str | None = None) -> str:
         """A command to a controller; served by its adapter."""
-        return f"{self._ctl(ctl, 'cmd')}/{_chunk(verb, 'verb')}"
+        return f"{self._controller_key(ctl, 'cmd')}/{_make_chunk(verb, 'verb')}"
 
-    def _ctl(self, ctl: str | None, leaf: str) -> str:
-        return f"{self.prefix}/ctl/{_chunk(ctl, 'controller')}/{leaf}"
+    def _controller_key(self, ctl: str | None, leaf: str) -> str:
+        return f"{self.prefix}/ctl/{_make_chunk(ctl, 'controller')}/{leaf}"
 
-    def together(self, host: str, verb: str | None = None) -> str:
+    def batch_command(self, host: str, verb: str | None = None) -> str:
         """A command to several controllers of an adapter host; served by the host."""
-        return f"{self.prefix}/host/{check_id(host, 'host')}/cmd/{_chunk(verb, 'verb')}"
+        return f"{self.prefix}/host/{check_id(host, 'host')}/cmd/{_make_chunk(verb, 'verb')}"
 
     def lease(self, ctl: str, axis: str | None = None) -> str:
         """The lease of a controller, or of one axis of it; published by the coordinator."""
@@ -80,20 +80,20 @@ class Keys:
 
     def job_state(self, job: str | None = None) -> str:
         """Progress of a job; published by the coordinator."""
-        return f"{self.prefix}/job/{_chunk(job, 'job')}/state"
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/state"
 
     def job_report(self, job: str | None = None) -> str:
         """Report of a job; published by the coordinator."""
-        return f"{self.prefix}/job/{_chunk(job, 'job')}/report"
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/report"
 
     @property
     def queue(self) -> str:
         """The queue of jobs; published by the coordinator."""
         return f"{self.prefix}/queue"
 
-    def svc(self, verb: str | None = None) -> str:
+    def service(self, verb: str | None = None) -> str:
         """Requests of users; served by the leader."""
-        return f"{self.prefix}/svc/{_chunk(verb, 'verb')}"
+        return f"{self.prefix}/svc/{_make_chunk(verb, 'verb')}"
 
     @property
     def time(self) -> str:
@@ -114,22 +114,23 @@ class Keys:
 
     def log(self, role: str | None = None, id: str | None = None) -> str:
         """Warnings and errors."""
-        return f"{self.prefix}/log/{_chunk(role, 'role')}/{_chunk(id, 'id')}"
+        return f"{self.prefix}/log/{_make_chunk(role, 'role')}/{_make_chunk(id, 'id')}"
 
     def live(self, role: str | None = None, id: str | None = None, instance: str | None = None) -> str:
         """Presence of one start (`instance`) of a process."""
-        return f"{self.prefix}/live/{_chunk(role, 'role')}/{_chunk(id, 'id')}/{_chunk(instance, 'instance')}"
+        chunks = (_make_chunk(role, "role"), _make_chunk(id, "id"), _make_chunk(instance, "instance"))
+        return "/".join((self.prefix, "live", *chunks))
 
     # Parsing
 
     def verb_of(self, key: str) -> str:
         """The verb of a `ctl/{id}/cmd/{verb}`, `host/{id}/cmd/{verb}` or `svc/{verb}` key."""
-        chunks = self._chunks(key, ("ctl", "host", "svc"), 2)
+        chunks = self._split_key(key, ("ctl", "host", "svc"), 2)
         if chunks[0] != "svc" and (len(chunks) != 4 or chunks[2] != "cmd"):
             raise ValueError(f"{key!r} is not a command")
         return check_id(chunks[-1], "verb")
 
-    def _chunks(self, key: str, kinds: tuple[str, ...], at_least: int) -> list[str]:
+    def _split_key(self, key: str, kinds: tuple[str, ...], at_least: int) -> list[str]:
         head = f"{self.prefix}/"
         if not key.startswith(head):
             raise ValueError(f"{key!r} is not of fleet {self.fleet!r}")

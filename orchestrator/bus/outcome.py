@@ -5,7 +5,7 @@ import asyncio
 from orchestrator.bus.base import NoReply, RequestRefused, RequestTimeout
 
 
-class Outcome:
+class RequestOutcome:
     """Collects the replies to one request and settles its future once.
 
     With `first_only` the first valid reply settles it; without, all valid replies are collected until no server is
@@ -21,41 +21,41 @@ class Outcome:
         self._refusal: str | None = None
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether replies no longer count: the request is settled, or its sender has given up."""
         return self.settled.done()
 
     @property
-    def answered(self) -> bool:
+    def has_reply(self) -> bool:
         """Whether any reply has arrived, valid or an error."""
         return bool(self._replies) or self._refusal is not None
 
-    def take(self, key: str, payload: bytes) -> None:
+    def add_reply(self, key: str, payload: bytes) -> None:
         """Take a valid reply. Of several on one key the first counts."""
         self._replies.setdefault(key, payload)
         if self._first_only:
-            self._settle()
+            self._settle_future()
 
-    def refuse(self, text: str) -> None:
+    def add_refusal(self, text: str) -> None:
         """Take an error reply. It counts only if no valid one arrives; of several the first."""
         if self._refusal is None:
             self._refusal = text
 
-    def complete(self) -> None:
+    def end_replies(self) -> None:
         """No server is left that could still answer."""
-        self._settle(NoReply(f"no process serves {self.key}"))
+        self._settle_future(NoReply(f"no process serves {self.key}"))
 
-    def expire(self) -> None:
+    def end_by_timeout(self) -> None:
         """The timeout has expired."""
-        self._settle(RequestTimeout(f"no valid reply on {self.key} within {self._timeout_s:g} s"))
+        self._settle_future(RequestTimeout(f"no valid reply on {self.key} within {self._timeout_s:g} s"))
 
-    def fail(self, reason: Exception) -> None:
+    def end_by_error(self, reason: Exception) -> None:
         """The bus cannot wait any longer."""
-        if not self.over:
+        if not self.is_over:
             self.settled.set_exception(reason)
 
-    def _settle(self, silence: Exception | None = None) -> None:
-        if self.over:
+    def _settle_future(self, silence: Exception | None = None) -> None:
+        if self.is_over:
             return
         if self._replies or not self._first_only or silence is None:
             self.settled.set_result(self._replies)

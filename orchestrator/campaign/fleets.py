@@ -10,25 +10,25 @@ from orchestrator.model.fleet import Fleet
 MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
 
 LEAST, MOST = 4, 6  # controllers of a fleet
-TOGETHER = 0.6  # chance that a make whose controllers can share a link has several on it
+SHARED_LINK_CHANCE = 0.6  # chance that a make whose controllers can share a link has several on it
 PERMIT = "door"
-WITH_PERMIT = "smc4000"
+PERMIT_MAKE = "smc4000"
 """The make that has the permit's input. The first controller of this make in a fleet has it."""
-HERE = "37"  # of CiA 402: the reference is the current position of the axis
+HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
 
 # Slower than the default rate, as with many controllers on one computer. A permit's controller is polled more often.
-_RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
-_GUARDING = {"idle_hz": 3.0, "moving_hz": 5.0}
+_POLL_RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
+_PERMIT_POLL_RATES = {"idle_hz": 3.0, "moving_hz": 5.0}
 # Homing has a short path, and the edge of a switch lies between two index pulses.
-_NEAR = {"axes": 2, "home_edge": {"X": -50, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
+_SHORT_HOMING = {"axes": 2, "home_edge": {"X": -50, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
 _DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
 
-Draft = dict[str, dict[str, Any]]
+FleetDraft = dict[str, dict[str, Any]]
 
 
-def _smc4000(number: int, units: int, draw: Random) -> Draft:
-    config = makes.smc4000(number)
-    config["simulate"]["options"] = _NEAR
+def _draft_smc4000(number: int, units: int, draw: Random) -> FleetDraft:
+    config = makes.make_smc4000(number)
+    config["simulate"]["options"] = _SHORT_HOMING
     if draw.random() < 0.3:
         config["axes"]["y"] = {**config["axes"]["x"], "motors": ["Y"]}
     config["outputs"] = {"start": {"number": 1}}
@@ -36,35 +36,35 @@ def _smc4000(number: int, units: int, draw: Random) -> Draft:
     return {f"a{number}": config}
 
 
-def _smc2000(number: int, units: int, draw: Random) -> Draft:
-    drafts = {f"b{number}-{unit}": makes.smc2000(number, unit) for unit in range(units)}
+def _draft_smc2000(number: int, units: int, draw: Random) -> FleetDraft:
+    drafts = {f"b{number}-{unit}": makes.make_smc2000(number, unit) for unit in range(units)}
     if units == 1:
-        drafts = {f"b{number}": makes.smc2000(number)}
+        drafts = {f"b{number}": makes.make_smc2000(number)}
     for config in drafts.values():
-        config["simulate"]["options"] = _NEAR
+        config["simulate"]["options"] = _SHORT_HOMING
     return drafts
 
 
-def _shrc203(number: int, units: int, draw: Random) -> Draft:
-    return {f"c{number}": makes.shrc203(number)}
+def _draft_shrc203(number: int, units: int, draw: Random) -> FleetDraft:
+    return {f"c{number}": makes.make_shrc203(number)}
 
 
-def _ppsmc(number: int, units: int, draw: Random) -> Draft:
-    config = makes.ppsmc(number)
+def _draft_ppsmc(number: int, units: int, draw: Random) -> FleetDraft:
+    config = makes.make_ppsmc(number)
     config["simulate"]["options"] = {"axes": 1, "org_steps": {"1": [-9000, -200]}}
     return {f"d{number}": config}
 
 
-def _smc30(number: int, units: int, draw: Random) -> Draft:
-    drafts = {f"e{number}-{unit}": makes.smc30(number, unit) for unit in range(1, units + 1)}
+def _draft_smc30(number: int, units: int, draw: Random) -> FleetDraft:
+    drafts = {f"e{number}-{unit}": makes.make_smc30(number, unit) for unit in range(1, units + 1)}
     for config in drafts.values():
         config["simulate"]["options"] = {"checksum": True, "travel_steps": [-200, 400_000]}
     return drafts
 
 
-def _cia402(number: int, units: int, draw: Random) -> Draft:
+def _draft_cia402(number: int, units: int, draw: Random) -> FleetDraft:
     """Draft drives on one CAN bus, which take their current position as reference."""
-    drafts: Draft = {}
+    drafts: FleetDraft = {}
     options = {"state_ms": draw.choice((50, 100, 150)), "inhibit_ms": draw.choice((10, 20, 40))}
     event_ms = draw.choice((10, 20, 40))
     for unit in range(1, units + 1):
@@ -73,37 +73,37 @@ def _cia402(number: int, units: int, draw: Random) -> Draft:
             "adapter": "cia402",
             "link": link,
             "options": options,
-            "axes": {"x": {**_DRIVE, "motors": ["1"], "homing": {"method": HERE}}},
+            "axes": {"x": {**_DRIVE, "motors": ["1"], "homing": {"method": HOME_AT_CURRENT_POSITION}}},
             "simulate": {"options": {"event_ms": event_ms}, "decode_us": 300, "spread_us": 200},
         }
     return drafts
 
 
-_DRAFTS: dict[str, Callable[[int, int, Random], Draft]] = {
-    "smc4000": _smc4000,
-    "smc2000": _smc2000,
-    "shrc203": _shrc203,
-    "ppsmc": _ppsmc,
-    "smc30": _smc30,
-    "cia402": _cia402,
+_DRAFTS: dict[str, Callable[[int, int, Random], FleetDraft]] = {
+    "smc4000": _draft_smc4000,
+    "smc2000": _draft_smc2000,
+    "shrc203": _draft_shrc203,
+    "ppsmc": _draft_ppsmc,
+    "smc30": _draft_smc30,
+    "cia402": _draft_cia402,
 }
-_SHARING = {"smc2000": 3, "smc30": 2, "cia402": 2}
+_MAX_PER_LINK = {"smc2000": 3, "smc30": 2, "cia402": 2}
 """Largest number of controllers of a make on one link."""
 
 
-def fleet_of(seed: int, wanted: Sequence[str]) -> Fleet:
+def make_campaign_fleet(seed: int, wanted: Sequence[str]) -> Fleet:
     """Draw a fleet with at least one controller of each make in `wanted`."""
     draw = Random(f"fleet {seed}")
-    controllers: Draft = {}
+    controllers: FleetDraft = {}
     todo = list(dict.fromkeys(wanted))
     while todo or len(controllers) < LEAST:
         make = todo.pop(0) if todo else draw.choice(MAKES)
-        most = min(_SHARING.get(make, 1), MOST - len(controllers) - len(todo))
-        units = min(most, draw.choice((2, 2, 3))) if draw.random() < TOGETHER else 1
+        most = min(_MAX_PER_LINK.get(make, 1), MOST - len(controllers) - len(todo))
+        units = min(most, draw.choice((2, 2, 3))) if draw.random() < SHARED_LINK_CHANCE else 1
         drafts = _DRAFTS[make](len(controllers), units, draw)
         host = draw.choice(("left", "left", "right"))
         for name, config in drafts.items():
-            controllers[name] = _finished(config, host, draw)
+            controllers[name] = _complete_config(config, host, draw)
     plain: dict[str, Any] = {"schema": "tutti.fleet/1", "fleet": "campaign", "controllers": controllers}
     gantries = [name for name, config in controllers.items() if PERMIT in config.get("inputs", {})]
     if gantries:
@@ -115,19 +115,19 @@ def fleet_of(seed: int, wanted: Sequence[str]) -> Fleet:
     return Fleet.model_validate(plain)
 
 
-def _finished(config: dict[str, Any], host: str, draw: Random) -> dict[str, Any]:
+def _complete_config(config: dict[str, Any], host: str, draw: Random) -> dict[str, Any]:
     crystal = {
         "offset_s": draw.uniform(0, 600),
         "drift_ppm": draw.uniform(-makes.DRIFT_PPM, makes.DRIFT_PPM),
         "wander_ppm": makes.WANDER_PPM,
     }
-    axes = {name: {**axis, "soft_limits": _soft_limits(axis)} for name, axis in config["axes"].items()}
+    axes = {name: {**axis, "soft_limits": _make_soft_limits(axis)} for name, axis in config["axes"].items()}
     simulate = {**config["simulate"], **crystal}
-    rates = _GUARDING if PERMIT in config.get("inputs", {}) else _RATES
+    rates = _PERMIT_POLL_RATES if PERMIT in config.get("inputs", {}) else _POLL_RATES
     return {**config, "axes": axes, "simulate": simulate, "host": host, "state": rates}
 
 
-def _soft_limits(axis: dict[str, Any]) -> dict[str, float]:
+def _make_soft_limits(axis: dict[str, Any]) -> dict[str, float]:
     """Return a range for moves of some seconds, which begins a little below zero."""
     velocity = axis["limits"]["velocity"]
     return {"min": -0.1 * velocity, "max": 1.6 * velocity}

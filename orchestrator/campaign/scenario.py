@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 from random import Random
 from typing import NamedTuple
 
-from orchestrator.bus.base import Sample
-from orchestrator.campaign.faults import FAULTS, Breaker
-from orchestrator.campaign.fleets import WITH_PERMIT, fleet_of
-from orchestrator.campaign.invariants import Act, Jog, Judge
-from orchestrator.campaign.jobs import MOST_S, PACE, orders_of, preparation, trial
-from orchestrator.campaign.recorder import STAGES, Asked, Stage, Witness
+from orchestrator.bus.base import BusSample
+from orchestrator.campaign.faults import FAULTS, FaultInjector
+from orchestrator.campaign.fleets import PERMIT_MAKE, make_campaign_fleet
+from orchestrator.campaign.invariants import InvariantChecker
+from orchestrator.campaign.jobs import MAX_MOVE_S, SPEED_FRACTION, draw_orders, make_preparation, make_trial
+from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -29,35 +30,38 @@ from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.virtual import VirtualFleet
 
-SETTLE_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is detected everywhere
-REACH_NS = 20 * NS_PER_S  # for the stage to be reached
-TRY_S = 10.0  # for a job that must be refused
-READY_S = 25.0  # for a fleet to become ready after the repair
-END_NS = 50 * NS_PER_S  # for the remaining jobs to end
-LOOK_NS = 200 * NS_PER_MS
-RESTS = 150  # polls for controllers at rest, 7 ms apart
+REPAIR_DELAY_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is detected everywhere
+STAGE_TIMEOUT_NS = 20 * NS_PER_S  # for the stage to be reached
+REFUSED_JOB_TIMEOUT_S = 10.0  # for a job that must be refused
+READY_TIMEOUT_S = 25.0  # for a fleet to become ready after the repair
+END_TIMEOUT_NS = 50 * NS_PER_S  # for the remaining jobs to end
+POLL_NS = 200 * NS_PER_MS
+REST_POLLS = 150  # polls for controllers at rest, 7 ms apart
 # a pp-electronic SMC with an installed reference verifies its position, and does not move
-_VOUCHED_NS = 250 * NS_PER_MS
-HOMES_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
-HANDS = 0.3  # chance of a jog during the phase
-RENEWED_NS = 60 * NS_PER_MS
-RENEWALS = 8  # of a jog, and of one that a fault shall interrupt
-RENEWALS_OF_STAGE = 32
-_JOG_NS = 600 * NS_PER_MS  # from the begin of a jog to its fault, at most
+_VERIFIED_HOMING_NS = 250 * NS_PER_MS
+HOMING_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
+JOG_CHANCE = 0.3  # chance of a jog during the phase
+RENEW_NS = 60 * NS_PER_MS
+JOG_RENEWALS = 8  # of a jog, and of one that a fault shall interrupt
+STAGE_RENEWALS = 32
+_MAX_JOG_NS = 600 * NS_PER_MS  # from the begin of a jog to its fault, at most
 
-ALONE: tuple[Stage, ...] = ("jog", "home")  # a fault of the fleet affects only one member in these stages
+SINGLE_MEMBER_STAGES: tuple[Stage, ...] = (
+    "jog",
+    "home",
+)  # a fault of the fleet affects only one member in these stages
 
 # Time from the stage's first request to the member to the fault: earliest and latest.
-_WITHIN: dict[str, tuple[int, int]] = {
+_FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
     "propose": (0, 500 * NS_PER_US),
     "commit": (0, NS_PER_MS),
     "go": (0, 500 * NS_PER_US),
 }
-_FIRE_NS = 60 * NS_PER_MS  # around T0
-_MOTION_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
+_FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
+_MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
 
-class Cell(NamedTuple):
+class FaultCell(NamedTuple):
     """A fault to inject: the stage of a step, the fault, and the make of the member that it affects."""
 
     stage: Stage
@@ -66,223 +70,228 @@ class Cell(NamedTuple):
 
 
 @dataclass(slots=True)
-class Story:
+class SeedRun:
     """The events of one seed, which took fleet_s of virtual time.
 
     hit: injected faults, by the stage that their step had reached.
-    befallen: the same for each affected make.
+    affected: the same for each affected make.
     events: a summary.
     lines: the complete log.
     """
 
     seed: int
-    cells: tuple[Cell, ...]
+    cells: tuple[FaultCell, ...]
     fleet: Fleet
-    hit: list[Cell] = field(default_factory=list[Cell])
-    befallen: list[Cell] = field(default_factory=list[Cell])
+    hit: list[FaultCell] = field(default_factory=list[FaultCell])
+    affected: list[FaultCell] = field(default_factory=list[FaultCell])
     jobs: int = 0
     events: list[str] = field(default_factory=list[str])
     lines: list[str] = field(default_factory=list[str])
     violations: list[str] = field(default_factory=list[str])
     fleet_s: float = 0.0
 
-    def tell(self) -> str:
+    def summarize(self) -> str:
         """Return a summary of the run with its violations."""
         controllers = ", ".join(f"{name} ({config.adapter})" for name, config in self.fleet.controllers.items())
         return "\n".join([f"seed {self.seed}: {controllers}", *self.events, *self.violations])
 
 
-def play(seed: int, cells: Sequence[Cell]) -> Story:
+def run_scenario(seed: int, cells: Sequence[FaultCell]) -> SeedRun:
     """Run one seed: a phase for each of `cells`. The run is deterministic."""
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
-        makes.append(WITH_PERMIT)
-    story = Story(seed, tuple(cells), fleet_of(seed, makes))
+        makes.append(PERMIT_MAKE)
+    seed_run = SeedRun(seed, tuple(cells), make_campaign_fleet(seed, makes))
 
-    async def main(clock: VirtualClock) -> None:
-        play = _Play(story, clock)
+    async def run_in_clock(clock: VirtualClock) -> None:
+        scenario = _Scenario(seed_run, clock)
         try:
-            await play.run()
+            await scenario.run_phases()
         finally:
-            story.lines = play.virtual.lines
-            story.violations = play.judge.violations
-            story.fleet_s = clock.now_ns() / NS_PER_S
+            seed_run.lines = scenario.virtual.lines
+            seed_run.violations = scenario.checker.violations
+            seed_run.fleet_s = clock.now_ns() / NS_PER_S
 
     try:
-        run_virtual(main)
+        run_virtual(run_in_clock)
     except Exception as error:
         # An error in one of thousands of seeds must not discard the results of the others.
-        story.violations.append(f"the seed did not run to its end: {error!r}")
-    return story
+        seed_run.violations.append(f"the seed did not run to its end: {error!r}")
+    return seed_run
 
 
-class _Play:
+class _Scenario:
     """The fleet of one seed."""
 
-    def __init__(self, story: Story, clock: VirtualClock) -> None:
-        self._story = story
+    def __init__(self, seed_run: SeedRun, clock: VirtualClock) -> None:
+        self._seed_run = seed_run
         self._clock = clock
-        self._draw = Random(story.seed)
-        self._target: tuple[Act, Cell, asyncio.Future[tuple[str, int]]] | None = None
-        self._reached: dict[tuple[tuple[str, int], str], dict[str, int]] = {}
+        self._draw = Random(seed_run.seed)
+        self._target: tuple[CampaignPhase, FaultCell, asyncio.Future[tuple[str, int]]] | None = None
+        self._stage_times: dict[tuple[tuple[str, int], str], dict[str, int]] = {}
         self._epochs: dict[str, int] = {}
         self._jogging = False
-        self.witness = Witness(clock, self._heard)
-        self.virtual = VirtualFleet(story.fleet, clock, story.seed, beside=self.witness.beside)
-        self.judge = Judge(self.virtual, self.witness)
-        self._breaker = Breaker(self.virtual, clock, self._draw)
+        self.recorder = BusRecorder(clock, self._on_request)
+        self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
+        self.virtual.wrap_bus = self.recorder.wrap_bus
+        self.checker = InvariantChecker(self.virtual, self.recorder)
+        self._injector = FaultInjector(self.virtual, clock, self._draw)
 
-    async def run(self) -> None:
+    async def run_phases(self) -> None:
         """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
-        client = self.virtual.client()
-        await self.virtual.client("watcher").bus.subscribe(self.virtual.keys.state(), self._hear_state)
-        looking = asyncio.get_running_loop().create_task(self._look())
-        axes = list(self._story.fleet.controllers)
-        if await self._prepared(client, axes, axes):
-            for number, cell in enumerate(self._story.cells):
-                await self._play(client, cell)
-                if number + 1 < len(self._story.cells) and not await self._repaired(client):
+        client = self.virtual.make_client()
+        await self.virtual.make_client("watcher").bus.subscribe(self.virtual.keys.state(), self._check_epoch)
+        looking = asyncio.get_running_loop().create_task(self._poll_velocities())
+        axes = list(self._seed_run.fleet.controllers)
+        if await self._prepare_axes(client, axes, axes):
+            for number, cell in enumerate(self._seed_run.cells):
+                await self._run_phase(client, cell)
+                if number + 1 < len(self._seed_run.cells) and not await self._restore_axes(client):
                     break
         looking.cancel()
-        self._judge_reigns()
+        self._check_leaders()
 
-    def _tell(self, text: str) -> None:
-        self._story.events.append(f"{self._clock.now_ns() / NS_PER_S:8.3f} s  {text}")
+    def _log_event(self, text: str) -> None:
+        self._seed_run.events.append(f"{self._clock.now_ns() / NS_PER_S:8.3f} s  {text}")
 
-    async def _look(self) -> None:
+    async def _poll_velocities(self) -> None:
         while True:
-            self.judge.look(self._clock.now_ns())
-            await sleep_ns(self._clock, LOOK_NS)
+            self.checker.check_velocities(self._clock.now_ns())
+            await sleep_ns(self._clock, POLL_NS)
 
-    async def _prepared(self, client: Tutti, axes: list[str], homing: list[str]) -> bool:
-        self._story.jobs += 1
-        report = await client.wait_for_job(await client.submit(preparation(axes, homing)))
+    async def _prepare_axes(self, client: Tutti, axes: list[str], homing: list[str]) -> bool:
+        self._seed_run.jobs += 1
+        report = await client.wait_for_job(await client.submit(make_preparation(axes, homing)))
         if report.state != "done":
-            self.judge.violate("3", f"the preparation of {axes} is {report.state}: {report.reason}")
-        self.judge.judge_places(await client.status(1.0))
+            self.checker.add_violation("3", f"the preparation of {axes} is {report.state}: {report.reason}")
+        self.checker.check_positions(await client.status(1.0))
         return report.state == "done"
 
     # A phase
 
-    async def _play(self, client: Tutti, cell: Cell) -> None:
-        fleet, fault = self._story.fleet, FAULTS[cell.fault]
+    async def _run_phase(self, client: Tutti, cell: FaultCell) -> None:
+        fleet, fault = self._seed_run.fleet, FAULTS[cell.fault]
         member = self._draw.choice([n for n, config in fleet.controllers.items() if config.adapter == cell.make])
         before = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
-        act = Act(fault, member, self._breaker.touched(fault, member), before)
+        act = CampaignPhase(fault, member, self._injector.find_affected(fault, member), before)
         reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
         self._target = act, cell, reached
         keys: dict[str, str] = {}
         by_hand: asyncio.Task[None] | None = None
         if cell.stage == "jog":
-            by_hand = asyncio.get_running_loop().create_task(self._jog(act, member, RENEWALS_OF_STAGE, reached))
+            by_hand = asyncio.get_running_loop().create_task(self._jog_axis(act, member, STAGE_RENEWALS, reached))
             while not self._jogging and not by_hand.done():
                 await sleep_ns(self._clock, NS_PER_MS)
-        for order in orders_of(fleet, member, cell.stage == "home", self._where(), self._draw):
-            keys[order.job.name] = key = self.virtual.new_id()
+        for order in draw_orders(
+            fleet, member, home_first=cell.stage == "home", positions=self._axis_positions(), draw=self._draw
+        ):
+            keys[order.job.name] = key = self.virtual.draw_id()
             act.jobs[await client.submit(order.job, key, order.terms)] = order
-            self._tell(f"{order.job.name} of {', '.join(order.controllers)}")
-        self._story.jobs += len(act.jobs)
-        if by_hand is None and self._draw.random() < HANDS:
-            by_hand = asyncio.get_running_loop().create_task(self._jog_free(act))
-        step = await self._wait_for(reached, act)
+            self._log_event(f"{order.job.name} of {', '.join(order.controllers)}")
+        self._seed_run.jobs += len(act.jobs)
+        if by_hand is None and self._draw.random() < JOG_CHANCE:
+            by_hand = asyncio.get_running_loop().create_task(self._jog_free_axis(act))
+        step = await self._wait_for_stage(reached, act)
         self._target = None
         if step is not None:
-            await self._break(act, cell, step)
-        await self._ends(client, act)
+            await self._inject_fault(act, cell, step)
+        await self._wait_for_ends(client, act)
         if by_hand is not None:
             await by_hand
-        await self._again_the_same(client, act, keys)
-        await self._see_who_rests(act)
+        await self._check_repeated_submit(client, act, keys)
+        await self._record_rest(act)
         for job_id, order in act.jobs.items():
             row = self.virtual.journal.load_record(job_id)
-            self._tell(
+            self._log_event(
                 f"{order.job.name} is {row.state}: {row.reason}"
                 if row
                 else f"{order.job.name} is missing from the journal"
             )
-        self.judge.judge(act)
-        self.judge.judge_places(await client.status(1.0))
+        self.checker.check_phase(act)
+        self.checker.check_positions(await client.status(1.0))
 
-    def _where(self) -> dict[str, float]:
+    def _axis_positions(self) -> dict[str, float]:
         """Return the position of each axis, in its unit."""
         return {
             f"{name}.{axis}": each.to_unit(self.virtual.controllers[name].position(each.motors[0]))
-            for name, config in self._story.fleet.controllers.items()
+            for name, config in self._seed_run.fleet.controllers.items()
             for axis, each in config.axes.items()
         }
 
-    async def _wait_for(self, reached: "asyncio.Future[tuple[str, int]]", act: Act) -> tuple[str, int] | None:
+    async def _wait_for_stage(
+        self, reached: "asyncio.Future[tuple[str, int]]", phase: CampaignPhase
+    ) -> tuple[str, int] | None:
         """Wait until the step reaches the stage of the fault; return None when all jobs end before that."""
-        until_ns = self._clock.now_ns() + REACH_NS
-        while not reached.done() and self._clock.now_ns() < until_ns and not self._ended(act):
+        until_ns = self._clock.now_ns() + STAGE_TIMEOUT_NS
+        while not reached.done() and self._clock.now_ns() < until_ns and not self._all_finished(phase):
             with suppress(TimeoutError):
                 async with asyncio.timeout(0.5):
                     await asyncio.shield(reached)
         return reached.result() if reached.done() else None
 
-    async def _break(self, act: Act, cell: Cell, step: tuple[str, int]) -> None:
-        stage = self._stage_of(step, act.member) if cell.stage != "jog" else "jog" if self._jogging else None
+    async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
+        stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
         if stage is None:
-            self._tell(f"too late for {cell.fault}")
+            self._log_event(f"too late for {cell.fault}")
             return
-        now_ns = act.broken_ns = self._clock.now_ns()
+        now_ns = phase.fault_ns = self._clock.now_ns()
         hit = cell._replace(stage=stage)
-        all_of_step = act.fault.reach == "fleet" and stage not in ALONE
-        together = act.jobs[step[0]].controllers if all_of_step else [act.member]
-        makes = dict.fromkeys(self._story.fleet.controllers[name].adapter for name in together)
-        self._story.hit.append(hit)
-        self._story.befallen += [hit._replace(make=make) for make in makes]
-        self._tell(f"{cell.fault} of {act.member} at {stage}")
-        await self._breaker.strike(act.fault, act.member)
-        await sleep_ns(self._clock, max(0, now_ns + SETTLE_NS - self._clock.now_ns()))
-        await self._judge_latches(cell.fault)
+        all_of_step = phase.fault.reach == "fleet" and stage not in SINGLE_MEMBER_STAGES
+        together = phase.jobs[step[0]].controllers if all_of_step else [phase.member]
+        makes = dict.fromkeys(self._seed_run.fleet.controllers[name].adapter for name in together)
+        self._seed_run.hit.append(hit)
+        self._seed_run.affected += [hit._replace(make=make) for make in makes]
+        self._log_event(f"{cell.fault} of {phase.member} at {stage}")
+        await self._injector.inject_fault(phase.fault, phase.member)
+        await sleep_ns(self._clock, max(0, now_ns + REPAIR_DELAY_NS - self._clock.now_ns()))
+        await self._check_latches(cell.fault)
         if cell.fault == "host-other-file":
-            await self._try(act)
-        act.mended_ns = self._clock.now_ns()
-        await self._breaker.mend()
-        self._tell("mended")
+            await self._try_other_file(phase)
+        phase.repair_ns = self._clock.now_ns()
+        await self._injector.repair_fault()
+        self._log_event("mended")
 
-    async def _try(self, act: Act) -> None:
+    async def _try_other_file(self, phase: CampaignPhase) -> None:
         """Submit a job that homes and moves a member whose host has another fleet file than the coordinator."""
-        person = self.virtual.client("ben")
-        order = trial(self._story.fleet, act.member)
+        person = self.virtual.make_client("ben")
+        order = make_trial(self._seed_run.fleet, phase.member)
         job_id = await person.submit(order.job, terms=order.terms)
-        act.jobs[job_id] = order
-        self._tell(f"job submitted for {act.member} with another fleet file")
+        phase.jobs[job_id] = order
+        self._log_event(f"job submitted for {phase.member} with another fleet file")
         with suppress(TimeoutError):
-            async with asyncio.timeout(TRY_S):
+            async with asyncio.timeout(REFUSED_JOB_TIMEOUT_S):
                 await person.wait_for_job(job_id)
         await person.close()
 
-    async def _ends(self, client: Tutti, act: Act) -> None:
+    async def _wait_for_ends(self, client: Tutti, phase: CampaignPhase) -> None:
         """Wait until the fleet is ready, then until all jobs end."""
-        await self._ready(client)
+        await self._wait_until_ready(client)
         with suppress(Refusal):
             await client.release_jobs()
-        until_ns = self._clock.now_ns() + END_NS
-        while not self._ended(act) and self._clock.now_ns() < until_ns:
-            await sleep_ns(self._clock, LOOK_NS)
+        until_ns = self._clock.now_ns() + END_TIMEOUT_NS
+        while not self._all_finished(phase) and self._clock.now_ns() < until_ns:
+            await sleep_ns(self._clock, POLL_NS)
         await sleep_ns(self._clock, NS_PER_S)
 
-    def _ended(self, act: Act) -> bool:
-        rows = [self.virtual.journal.load_record(job_id) for job_id in act.jobs]
+    def _all_finished(self, phase: CampaignPhase) -> bool:
+        rows = [self.virtual.journal.load_record(job_id) for job_id in phase.jobs]
         return all(row is None or row.state in FINISHED_STATES for row in rows)
 
-    async def _ready(self, client: Tutti) -> None:
+    async def _wait_until_ready(self, client: Tutti) -> None:
         """Wait until all controllers are adopted by the current leader and without a fault; reset latched e-stops."""
-        fleet = self._story.fleet
+        fleet = self._seed_run.fleet
         states: dict[str, ControllerState] = {}
-        for _ in range(round(READY_S / 0.5)):
+        for _ in range(round(READY_TIMEOUT_S / 0.5)):
             states = await client.status(1.0)
-            reigning = self.virtual.coordinators[self._breaker.reigning][1].leadership.epoch
+            epoch = self.virtual.coordinators[self._injector.leader_name][1].leadership.epoch
             troubled = [
                 name
                 for name in fleet.controllers
                 if name not in states or states[name].faults or states[name].mode == "offline"
             ]
             latched = [name for name, state in states.items() if state.estop is not None]
-            strange = [name for name, state in states.items() if not reigning or state.epoch != reigning]
+            strange = [name for name, state in states.items() if not epoch or state.epoch != epoch]
             if not troubled and not latched and not strange and len(states) == len(fleet.controllers):
                 return
             if latched or troubled:
@@ -291,68 +300,68 @@ class _Play:
         shown = {
             name: (state.mode, state.epoch, [each.text for each in state.faults]) for name, state in states.items()
         }
-        self.judge.violate("3", f"not ready {READY_S} s after the repair: {shown}")
+        self.checker.add_violation("3", f"not ready {READY_TIMEOUT_S} s after the repair: {shown}")
 
-    async def _repaired(self, client: Tutti) -> bool:
+    async def _restore_axes(self, client: Tutti) -> bool:
         """Enable and home the axes that the fault has left disabled or unreferenced."""
         # The fault may have been detected only after its repair.
-        await self._ready(client)
+        await self._wait_until_ready(client)
         states = await client.status()
         axes = [(f"{name}.{axis}", each) for name, state in states.items() for axis, each in state.axes.items()]
         off = [name for name, each in axes if not each.enabled]
         lost = [name for name, each in axes if not each.referenced]
         if not off and not lost:
             return True
-        self._tell(f"homing {', '.join(lost)}" if lost else f"enabling {', '.join(off)}")
-        return await self._prepared(client, sorted({*off, *lost}), lost)
+        self._log_event(f"homing {', '.join(lost)}" if lost else f"enabling {', '.join(off)}")
+        return await self._prepare_axes(client, sorted({*off, *lost}), lost)
 
-    async def _see_who_rests(self, act: Act) -> None:
+    async def _record_rest(self, phase: CampaignPhase) -> None:
         """Record the controllers at rest. A controller that decodes a poll at this moment is not at rest for a
         while: check repeatedly."""
-        for _ in range(RESTS):
-            act.resting |= {name for name, each in self.virtual.controllers.items() if each.at_rest()}
-            if len(act.resting) == len(self.virtual.controllers):
+        for _ in range(REST_POLLS):
+            phase.at_rest |= {name for name, each in self.virtual.controllers.items() if each.at_rest()}
+            if len(phase.at_rest) == len(self.virtual.controllers):
                 return
             await sleep_ns(self._clock, 7 * NS_PER_MS)
 
-    async def _again_the_same(self, client: Tutti, act: Act, keys: dict[str, str]) -> None:
+    async def _check_repeated_submit(self, client: Tutti, phase: CampaignPhase, keys: dict[str, str]) -> None:
         """Check invariant 6: a client that repeats a request after a lost reply gets the same job."""
-        job_id, order = next(iter(act.jobs.items()))
+        job_id, order = next(iter(phase.jobs.items()))
         try:
             again = await client.submit(order.job, keys[order.job.name], order.terms)
         except Refusal as error:
-            self.judge.violate("9", f"a coordinator that cannot accept jobs answers for one: {error.text}")
+            self.checker.add_violation("9", f"a coordinator that cannot accept jobs answers for one: {error.text}")
             return
         if again != job_id:
-            self.judge.violate("6", f"job {order.job.name} was accepted twice: {job_id} and {again}")
+            self.checker.add_violation("6", f"job {order.job.name} was accepted twice: {job_id} and {again}")
 
-    async def _jog_free(self, act: Act) -> None:
+    async def _jog_free_axis(self, phase: CampaignPhase) -> None:
         """Jog an axis that no job uses for a while."""
-        busy = {name for order in act.jobs.values() for name in order.controllers}
-        free = [name for name in self._story.fleet.controllers if name not in busy] or [act.member]
-        await self._jog(act, self._draw.choice(free), RENEWALS)
+        busy = {name for order in phase.jobs.values() for name in order.controllers}
+        free = [name for name in self._seed_run.fleet.controllers if name not in busy] or [phase.member]
+        await self._jog_axis(phase, self._draw.choice(free), JOG_RENEWALS)
 
-    async def _jog(
-        self, act: Act, name: str, renewals: int, reached: "asyncio.Future[tuple[str, int]] | None" = None
+    async def _jog_axis(
+        self, phase: CampaignPhase, name: str, renewals: int, reached: "asyncio.Future[tuple[str, int]] | None" = None
     ) -> None:
         """Jog an axis, and end without a stop command. reached: the future that triggers the fault."""
-        axis_name, axis = next(iter(self._story.fleet.controllers[name].axes.items()))
+        axis_name, axis = next(iter(self._seed_run.fleet.controllers[name].axes.items()))
         label = f"{name}.{axis_name}"
-        way = -1 if self._where()[label] > axis.limits.velocity * PACE * MOST_S / 2 else 1
-        person = self.virtual.client("hand")
+        way = -1 if self._axis_positions()[label] > axis.limits.velocity * SPEED_FRACTION * MAX_MOVE_S / 2 else 1
+        person = self.virtual.make_client("hand")
         with suppress(Refusal):
             async with person.manual_control([label]) as hand:
                 begun_ns = self._clock.now_ns()
-                act.jogs.append(Jog(name, axis.motors[0], begun_ns, begun_ns))
-                await hand.jog({label: way * axis.limits.velocity * PACE / 2})
+                phase.jogs.append(JogRecord(name, axis.motors[0], begun_ns, begun_ns))
+                await hand.jog({label: way * axis.limits.velocity * SPEED_FRACTION / 2})
                 if reached is not None:
                     self._jogging = True
-                    at_ns = self._clock.now_ns() + self._draw.randrange(_JOG_NS)
+                    at_ns = self._clock.now_ns() + self._draw.randrange(_MAX_JOG_NS)
                     self._clock.call_at_ns(at_ns, lambda: reached.set_result(("", 0)), context=Context())
                 with suppress(Refusal):
                     for _ in range(renewals):
-                        await sleep_ns(self._clock, RENEWED_NS)
-                        act.jogs[-1] = replace(act.jogs[-1], renewed_ns=self._clock.now_ns())
+                        await sleep_ns(self._clock, RENEW_NS)
+                        phase.jogs[-1] = replace(phase.jogs[-1], renewed_ns=self._clock.now_ns())
                         await hand.renew_jog()
                     await sleep_ns(self._clock, NS_PER_S)
                 self._jogging = False
@@ -360,117 +369,117 @@ class _Play:
 
     # Stages
 
-    def _heard(self, asked: Asked) -> None:
+    def _on_request(self, request: RecordedRequest) -> None:
         """Note that a request to a member was sent or answered. Runs in the coordinator's process."""
-        if asked.verb == "lease":
+        if request.verb == "lease":
             return
-        at = self._reached.setdefault((asked.step, asked.member), {})
+        at = self._stage_times.setdefault((request.step_id, request.member), {})
         now_ns = self._clock.now_ns()
-        at.setdefault(asked.verb, now_ns)
-        if asked.verb == "home" and asked.answered_ns is not None:
+        at.setdefault(request.verb, now_ns)
+        if request.verb == "home" and request.answered_ns is not None:
             at["homed"] = now_ns
-        if asked.verb == "go" and asked.taken:
+        if request.verb == "go" and request.accepted:
             at.setdefault("fire", now_ns)
-            at.setdefault("t0", self._host_ns(asked))
+            at.setdefault("t0", self._t0_host_ns(request))
         if self._target is None:
             return
         act, cell, reached = self._target
-        if asked.job not in act.jobs or asked.member != act.member or reached.done():
+        if request.job_id not in act.jobs or request.member != act.member or reached.done():
             return
-        at_ns = self._strikes_at(cell.stage, asked, now_ns)
+        at_ns = self._find_fault_instant(cell.stage, request, now_ns)
         if at_ns is not None:
             self._target = None
-            step = asked.step
+            step = request.step_id
             self._clock.call_at_ns(
                 at_ns, lambda: None if reached.done() else reached.set_result(step), context=Context()
             )
 
-    def _strikes_at(self, stage: Stage, asked: Asked, now_ns: int) -> int | None:
+    def _find_fault_instant(self, stage: Stage, request: RecordedRequest, now_ns: int) -> int | None:
         """Return the instant of the fault as soon as it is determined."""
-        going_out = asked.answered_ns is None
-        if stage == "home" and asked.verb == "home" and going_out:
-            return now_ns + self._draw.randrange(self._homes_in_ns(asked.member) + 1)
-        if stage in _WITHIN and asked.verb == stage and going_out:
-            return now_ns + self._draw.randint(*_WITHIN[stage])
-        if stage == "arm" and asked.verb == "arm" and going_out:
-            return now_ns + self._draw.randrange(self._arms_in_ns(asked.member) + 1)
-        if asked.verb != "go" or not asked.taken:
+        going_out = request.answered_ns is None
+        if stage == "home" and request.verb == "home" and going_out:
+            return now_ns + self._draw.randrange(self._expected_homing_ns(request.member) + 1)
+        if stage in _FAULT_WINDOWS_NS and request.verb == stage and going_out:
+            return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
+        if stage == "arm" and request.verb == "arm" and going_out:
+            return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
+        if request.verb != "go" or not request.accepted:
             return None
-        t0_ns = self._host_ns(asked)
+        t0_ns = self._t0_host_ns(request)
         if stage == "fire":
-            return self._draw.randint(min(now_ns, t0_ns), t0_ns + _FIRE_NS)
+            return self._draw.randint(min(now_ns, t0_ns), t0_ns + _FIRE_WINDOW_NS)
         if stage == "motion":
-            return t0_ns + self._draw.randint(*_MOTION_NS)
+            return t0_ns + self._draw.randint(*_MOTION_WINDOW_NS)
         return None
 
-    def _homes_in_ns(self, member: str) -> int:
+    def _expected_homing_ns(self, member: str) -> int:
         """Return the shortest expected homing time: a share of the shortest one so far, and of the path from the
         current position."""
-        config = self._story.fleet.controllers[member]
+        config = self._seed_run.fleet.controllers[member]
         if config.adapter == "ppsmc":
-            return _VOUCHED_NS
-        asked = (each for each in self.witness.of("home") if each.member == member and each.taken)
-        shortest_ns = min(each.answered_ns - each.asked_ns for each in asked if each.answered_ns is not None)
-        where = self._where()
+            return _VERIFIED_HOMING_NS
+        asked = (each for each in self.recorder.find_requests("home") if each.member == member and each.accepted)
+        shortest_ns = min(each.answered_ns - each.sent_ns for each in asked if each.answered_ns is not None)
+        where = self._axis_positions()
         ways_s = (
             abs(where[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
             for name, axis in config.axes.items()
             if axis.homing.method == "default"
         )
-        return round(HOMES_SHARE * (shortest_ns + max(ways_s, default=0.0) * NS_PER_S))
+        return round(HOMING_SHARE * (shortest_ns + max(ways_s, default=0.0) * NS_PER_S))
 
-    def _arms_in_ns(self, member: str) -> int:
+    def _expected_arming_ns(self, member: str) -> int:
         """Return the duration of the member's last arming; before the first one, a tenth of the limit that it
         declared."""
-        taken = {each.verb: each.reply for each in self.witness.asked if each.member == member and each.taken}
+        taken = {each.verb: each.reply for each in self.recorder.requests if each.member == member and each.accepted}
         if "arm" in taken:
             return taken["arm"]["took_ns"]
         return (taken["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
 
-    def _stage_of(self, step: tuple[str, int], member: str) -> Stage | None:
+    def _find_stage(self, step: tuple[str, int], member: str) -> Stage | None:
         """Return the stage that `member` has reached in the step; None when its job has ended."""
         row = self.virtual.journal.load_record(step[0])
         if row is None or row.state in FINISHED_STATES:
             return None
-        at = self._reached[step, member]
+        at = self._stage_times[step, member]
         if "home" in at:
             return None if "homed" in at else "home"
-        if "t0" in at and self._clock.now_ns() > at["t0"] + _FIRE_NS:
+        if "t0" in at and self._clock.now_ns() > at["t0"] + _FIRE_WINDOW_NS:
             return "motion"
         return next(stage for stage in reversed(STAGES) if stage in at)
 
-    def _host_ns(self, asked: Asked) -> int:
+    def _t0_host_ns(self, request: RecordedRequest) -> int:
         origin_ns = next(
             c.leadership.scale.origin_host_ns for _, c in self.virtual.coordinators.values() if c.leadership.epoch
         )
-        return asked.said["t0_fleet_ns"] + origin_ns
+        return request.fields["t0_fleet_ns"] + origin_ns
 
     # Checks during a run
 
-    def _hear_state(self, sample: Sample) -> None:
+    def _check_epoch(self, sample: BusSample) -> None:
         """Check invariant 9: no adapter goes back to an older epoch."""
         _, _, rest = sample.payload.partition(b'"epoch":')
         epoch = int(rest[: rest.index(b",")])
         if epoch < self._epochs.get(sample.key, 0):
-            self.judge.violate("9", f"{sample.key}: epoch {epoch} after {self._epochs[sample.key]}")
+            self.checker.add_violation("9", f"{sample.key}: epoch {epoch} after {self._epochs[sample.key]}")
         self._epochs[sample.key] = epoch
 
-    async def _judge_latches(self, fault: str) -> None:
+    async def _check_latches(self, fault: str) -> None:
         """Check invariant 4: every reachable adapter latches an e-stop, without a coordinator."""
         if fault != "estop":
             return
-        person = self.virtual.client("looker")
+        person = self.virtual.make_client("looker")
         for name, state in (await person.status(1.0)).items():
             if state.estop is None:
-                self.judge.violate("4", f"{name} has not latched the e-stop")
+                self.checker.add_violation("4", f"{name} has not latched the e-stop")
         await person.close()
 
-    def _judge_reigns(self) -> None:
+    def _check_leaders(self) -> None:
         """Check invariant 9: the leaders have different epochs, and an overtaken coordinator has detected its loss
         of leadership."""
         epochs = [each.leadership.epoch for _, each in self.virtual.coordinators.values() if each.leadership.epoch]
         if len(set(epochs)) != len(epochs):
-            self.judge.violate("9", f"two leaders with one epoch: {epochs}")
-        for name in self._breaker.overtaken:
+            self.checker.add_violation("9", f"two leaders with one epoch: {epochs}")
+        for name in self._injector.former_leaders:
             if not self.virtual.coordinators[name][1].leadership.over:
-                self.judge.violate("9", f"coordinator {name} was overtaken but still acts as leader")
+                self.checker.add_violation("9", f"coordinator {name} was overtaken but still acts as leader")

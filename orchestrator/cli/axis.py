@@ -5,10 +5,10 @@ from typing import Any
 import click
 
 from orchestrator.cli.axis_take import acquire, release
-from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.fleet import stop
 from orchestrator.cli.jog.command import jog
-from orchestrator.cli.one_step import run_step
+from orchestrator.cli.one_step import run_single_step
 
 _AXES = click.argument("axes", nargs=-1, required=True)
 
@@ -21,15 +21,15 @@ def axis() -> None:
 @axis.command("ls", epilog="Example: tutti axis ls --json")
 @fleet_options
 @json_option
-def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
+def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """List all axes: their positions, and the reasons why they are not ready.
 
     position is in the coordinates of jobs; motor is the same without the offset of `set-position`, which soft limits
     refer to; counts are the controller's own.
     """
     from orchestrator.client import Tutti
-    from orchestrator.monitor.fleet_view import axis_words
-    from orchestrator.monitor.tables import plain_table
+    from orchestrator.monitor.fleet_view import describe_axis
+    from orchestrator.monitor.tables import make_plain_table
 
     async def act(tutti: Tutti) -> None:
         states = await tutti.status()
@@ -37,13 +37,13 @@ def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
         if as_json:
             print_json({name: now.to_plain() for name, (_, now) in rows.items()})
             return
-        table = plain_table(["axis", "position>", "unit", "motor>", "counts>", "axis is"])
+        table = make_plain_table(["axis", "position>", "unit", "motor>", "counts>", "axis is"])
         for name, (state, now) in rows.items():
             if state.mode == "offline":
                 table.add_row(name, "-", now.unit, "-", "-", "offline")
                 continue
             user, motor = f"{now.position:,.4f}", f"{now.motor_position:,.4f}"
-            table.add_row(name, user, now.unit, motor, f"{now.raw_counts:,.0f}", axis_words(now))
+            table.add_row(name, user, now.unit, motor, f"{now.raw_counts:,.0f}", describe_axis(now))
         console.print(table)
 
     with_fleet(connect, fleet, act)
@@ -53,7 +53,7 @@ def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
 @_AXES
 @fleet_options
 @json_option
-def limits(axes: tuple[str, ...], connect: str, fleet: str | None, as_json: bool) -> None:
+def limits(axes: tuple[str, ...], connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show soft limits and largest velocity, acceleration and jerk of AXES, as their adapters report them."""
     from orchestrator.client import Tutti
 
@@ -79,7 +79,7 @@ def limits(axes: tuple[str, ...], connect: str, fleet: str | None, as_json: bool
 @fleet_options
 def enable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     """Switch the motors of AXES on (axes, groups or controllers)."""
-    run_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled")
+    run_single_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled")
 
 
 @axis.command(epilog="Example: tutti axis disable gantry")
@@ -87,7 +87,7 @@ def enable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
 @fleet_options
 def disable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     """Switch the motors of AXES off."""
-    run_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled")
+    run_single_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled")
 
 
 @axis.command(epilog="Example: tutti axis home          (the whole fleet, in its home_order)")
@@ -95,7 +95,7 @@ def disable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
 @fleet_options
 def home(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     """Home AXES, one after the other; without AXES, the whole fleet in its home_order."""
-    run_step(connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed")
+    run_single_step(connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed")
 
 
 @axis.command(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
@@ -106,26 +106,28 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
 )
 @click.option("--line", is_flag=True, help="Along a straight path.")
 @fleet_options
-def move(targets: tuple[str, ...], relative: bool, speed: float, line: bool, connect: str, fleet: str | None) -> None:
+def move(
+    targets: tuple[str, ...], speed: float, connect: str, fleet: str | None, *, relative: bool, line: bool
+) -> None:
     """Move axes together to VALUE (with --relative: by VALUE), in the axis's unit or a given unit."""
-    wanted = _targets(targets, "TARGETS")
+    wanted = _parse_targets(targets, "TARGETS")
     step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
-    run_step(connect, fleet, step, "there")
+    run_single_step(connect, fleet, step, "there")
 
 
 @axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')
 @click.argument("positions", nargs=-1, required=True, metavar="AXIS[=VALUE]...")
 @click.option("--clear", is_flag=True, help="Clear the offsets of the AXES: user positions become motor positions.")
 @fleet_options
-def set_position(positions: tuple[str, ...], clear: bool, connect: str, fleet: str | None) -> None:
+def set_position(positions: tuple[str, ...], connect: str, fleet: str | None, *, clear: bool) -> None:
     """Set the current position of AXIS to VALUE. Nothing moves.
 
     This sets the user offset of the axis, for all users. Soft limits, which are motor positions, do not shift with
     it.
     """
     axes: dict[str, str | float | None] = {}
-    axes |= dict.fromkeys(positions) if clear else _targets(positions, "POSITIONS")
-    run_step(connect, fleet, {"do": "set-position", "axes": axes}, "set")
+    axes |= dict.fromkeys(positions) if clear else _parse_targets(positions, "POSITIONS")
+    run_single_step(connect, fleet, {"do": "set-position", "axes": axes}, "set")
 
 
 # Manual motions are stopped like all others: one stop for all.
@@ -135,7 +137,7 @@ axis.add_command(acquire)
 axis.add_command(release)
 
 
-def _targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:
+def _parse_targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:
     """Parse AXIS=VALUE arguments into values by axis."""
     wanted: dict[str, str | float] = {}
     for target in targets:

@@ -6,8 +6,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.common import actor, console, fail, fleet_options, json_option, print_json, with_fleet
-from orchestrator.cli.job_terms import Span
+from orchestrator.cli.base.common import (
+    actor_name,
+    console,
+    exit_with_error,
+    fleet_options,
+    json_option,
+    print_json,
+    with_fleet,
+)
+from orchestrator.cli.job_terms import DurationType
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -15,12 +23,12 @@ if TYPE_CHECKING:
 
 @click.command(epilog='Example: tutti axis acquire gantry stage.u --for 2h --what "new belt"')
 @click.argument("axes", nargs=-1, required=True)
-@click.option("--for", "seconds", default=None, type=Span(), help="Duration, at most 24h; or until `release`.")
-@click.option("--what", default="manual work", show_default=True, help="Reason, shown to users who wait.")
+@click.option("--for", "seconds", default=None, type=DurationType(), help="Duration, at most 24h; or until `release`.")
+@click.option("--what", default="manual work", show_default=True, help="Reason, shown to waiting users.")
 @fleet_options
 @json_option
 def acquire(
-    axes: tuple[str, ...], seconds: float | None, what: str, connect: str, fleet: str | None, as_json: bool
+    axes: tuple[str, ...], seconds: float | None, what: str, connect: str, fleet: str | None, *, as_json: bool
 ) -> None:
     """Acquire AXES (axes, groups or controllers) for manual work: jobs that need them wait, other users are refused.
 
@@ -29,13 +37,15 @@ def acquire(
     it out.
     """
 
-    async def act(tutti: "Tutti") -> None:
+    async def acquire_axes(tutti: "Tutti") -> None:
         if seconds is not None:
             acquired, holder = await tutti.reserve_axes(list(axes), seconds, what)
             if as_json:
                 print_json({"holder": holder, "axes": acquired})
             else:
-                console.print(f"acquired: {', '.join(acquired)}; release them with `tutti axis release`", highlight=False)
+                console.print(
+                    f"acquired: {', '.join(acquired)}; release them with `tutti axis release`", highlight=False
+                )
             return
         async with tutti.manual_control(list(axes), what=what) as control:
             if as_json:
@@ -51,10 +61,12 @@ def acquire(
                         await ended.wait()
                 except TimeoutError:
                     if control.lost is not None:
-                        fail(f"the axes are no longer acquired: {control.lost.text}", remedy=control.lost.remedy)
+                        exit_with_error(
+                            f"the axes are no longer acquired: {control.lost.text}", remedy=control.lost.remedy
+                        )
         console.print("released", highlight=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, acquire_axes)
 
 
 @click.command(epilog="Example: tutti axis release gantry")
@@ -62,22 +74,22 @@ def acquire(
 @click.option("--force", is_flag=True, help="Also axes that another user acquired: agree with that user first.")
 @fleet_options
 @json_option
-def release(axes: tuple[str, ...], force: bool, connect: str, fleet: str | None, as_json: bool) -> None:
+def release(axes: tuple[str, ...], connect: str, fleet: str | None, *, force: bool, as_json: bool) -> None:
     """Release AXES (axes or controllers; without: all) that you acquired, with all that were acquired together with
     them."""
 
-    async def act(tutti: "Tutti") -> None:
+    async def release_axes(tutti: "Tutti") -> None:
         wanted = {name.partition(".")[0] for name in axes}
         manual = [lease for lease in await tutti.list_leases() if (lease.holder or "").startswith("manual-")]
         found = [lease for lease in manual if not wanted or lease.controller in wanted]
-        others = [lease for lease in found if lease.actor != actor()]
+        others = [lease for lease in found if lease.actor != actor_name()]
         if others and wanted and not force:
             first = others[0]
-            fail(
+            exit_with_error(
                 f"{first.controller} is acquired by {first.actor} ({first.what})",
                 remedy="agree with that user, then repeat with --force",
             )
-        holders = {lease.holder: lease for lease in found if force or lease.actor == actor()}
+        holders = {lease.holder: lease for lease in found if force or lease.actor == actor_name()}
         for holder in holders:
             assert holder is not None
             await tutti.release_axes(holder)
@@ -86,4 +98,4 @@ def release(axes: tuple[str, ...], force: bool, connect: str, fleet: str | None,
         else:
             console.print(f"{len(holders)} released" if holders else "no axis is acquired", highlight=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, release_axes)

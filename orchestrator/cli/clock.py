@@ -2,8 +2,8 @@
 
 import click
 
-from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, fail, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.common import console, exit_with_error, fleet_options, json_option, print_json, with_fleet
 from orchestrator.model.state import ClockMapping, ClockReply, LearnedCrystal
 
 
@@ -15,7 +15,7 @@ def clock() -> None:
 @clock.command(epilog="Example: tutti clock ls")
 @fleet_options
 @json_option
-def ls(connect: str, fleet: str | None, as_json: bool) -> None:
+def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """List every controller's clock.
 
     rate: by how much its ticks are too long. bound: the guaranteed error of a prediction now and in 5 s. For a
@@ -24,45 +24,47 @@ def ls(connect: str, fleet: str | None, as_json: bool) -> None:
     """
     from orchestrator.client import Tutti
     from orchestrator.client.clocks import query_clocks
-    from orchestrator.monitor.tables import plain_table
+    from orchestrator.monitor.tables import make_plain_table
 
-    async def act(tutti: Tutti) -> None:
+    async def list_clocks(tutti: Tutti) -> None:
         found = await query_clocks(tutti)
         if as_json:
             print_json({name: reply.to_plain() for name, reply in found.items()})
             return
-        table = plain_table(["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "readings>", "residual>"])
+        table = make_plain_table(
+            ["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "readings>", "residual>"]
+        )
         for name, reply in found.items():
-            table.add_row(name, ", ".join(reply.start_classes), *_cells(reply.mapping, reply.crystal))
+            table.add_row(name, ", ".join(reply.start_classes), *_make_cells(reply.mapping, reply.crystal))
         console.print(table)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, list_clocks)
 
 
 @clock.command(epilog="Example: tutti clock show gantry")
 @click.argument("controller")
 @fleet_options
 @json_option
-def show(controller: str, connect: str, fleet: str | None, as_json: bool) -> None:
+def show(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show the estimate of one controller's clock."""
     from orchestrator.client import Tutti
     from orchestrator.client.clocks import query_clocks
 
-    async def act(tutti: Tutti) -> None:
+    async def show_clock(tutti: Tutti) -> None:
         found = await query_clocks(tutti)
         if controller not in found:
-            fail(f"no adapter answers for {controller}; controllers: {', '.join(found) or 'none'}", FAILED)
+            exit_with_error(f"no adapter answers for {controller}; controllers: {', '.join(found) or 'none'}", FAILED)
         reply = found[controller]
         if as_json:
             print_json(reply.to_plain())
             return
-        for name, words in _lines(reply):
+        for name, words in _make_lines(reply):
             console.print(f"{name:<12} {words}", highlight=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_clock)
 
 
-def _cells(mapping: ClockMapping | None, crystal: LearnedCrystal | None) -> list[str]:
+def _make_cells(mapping: ClockMapping | None, crystal: LearnedCrystal | None) -> list[str]:
     if mapping is None and crystal is not None:
         known = f"{crystal.moves} moves" if crystal.consistent else "outside the model"
         return [f"{-crystal.rate_ppm:+.1f} ppm", f"{crystal.bound_ppm:.1f} ppm", "", "", known, ""]
@@ -70,15 +72,15 @@ def _cells(mapping: ClockMapping | None, crystal: LearnedCrystal | None) -> list
         return ["no clock", "", "", "", "", ""]
     return [
         f"{mapping.rate_ppm:+.1f} ppm",
-        _ms(_bound_ns(mapping, 0)),
-        _ms(_bound_ns(mapping, 5_000_000_000)),
+        _format_ms(_bound_ns(mapping, 0)),
+        _format_ms(_bound_ns(mapping, 5_000_000_000)),
         f"{mapping.age_ns / 1e9:.1f} s",
         str(mapping.samples),
-        _ms(mapping.residual_ns) if mapping.consistent else "outside the model",
+        _format_ms(mapping.residual_ns) if mapping.consistent else "outside the model",
     ]
 
 
-def _lines(reply: ClockReply) -> list[tuple[str, str]]:
+def _make_lines(reply: ClockReply) -> list[tuple[str, str]]:
     mapping, crystal = reply.mapping, reply.crystal
     if mapping is None and crystal is not None:
         fits = "fits" if crystal.consistent else "did not fit the last move: earlier moves are discarded"
@@ -99,10 +101,13 @@ def _lines(reply: ClockReply) -> list[tuple[str, str]]:
             "offset",
             f"tick {mapping.ticks_at} began {mapping.age_ns / 1e9:.3f} s ago, host time {mapping.host_at_ns}",
         ),
-        ("bound", f"{_ms(_bound_ns(mapping, 0))} now, growing by {mapping.drift_ppm:.2f} µs per second; guaranteed"),
-        ("readings", f"{mapping.samples}, mean distance {_ms(mapping.residual_ns)} from the mapping"),
+        (
+            "bound",
+            f"{_format_ms(_bound_ns(mapping, 0))} now, growing by {mapping.drift_ppm:.2f} µs per second; guaranteed",
+        ),
+        ("readings", f"{mapping.samples}, mean distance {_format_ms(mapping.residual_ns)} from the mapping"),
         ("model", "fits" if mapping.consistent else "does not fit: a crystal beyond 100 ppm, or a clock that was set"),
-        ("round trips", f"the fastest took {_ms(mapping.min_rtt_ns)}"),
+        ("round trips", f"the fastest took {_format_ms(mapping.min_rtt_ns)}"),
     ]
 
 
@@ -110,5 +115,5 @@ def _bound_ns(mapping: ClockMapping, ahead_ns: int) -> float:
     return mapping.bound_ns + (mapping.age_ns + ahead_ns) * mapping.drift_ppm * 1e-6
 
 
-def _ms(ns: float) -> str:
+def _format_ms(ns: float) -> str:
     return f"{ns / 1e6:.3f} ms"

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 
 if TYPE_CHECKING:
     from adapters.link.can_log import LogFormat
-    from orchestrator.link.trace import Entry
+    from orchestrator.link.trace import TraceEntry
     from orchestrator.model.messages import TraceReply
 
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 @click.option("--i-know", is_flag=True, help="Confirm: the command is sent without any limit check.")
 @fleet_options
 @json_option
-def raw(controller: str, command: str, i_know: bool, connect: str, fleet: str | None, as_json: bool) -> None:
+def raw(controller: str, command: str, connect: str, fleet: str | None, *, i_know: bool, as_json: bool) -> None:
     """Send COMMAND to CONTROLLER in the controller's own language and print its reply. It is logged."""
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
+    async def send_command(tutti: Tutti) -> None:
         reply = await tutti.send_raw(controller, command, i_know=i_know)
         print_json({"reply": reply}) if as_json else console.print(reply, highlight=False, markup=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, send_command)
 
 
 @click.command(epilog="Examples: tutti trace gantry; tutti trace spindle --format blf --output spindle.blf")
@@ -42,6 +42,7 @@ def trace(
     output: Path | None,
     connect: str,
     fleet: str | None,
+    *,
     as_json: bool,
 ) -> None:
     """Show the bytes of the last 60 s on CONTROLLER's link: seconds before now, direction, text.
@@ -52,7 +53,7 @@ def trace(
         raise click.UsageError("--format and --output must be given together")
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
+    async def show_trace(tutti: Tutti) -> None:
         reply = await tutti.read_trace(controller)
         if form is not None and output is not None:
             count = _write_log(reply, form, output, controller)
@@ -74,7 +75,7 @@ def trace(
                 soft_wrap=True,
             )
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_trace)
 
 
 def _write_log(reply: "TraceReply", form: "LogFormat", output: Path, controller: str) -> int:
@@ -83,7 +84,7 @@ def _write_log(reply: "TraceReply", form: "LogFormat", output: Path, controller:
 
     from adapters.link.can_log import write_log
 
-    entries: list[Entry] = [(at_ns, direction, text.encode("latin-1")) for at_ns, direction, text in reply.entries]
+    entries: list[TraceEntry] = [(at_ns, direction, text.encode("latin-1")) for at_ns, direction, text in reply.entries]
     origin_s = datetime.fromisoformat(reply.utc).timestamp() - reply.host_ns / 1e9
     try:
         return write_log(output, form, entries, origin_s)

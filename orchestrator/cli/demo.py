@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.codes import FAILED, INTERRUPTED
-from orchestrator.cli.common import console, fail, json_option, print_json, run
+from orchestrator.cli.base.codes import FAILED, INTERRUPTED
+from orchestrator.cli.base.common import console, exit_with_error, json_option, print_json, run_main
 
-READY_S = 30.0  # for the adoption of all controllers; takes a second on an idle machine
-LOOK_S = 0.05
-JOB_S = 120.0  # for the job, which takes six seconds
+READY_TIMEOUT_S = 30.0  # for the adoption of all controllers; takes a second on an idle machine
+POLL_S = 0.05
+JOB_TIMEOUT_S = 120.0  # for the job, which takes six seconds
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
 
@@ -30,7 +30,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
 @click.option("--headless", is_flag=True, help="Show no progress.")
 @json_option
 @click.option("--keep", type=click.Path(path_type=Path), default=None, help="Keep logs and journal in this folder.")
-def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
+def demo(which: str, keep: Path | None, *, headless: bool, as_json: bool) -> None:
     """Start router, simulators, adapter hosts and coordinator, run the example job, and print its report.
 
     The simulated controllers listen on real TCP ports and pseudo-terminals, and record their true motions, which the
@@ -39,23 +39,23 @@ def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
     """
     from orchestrator.model.files import load_fleet, load_job
     from orchestrator.model.report import JobReport
-    from orchestrator.runtime.demo_truth import Held, verdicts_against_truth
-    from orchestrator.runtime.live import LiveFleet, UpFailed, free_port
+    from orchestrator.runtime.demo_truth import VerdictCheck, check_verdicts
+    from orchestrator.runtime.live import LiveFleet, UpFailed, find_free_port
 
-    def say(line: str) -> None:
+    def print_line(line: str) -> None:
         if not headless and not as_json:
             console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-    async def main() -> tuple[JobReport, list[Held]]:
+    async def run_demo() -> tuple[JobReport, list[VerdictCheck]]:
         name = "demo" if which == "two" else which
         fleet, job = load_fleet(EXAMPLES / f"{name}.fleet.yaml"), load_job(EXAMPLES / f"{name}.job.yaml")
-        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, _interrupt)
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, _exit_interrupted)
         with tempfile.TemporaryDirectory(prefix="tutti-demo-") as folder:
-            live = LiveFleet(fleet, keep or Path(folder), say, port=free_port(), simulated=True, truth=True)
+            live = LiveFleet(fleet, keep or Path(folder), print_line, port=find_free_port(), simulated=True, truth=True)
             await live.start()
             try:
                 job_run = asyncio.ensure_future(
-                    _run_job(live.connect, fleet.fleet, job, len(fleet.controllers), headless or as_json)
+                    _run_job(live.connect, fleet.fleet, job, len(fleet.controllers), quiet=headless or as_json)
                 )
                 assert live.failed is not None
                 # A part whose exit code is final would never become ready.
@@ -63,40 +63,40 @@ def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
                 if job_run.done():
                     report, origin_host_ns = await job_run
                     truth = (keep or Path(folder)) / "truth"
-                    return report, verdicts_against_truth(fleet, report, truth, origin_host_ns)
+                    return report, check_verdicts(fleet, report, truth, origin_host_ns)
                 job_run.cancel()
                 raise UpFailed(live.failed.result())
             finally:
                 await live.close()
 
-    report, truths = run(main())
+    report, truths = run_main(run_demo())
     unsure = [step for step in report.steps if step.verdict not in ("green", "none")]
     if as_json:
-        print_json(summary(report) | {"truth": [each._asdict() for each in truths]})
+        print_json(make_summary(report) | {"truth": [each._asdict() for each in truths]})
     else:
-        from orchestrator.monitor.report_table import report_tables
+        from orchestrator.monitor.report_table import make_report_tables
 
-        console.print(report_tables(report))
+        console.print(make_report_tables(report))
         for each in truths:
             holds = "the verdict contains it" if each.held else "[yellow]outside the verdict[/]"
-            who = f"; outside their evidence: {', '.join(each.outside)}" if each.outside else ""
-            console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}{who}")
+            outside = f"; outside their evidence: {', '.join(each.outside)}" if each.outside else ""
+            console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}{outside}")
         if not all(each.held and not each.outside for each in truths):
             console.print("Simulated controllers react late on a busy machine, unlike real ones.")
     if report.state != "done":
         raise SystemExit(FAILED)
     if unsure:
         names = ", ".join(f"{step.index} ({step.verdict})" for step in unsure)
-        fail(
+        exit_with_error(
             f"the start skew cannot be guaranteed within the limit of the job in step {names}",
             remedy="the machine was perhaps too busy to read the controllers' replies in time; try again",
         )
 
 
-async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: bool) -> tuple[Any, int]:
+async def _run_job(connect: str, fleet: str, job: Any, controllers: int, *, quiet: bool) -> tuple[Any, int]:
     """Wait until the fleet is adopted, then submit and follow the job; return also the host instant at which fleet
     time is 0."""
-    from orchestrator.cli.follow import follow
+    from orchestrator.cli.follow import follow_job
     from orchestrator.client import Tutti
     from orchestrator.model.messages import LeaderHeartbeat
     from orchestrator.model.state import ControllerState
@@ -105,24 +105,24 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: 
     async with Tutti(connect, fleet, actor="demo") as tutti:
         states: dict[str, ControllerState] = {}
         try:
-            async with asyncio.timeout(READY_S):
+            async with asyncio.timeout(READY_TIMEOUT_S):
                 while len(states) < controllers or not all(s.epoch and s.mode == "idle" for s in states.values()):
                     states = await tutti.status()
-                    await asyncio.sleep(LOOK_S)
+                    await asyncio.sleep(POLL_S)
         except TimeoutError:
             shown = ", ".join(f"{name} is {state.mode}" for name, state in states.items()) or "no controller answers"
-            raise UpFailed(f"not all controllers are ready after {READY_S:g} s: {shown}") from None
+            raise UpFailed(f"not all controllers are ready after {READY_TIMEOUT_S:g} s: {shown}") from None
         job_id = await tutti.submit(job)
         try:
-            async with asyncio.timeout(JOB_S):
-                report = await follow(tutti, job_id, quiet)
+            async with asyncio.timeout(JOB_TIMEOUT_S):
+                report = await follow_job(tutti, job_id, quiet=quiet)
         except TimeoutError:
-            raise UpFailed(f"job {job_id} has not ended after {JOB_S:g} s; see the logs with --keep") from None
-        async with tutti.subscribe_samples(tutti.keys.leader) as heard:
-            return report, LeaderHeartbeat.model_validate_json((await heard.get()).payload).origin_host_ns
+            raise UpFailed(f"job {job_id} has not ended after {JOB_TIMEOUT_S:g} s; see the logs with --keep") from None
+        async with tutti.subscribe_samples(tutti.keys.leader) as heartbeats:
+            return report, LeaderHeartbeat.model_validate_json((await heartbeats.get()).payload).origin_host_ns
 
 
-def summary(report: Any) -> dict[str, Any]:
+def make_summary(report: Any) -> dict[str, Any]:
     """Return the report as one object: state, and each step's members, start skew, budget and durations."""
     steps: list[dict[str, Any]] = []
     for step in report.to_plain()["steps"]:
@@ -144,5 +144,5 @@ def summary(report: Any) -> dict[str, Any]:
     return {"state": report.state, "reason": report.reason, "job_id": report.job_id, "steps": steps}
 
 
-def _interrupt() -> None:
+def _exit_interrupted() -> None:
     raise SystemExit(INTERRUPTED)

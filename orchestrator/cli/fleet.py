@@ -6,16 +6,16 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.codes import FAILED, UNREACHABLE
-from orchestrator.cli.common import (
-    actor,
+from orchestrator.cli.base.codes import FAILED, UNREACHABLE
+from orchestrator.cli.base.common import (
+    actor_name,
     console,
     errors,
-    fail,
+    exit_with_error,
     fleet_options,
     json_option,
     print_json,
-    run,
+    run_main,
     with_fleet,
 )
 
@@ -23,72 +23,74 @@ from orchestrator.cli.common import (
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
 @fleet_options
 @json_option
-def status(connect: str, fleet: str | None, as_json: bool) -> None:
+def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show the current state of every controller and axis."""
     from orchestrator.client import Tutti
-    from orchestrator.monitor.fleet_view import state_table
+    from orchestrator.monitor.fleet_view import make_state_table
 
-    async def act(tutti: Tutti) -> None:
+    async def show_status(tutti: Tutti) -> None:
         states = await tutti.status()
         if as_json:
             print_json({name: state.to_plain() for name, state in states.items()})
         else:
-            console.print(state_table(states))
+            console.print(make_state_table(states))
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_status)
 
 
 @click.command(epilog="Example: tutti stop")
 @fleet_options
 @json_option
 @click.option("--abort", is_flag=True, help="As fast as the controllers can, instead of by the planned ramps.")
-def stop(connect: str, fleet: str | None, as_json: bool, abort: bool) -> None:
+def stop(connect: str, fleet: str | None, *, as_json: bool, abort: bool) -> None:
     """Stop all axes of the fleet and end the running job. Works without a coordinator."""
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
-        _tell(await tutti.stop("abort" if abort else "decelerate"), "stopped", as_json)
+    async def stop_axes(tutti: Tutti) -> None:
+        _print_answers(await tutti.stop("abort" if abort else "decelerate"), "stopped", as_json=as_json)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, stop_axes)
 
 
 @click.command(epilog='Example: tutti estop --reason "hand in the machine"')
 @fleet_options
 @json_option
 @click.option("--reason", default="", help="Shown to all users until it is reset.")
-def estop(connect: str, fleet: str | None, as_json: bool, reason: str) -> None:
+def estop(connect: str, fleet: str | None, reason: str, *, as_json: bool) -> None:
     """Stop everything as fast as the controllers can, and latch until `tutti reset`.
 
     Without --fleet every fleet on the bus is stopped. This is software: it is no substitute for a wired emergency
     stop.
     """
-    latched = run(_stop_all(connect, fleet, reason))
+    latched = run_main(_send_estop(connect, fleet, reason))
     if as_json:
         print_json(latched)
     else:
         for controller, done in latched.items():
             console.print(f"{controller}: {'latched' if done else '[bold red]NOT LATCHED[/]'}")
     if not latched:
-        fail(
+        exit_with_error(
             f"no controller on {connect} confirms the e-stop",
             UNREACHABLE,
             "use the wired e-stop; then see `tutti status`",
         )
     if not all(latched.values()):
-        fail("not every controller confirms the e-stop", FAILED, "use the wired e-stop; then see `tutti status`")
+        exit_with_error(
+            "not every controller confirms the e-stop", FAILED, "use the wired e-stop; then see `tutti status`"
+        )
 
 
-async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, bool]:
+async def _send_estop(connect: str, fleet: str | None, reason: str) -> dict[str, bool]:
     """Send the e-stop, and return which controllers confirmed it; names begin with the fleet if there are several
     fleets."""
     from orchestrator.bus.estop import put_estop
     from orchestrator.bus.zenoh.bus import open_bus
-    from orchestrator.clock.realtime import Urgency, hurry
+    from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 
-    hurry(Urgency.BUS)
-    bus, who = await open_bus(connect), actor()
+    set_realtime_priority(RealtimePriority.BUS)
+    bus, actor = await open_bus(connect), actor_name()
     try:
-        put_estop(bus, fleet, f"{who}-{uuid.uuid4().hex[:8]}", who, reason)
+        put_estop(bus, fleet, f"{actor}-{uuid.uuid4().hex[:8]}", actor, reason)
         # Everything else is imported only now that the e-stop is sent.
         from orchestrator.bus.fleets import find_fleets
         from orchestrator.client import Tutti
@@ -110,7 +112,7 @@ async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, b
 @click.argument("event", required=False)
 @fleet_options
 @json_option
-def reset(event: str | None, connect: str, fleet: str | None, as_json: bool) -> None:
+def reset(event: str | None, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Release the e-stop named EVENT on every controller, and clear the faults that can be cleared.
 
     Without EVENT, the one that is latched; if there are several, they are listed and none is released. First every
@@ -118,25 +120,25 @@ def reset(event: str | None, connect: str, fleet: str | None, as_json: bool) -> 
     """
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
+    async def reset_estop(tutti: Tutti) -> None:
         latched = {state.estop.event: state.estop for state in (await tutti.status()).values() if state.estop}
         if event is not None and event not in latched:
-            fail(f"no e-stop {event} is latched; latched: {', '.join(latched) or 'none'}", FAILED)
+            exit_with_error(f"no e-stop {event} is latched; latched: {', '.join(latched) or 'none'}", FAILED)
         if event is None and len(latched) > 1:
             for name, latch in latched.items():
                 errors.print(f"{name}: by {latch.actor}: {latch.reason}", markup=False)
-            fail("several e-stops are latched", FAILED, "name one: `tutti reset EVENT`")
+            exit_with_error("several e-stops are latched", FAILED, "name one: `tutti reset EVENT`")
         for name in latched if event is None else [event]:
             if not as_json:
                 console.print(f"releasing e-stop {name} by {latched[name].actor}", markup=False)
         answers = await tutti.reset(event)
         refused = any(answers.values())
-        _tell(answers, "still latched by another e-stop" if refused and latched else "reset", as_json)
+        _print_answers(answers, "still latched by another e-stop" if refused and latched else "reset", as_json=as_json)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, reset_estop)
 
 
-def _tell(answers: dict[str, Any], done: str, as_json: bool) -> None:
+def _print_answers(answers: dict[str, Any], done: str, *, as_json: bool) -> None:
     """Print the answer of each controller; a refusal makes the exit code 1."""
     if as_json:
         print_json({name: refusal.to_plain() if refusal else None for name, refusal in answers.items()})

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, fleet_options, with_fleet
+from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.common import console, fleet_options, with_fleet
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -21,7 +21,7 @@ def fleet() -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--live", is_flag=True, help="Also compare with the running adapters, and with their controllers.")
 @fleet_options
-def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
+def check(file: Path, connect: str, fleet: str | None, *, live: bool) -> None:
     """Check FILE: its form, its references, and each controller's part by the rules of its make."""
     from orchestrator.client import Tutti
 
@@ -30,7 +30,7 @@ def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
     if not live:
         return
 
-    async def act(tutti: Tutti) -> None:
+    async def compare_adapters(tutti: Tutti) -> None:
         wrong = 0
         states = await tutti.status()
         for name, config in loaded.controllers.items():
@@ -49,7 +49,7 @@ def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
         if wrong:
             raise SystemExit(FAILED)
 
-    with_fleet(connect, fleet or loaded.fleet, act)
+    with_fleet(connect, fleet or loaded.fleet, compare_adapters)
 
 
 @fleet.command(epilog="Example: tutti fleet reload lab3.fleet.yaml")
@@ -66,22 +66,22 @@ def reload(file: Path, connect: str, fleet: str | None) -> None:
 
     loaded = load_or_fail(file)
 
-    async def act(tutti: Tutti) -> None:
+    async def load_file(tutti: Tutti) -> None:
         changed = await tutti.reload_fleet(loaded)
         for name in changed:
             console.print(f"{name}: has the new configuration; home its axes again")
         if not changed:
             console.print("no controller changed")
 
-    with_fleet(connect, fleet or loaded.fleet, act)
+    with_fleet(connect, fleet or loaded.fleet, load_file)
 
 
 def load_or_fail(file: Path) -> "Fleet":
     """Load the checked fleet file; an invalid one ends the command with its message."""
-    from orchestrator.cli.common import run
+    from orchestrator.cli.base.common import run_main
     from orchestrator.runtime.checked import load_checked_fleet
 
-    async def load() -> "Fleet":
+    async def load_file() -> "Fleet":
         return load_checked_fleet(file)
 
-    return run(load())
+    return run_main(load_file())

@@ -2,45 +2,45 @@
 
 from rich.live import Live
 
-from orchestrator.cli.common import console, errors
+from orchestrator.cli.base.common import console, errors
 from orchestrator.client import Tutti
 from orchestrator.model.report import JobProgress, JobReport
-from orchestrator.monitor.fleet_view import LiveView, job_line
+from orchestrator.monitor.fleet_view import LiveView, format_job_line
 
 
-async def follow(tutti: Tutti, job_id: str, quiet: bool) -> JobReport:
+async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
     """Wait for a job, showing the fleet live on a terminal, lines elsewhere; if `quiet`, only the reason why it
     waits, on standard error."""
     if quiet:
         waits = ""
 
-        def tell_waiting(progress: JobProgress) -> None:
+        def print_waiting(progress: JobProgress) -> None:
             nonlocal waits
             if progress.state == "queued" and progress.reason != waits:
                 waits = progress.reason
                 errors.print(waits, highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait_for_job(job_id, tell_waiting)
+        return await tutti.wait_for_job(job_id, print_waiting)
     if not console.is_terminal:
         last = ""
 
-        def tell(progress: JobProgress) -> None:
+        def print_progress(progress: JobProgress) -> None:
             nonlocal last
-            line = job_line(progress)
+            line = format_job_line(progress)
             # Progress with the same state and step differs only in its time.
             if line[28:] != last:
                 last = line[28:]
                 console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait_for_job(job_id, tell)
+        return await tutti.wait_for_job(job_id, print_progress)
     view = LiveView(tutti.keys)
-    async with tutti.subscribe_samples(*view.expressions) as samples:
+    async with tutti.subscribe_samples(*view.key_expressions) as samples:
         view.states = await tutti.status()
-        with Live(get_renderable=view.render, console=console, refresh_per_second=10, transient=True):
+        with Live(get_renderable=view.render_screen, console=console, refresh_per_second=10, transient=True):
 
-            def take(progress: JobProgress) -> None:
-                view.note(progress)
+            def take_progress(progress: JobProgress) -> None:
+                view.store_progress(progress)
                 while not samples.empty():
-                    view.take(samples.get_nowait())
+                    view.take_sample(samples.get_nowait())
 
-            return await tutti.wait_for_job(job_id, take, poll_s=0.25)
+            return await tutti.wait_for_job(job_id, take_progress, poll_s=0.25)

@@ -2,8 +2,8 @@
 
 import click
 
-from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
-from orchestrator.cli.one_step import run_step
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.one_step import run_single_step
 
 
 @click.group(epilog="Example: tutti io set gantry.lamp on")
@@ -14,13 +14,13 @@ def io() -> None:
 @io.command("ls", epilog="Example: tutti io ls --json")
 @fleet_options
 @json_option
-def list_points(connect: str, fleet: str | None, as_json: bool) -> None:
+def list_points(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """List all named inputs and outputs: active or not."""
     from rich.table import Table
 
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
+    async def show_points(tutti: Tutti) -> None:
         states = await tutti.status()
         if as_json:
             print_json({name: {"inputs": s.inputs, "outputs": s.outputs} for name, s in states.items()})
@@ -34,7 +34,7 @@ def list_points(connect: str, fleet: str | None, as_json: bool) -> None:
                     table.add_row(f"{name}.{point}", kind, "active" if active else "inactive")
         console.print(table)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_points)
 
 
 @io.command("set", epilog="Example: tutti io set gantry.lamp off")
@@ -43,4 +43,4 @@ def list_points(connect: str, fleet: str | None, as_json: bool) -> None:
 @fleet_options
 def set_output(output: str, state: str, connect: str, fleet: str | None) -> None:
     """Switch a named output: on is active, whatever its polarity."""
-    run_step(connect, fleet, {"do": "output", "output": output, "value": state == "on"}, f"{output} is {state}")
+    run_single_step(connect, fleet, {"do": "output", "output": output, "value": state == "on"}, f"{output} is {state}")

@@ -5,11 +5,19 @@ from typing import Any, Unpack
 
 import click
 
-from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, errors, fail, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.common import (
+    console,
+    errors,
+    exit_with_error,
+    fleet_options,
+    json_option,
+    print_json,
+    with_fleet,
+)
 from orchestrator.cli.job_history import list_jobs, prune
 from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
-from orchestrator.cli.job_terms import TermsOptions, entry_lines, make_terms, tell_accepted, terms_options
+from orchestrator.cli.job_terms import TermsOptions, make_entry_lines, make_terms, print_accepted, terms_options
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 
@@ -31,37 +39,38 @@ def submit(
     file: Path,
     connect: str,
     fleet: str | None,
+    key: str | None,
+    *,
     as_json: bool,
     wait: bool,
     dry_run: bool,
-    key: str | None,
     **terms: Unpack[TermsOptions],
 ) -> None:
     """Submit the job in FILE. It begins when its axes are free, and no earlier job waits for them."""
-    from orchestrator.cli.follow import follow
+    from orchestrator.cli.follow import follow_job
     from orchestrator.client import Tutti
     from orchestrator.model.files import load_job
-    from orchestrator.monitor.report_table import report_tables
+    from orchestrator.monitor.report_table import make_report_tables
 
     wanted = make_terms(terms)
 
-    async def act(tutti: Tutti) -> None:
+    async def submit_job(tutti: Tutti) -> None:
         loaded = load_job(file)
         if dry_run:
-            _show_dry_run(await tutti.dry_run(loaded), as_json)
+            _show_dry_run(await tutti.dry_run(loaded), as_json=as_json)
             return
         entry = await tutti.enqueue_job(loaded, key, wanted)
         if not wait:
-            print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else tell_accepted(entry)
+            print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else print_accepted(entry)
             return
         if entry.terms.at is not None and not as_json:
-            tell_accepted(entry)
-        report = await follow(tutti, entry.id, quiet=as_json)
-        print_json(report.to_plain()) if as_json else console.print(report_tables(report))
+            print_accepted(entry)
+        report = await follow_job(tutti, entry.id, quiet=as_json)
+        print_json(report.to_plain()) if as_json else console.print(make_report_tables(report))
         if report.state != "done":
             raise SystemExit(FAILED)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, submit_job)
 
 
 job.add_command(submit)
@@ -73,19 +82,19 @@ for command in (list_jobs, prune, hold, release, reorder, pause, resume, retry):
 @click.argument("job_id")
 @fleet_options
 @json_option
-def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
+def show(job_id: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show a job: its steps and the history of its state."""
     from orchestrator.client import Tutti
     from orchestrator.model.step_words import describe_step
 
-    async def act(tutti: Tutti) -> None:
+    async def show_job(tutti: Tutti) -> None:
         shown = await tutti.show_job(job_id)
         if as_json:
             print_json(shown.to_plain())
             return
         assert shown.entry is not None
         console.print(f"job {shown.entry.id} {shown.entry.name!r} of {shown.entry.actor}: {shown.entry.state}")
-        for line in entry_lines(shown.entry):
+        for line in make_entry_lines(shown.entry):
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown.report.steps} if shown.report else {}
         for index, step in enumerate(shown.job.steps if shown.job else []):
@@ -98,7 +107,7 @@ def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
                 f"{change.utc} {change.state} {change.reason} ({change.actor})", highlight=False, markup=False
             )
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_job)
 
 
 @job.command(epilog="Example: tutti job cancel 3f2a91c0")
@@ -108,30 +117,30 @@ def cancel(job_id: str, connect: str, fleet: str | None) -> None:
     """Cancel a job: a queued one never runs, a running one is stopped."""
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
+    async def cancel_job(tutti: Tutti) -> None:
         await tutti.cancel_job(job_id)
         console.print(f"job {job_id} is cancelled")
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, cancel_job)
 
 
 @job.command(epilog="Example: tutti job report 3f2a91c0 --json")
 @click.argument("job_id")
 @fleet_options
 @json_option
-def report(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
+def report(job_id: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Print the report of a finished job: budget, verdict, members, durations."""
     from orchestrator.client import Tutti
-    from orchestrator.monitor.report_table import report_tables
+    from orchestrator.monitor.report_table import make_report_tables
 
-    async def act(tutti: Tutti) -> None:
+    async def show_report(tutti: Tutti) -> None:
         found = (await tutti.show_job(job_id)).report
         if found is None:
             errors.print(f"[bold red]tutti:[/] job {job_id} has not ended; see `tutti job show {job_id}`")
             raise SystemExit(FAILED)
-        print_json(found.to_plain()) if as_json else console.print(report_tables(found))
+        print_json(found.to_plain()) if as_json else console.print(make_report_tables(found))
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_report)
 
 
 @job.command(epilog="Example: tutti job plot 3f2a91c0 --out move.png")
@@ -148,7 +157,7 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
     from orchestrator.client import Tutti
     from orchestrator.monitor.job_plot import plot_step
 
-    async def act(tutti: Tutti) -> None:
+    async def plot_job(tutti: Tutti) -> None:
         shown = await tutti.show_job(job_id)
         assert shown.entry is not None
         wanted = (
@@ -156,7 +165,7 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
         )
         found = [each for index in wanted if (each := await tutti.load_recording(shown.entry.id, index)) is not None]
         if not found:
-            fail(f"job {job_id} has no recording" + ("" if step is None else f" step {step}"), FAILED)
+            exit_with_error(f"job {job_id} has no recording" + ("" if step is None else f" step {step}"), FAILED)
         for each in found:
             path = out or Path(f"{job_id}.png")
             if out is None or len(found) > 1:
@@ -165,13 +174,13 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
             try:
                 plot_step(each, title, path)
             except (OSError, ValueError) as error:
-                fail(f"{path} cannot be written: {error}", FAILED)
+                exit_with_error(f"{path} cannot be written: {error}", FAILED)
             console.print(f"step {each.step}: {path}", highlight=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, plot_job)
 
 
-def _show_dry_run(steps: dict[str, dict[str, Any]], as_json: bool) -> None:
+def _show_dry_run(steps: dict[str, dict[str, Any]], *, as_json: bool) -> None:
     if as_json:
         print_json(steps)
         return

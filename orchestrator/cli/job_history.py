@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
-from orchestrator.cli.job_terms import Instant, Span
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.job_terms import DurationType, InstantType
 
 if TYPE_CHECKING:
     from orchestrator.model.report import QueueEntry
@@ -24,15 +24,17 @@ _STATES = (
 @click.option("--limit", default=20, show_default=True, type=click.IntRange(1, 10_000))
 @click.option("--state", default=None, type=click.Choice(_STATES), help="Only jobs in this state.")
 @click.option("--name", default="", help="Only jobs with this text in their name.")
-@click.option("--since", default=None, type=Instant(past=True), help="Submitted at this time or later, or an age: 7d.")
+@click.option(
+    "--since", default=None, type=InstantType(past=True), help="Submitted at this time or later, or an age: 7d."
+)
 def list_jobs(
-    connect: str, fleet: str | None, as_json: bool, limit: int, state: str | None, name: str, since: datetime | None
+    connect: str, fleet: str | None, limit: int, state: str | None, name: str, since: datetime | None, *, as_json: bool
 ) -> None:
     """List the newest jobs. #: the place of a waiting job in the queue."""
     from orchestrator.client import Tutti
     from orchestrator.model.service import ListJobs
 
-    async def act(tutti: Tutti) -> None:
+    async def show_jobs(tutti: Tutti) -> None:
         asked = ListJobs.model_validate({**tutti.request_fields(), "state": state})
         found = await tutti.list_jobs(limit, asked.state, name, None if since is None else since.isoformat())
         if as_json:
@@ -42,7 +44,7 @@ def list_jobs(
         if found.total > len(found.jobs):
             console.print(f"{len(found.jobs)} of {found.total}; more with --limit", highlight=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_jobs)
 
 
 def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
@@ -50,9 +52,9 @@ def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
     from rich.padding import Padding
     from rich.text import Text
 
-    from orchestrator.monitor.tables import plain_table
+    from orchestrator.monitor.tables import make_plain_table
 
-    table = plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
+    table = make_plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
     for column in table.columns:
         # In a narrow window only these columns shrink: their cells are cut, not wrapped.
         column.no_wrap = column.header not in {"name", "actor"}
@@ -75,7 +77,7 @@ def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
 
 
 @click.command(epilog="Example: tutti job prune --older 90d --keep 1000")
-@click.option("--older", required=True, type=Span(), help="Age of the jobs to delete, e.g. 90d.")
+@click.option("--older", required=True, type=DurationType(), help="Age of the jobs to delete, e.g. 90d.")
 @click.option(
     "--keep",
     default=1000,
@@ -85,12 +87,12 @@ def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
 )
 @fleet_options
 @json_option
-def prune(older: float, keep: int, connect: str, fleet: str | None, as_json: bool) -> None:
+def prune(older: float, keep: int, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Delete finished jobs, with their reports and client keys. A deleted key then gives a new job."""
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
+    async def prune_jobs(tutti: Tutti) -> None:
         gone = await tutti.prune_jobs(older, keep)
         print_json({"jobs": gone}) if as_json else console.print(f"{gone} jobs deleted", highlight=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, prune_jobs)

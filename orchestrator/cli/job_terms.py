@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
-from orchestrator.cli.common import console
+from orchestrator.cli.base.common import console
 
 if TYPE_CHECKING:
     from orchestrator.model.queue import QueueTerms
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_SPAN = re.compile(r"^\s*(\d+(?:\.\d*)?)\s*(s|min|h|d|w)\s*$")
+_DURATION = re.compile(r"^\s*(\d+(?:\.\d*)?)\s*(s|min|h|d|w)\s*$")
 _SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86_400, "w": 7 * 86_400}
 _CLOCK = re.compile(r"^\d{1,2}:\d{2}(:\d{2})?$")
 
@@ -31,7 +31,7 @@ class TermsOptions(TypedDict):
     held: bool
 
 
-class Span(click.ParamType[float]):
+class DurationType(click.ParamType[float]):
     """A duration such as `90d`, `2h`, `1.5min`: seconds."""
 
     name = "duration"
@@ -39,26 +39,26 @@ class Span(click.ParamType[float]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if isinstance(value, float):
             return value
-        found = _SPAN.match(str(value))
+        found = _DURATION.match(str(value))
         if not found:
             self.fail(f"{value!r}: write a number and s, min, h, d or w, e.g. 90d", param, ctx)
         return float(found[1]) * _SECONDS[found[2]]
 
 
-class Instant(click.ParamType[datetime]):
+class InstantType(click.ParamType[datetime]):
     """An RFC 3339 time; without an offset it is local, and `22:30` is the next such time. Aware, in local time."""
 
     name = "time"
 
-    def __init__(self, past: bool = False) -> None:
+    def __init__(self, *, past: bool = False) -> None:
         self._past = past
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime:
         if isinstance(value, datetime):
             return value
         text, now = str(value), datetime.now().astimezone()
-        if self._past and _SPAN.match(text):
-            return now - timedelta(seconds=Span().convert(text, param, ctx))
+        if self._past and _DURATION.match(text):
+            return now - timedelta(seconds=DurationType().convert(text, param, ctx))
         try:
             if _CLOCK.match(text):
                 clock = datetime.strptime(text, "%H:%M:%S" if text.count(":") == 2 else "%H:%M").time()
@@ -82,7 +82,7 @@ def terms_options(command: F) -> F:
         ),
         click.option("--repeat", default=1, show_default=True, type=click.IntRange(1, 10_000), help="Number of runs."),
         click.option("--after", default=None, metavar="JOB", help="Begin when JOB is done; never if it fails."),
-        click.option("--at", default=None, type=Instant(), help="Not before this time: RFC 3339, or local time."),
+        click.option("--at", default=None, type=InstantType(), help="Not before this time: RFC 3339, or local time."),
         click.option(
             "--missed",
             default="skip",
@@ -105,14 +105,14 @@ def make_terms(options: TermsOptions) -> "QueueTerms":
     return QueueTerms.model_validate({**options, "at": None if at is None else at.isoformat()})
 
 
-def tell_accepted(entry: "QueueEntry") -> None:
+def print_accepted(entry: "QueueEntry") -> None:
     """Print that a job is queued, and when it begins if it has a time."""
     console.print(f"job {entry.id} is accepted", highlight=False)
-    for line in entry_lines(entry):
+    for line in make_entry_lines(entry):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
 
 
-def entry_lines(entry: "QueueEntry") -> list[str]:
+def make_entry_lines(entry: "QueueEntry") -> list[str]:
     """Describe special queue terms of a job, in lines."""
     terms = entry.terms
     lines: list[str] = []

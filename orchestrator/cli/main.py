@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.codes import INTERRUPTED
+from orchestrator.cli.base.codes import INTERRUPTED
 
 # command: (module, one line of help); grouped as the help shows them.
 _COMMANDS: dict[str, tuple[str, str]] = {
@@ -41,7 +41,7 @@ tutti submit deploy/examples/demo.job.yaml --wait
 """
 
 
-class _Lazy(click.Group):
+class _LazyGroup(click.Group):
     """Lists its commands by name and imports the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -65,7 +65,7 @@ class _Lazy(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
 
 
-@click.command(cls=_Lazy, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(cls=_LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="tutti")
 def main() -> None:
     """Tutti makes motion controllers of different makers move as one machine."""

@@ -2,7 +2,7 @@
 
 import click
 
-from orchestrator.cli.common import print_json
+from orchestrator.cli.base.common import print_json
 
 
 @click.command(epilog="Example: tutti schema fleet > fleet.schema.json")

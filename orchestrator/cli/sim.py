@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.codes import BAD_INPUT, FAILED
-from orchestrator.cli.common import console, fail, json_option, print_json
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED
+from orchestrator.cli.base.common import console, exit_with_error, json_option, print_json
 from orchestrator.cli.sim_campaign import campaign
 from orchestrator.cli.sim_world import limit, power, push, set_input, stall
 
@@ -24,14 +24,14 @@ for command in (set_input, limit, power, push, stall, campaign):
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--only", default=None, help="Run the one vector with this id.")
 @json_option
-def check(model: str, file: Path, only: str | None, as_json: bool) -> None:
+def check(model: str, file: Path, only: str | None, *, as_json: bool) -> None:
     """Run the test vectors in FILE against a fresh simulated MODEL, in virtual time. Exit 0 only if none failed."""
     from sim.core.vectors import check_file
 
     try:
         report = check_file(model, file, only)
     except ValueError as error:
-        fail(str(error), BAD_INPUT)
+        exit_with_error(str(error), BAD_INPUT)
     failures = [failure for each in report.failures.values() for failure in each]
     if as_json:
         print_json(

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, json_option, print_json, processes_option
+from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.common import console, json_option, print_json, processes_option
 
 if TYPE_CHECKING:
-    from orchestrator.campaign.runs import Campaign
-    from orchestrator.campaign.scenario import Story
+    from orchestrator.campaign.runs import CampaignResult
+    from orchestrator.campaign.scenario import SeedRun
 
 
 @click.command(epilog="Example: tutti sim campaign --seeds 500 --json")
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
 @click.option("--trace", is_flag=True, help="With --seed: also print the complete log.")
 @processes_option
 @json_option
-def campaign(seeds: int, first: int, seed: int | None, trace: bool, processes: int, as_json: bool) -> None:
+def campaign(seeds: int, first: int, seed: int | None, processes: int, *, trace: bool, as_json: bool) -> None:
     """Run simulated fleets of random makes, inject a fault at three stages of their steps, repair it, and check the
     true motions against the invariants of the design. A seed is fully deterministic. Exit 1 when an invariant is
     violated.
     """
-    from orchestrator.campaign.runs import play_seed, run_campaign
+    from orchestrator.campaign.runs import run_campaign, run_seed
 
     if seed is not None:
-        story = play_seed(seed)
-        _print("\n".join([*(story.lines if trace else []), story.tell()]))
+        story = run_seed(seed)
+        _print_plain("\n".join([*(story.lines if trace else []), story.summarize()]))
         raise SystemExit(FAILED if story.violations else 0)
 
-    def told(story: "Story") -> None:
+    def print_run(story: "SeedRun") -> None:
         if story.violations and not as_json:
-            _print(story.tell())
+            _print_plain(story.summarize())
             console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed} --trace")
 
     began_s = _cpu_s()
-    found = run_campaign(range(first, first + seeds), told, processes)
-    figures = _figures(found, _cpu_s() - began_s)
+    found = run_campaign(range(first, first + seeds), print_run, processes)
+    figures = _make_figures(found, _cpu_s() - began_s)
     if as_json:
         coverage = {f"{cell.stage} {cell.fault} {cell.make}": count for cell, count in sorted(found.cells.items())}
         print_json({**figures, "from": first, "violating": found.violations, "coverage": coverage})
@@ -56,7 +56,7 @@ def _cpu_s() -> float:
     return sum(os.times()[:4])
 
 
-def _figures(found: "Campaign", cpu_s: float) -> dict[str, Any]:
+def _make_figures(found: "CampaignResult", cpu_s: float) -> dict[str, Any]:
     """Return figures: seeds_per_s per core second; controller_s_per_cpu_s: fleet time times controllers."""
     return {
         "seeds": found.seeds,
@@ -68,25 +68,25 @@ def _figures(found: "Campaign", cpu_s: float) -> dict[str, Any]:
         "faults_median": statistics.median(found.faults),
         "fleet_s_median": round(statistics.median(found.fleet_s), 1),
         "cells": len(found.cells),
-        "cells_missed": len(found.missed),
-        "least_in_a_cell": found.least,
+        "cells_missed": len(found.missed_cells),
+        "least_in_a_cell": found.lowest_hits,
     }
 
 
-def _print_coverage(found: "Campaign") -> None:
+def _print_coverage(found: "CampaignResult") -> None:
     """Print the number of hits by fault, affected make, and stage."""
     from orchestrator.campaign.faults import FAULTS
     from orchestrator.campaign.fleets import MAKES
     from orchestrator.campaign.recorder import STAGES
-    from orchestrator.campaign.runs import Cell
-    from orchestrator.monitor.tables import plain_table
+    from orchestrator.campaign.runs import FaultCell
+    from orchestrator.monitor.tables import make_plain_table
 
-    table = plain_table(["fault", "make", *(f"{stage}>" for stage in STAGES)])
+    table = make_plain_table(["fault", "make", *(f"{stage}>" for stage in STAGES)])
     for fault in FAULTS:
         for make in MAKES:
-            table.add_row(fault, make, *(str(found.cells[Cell(stage, fault, make)]) for stage in STAGES))
+            table.add_row(fault, make, *(str(found.cells[FaultCell(stage, fault, make)]) for stage in STAGES))
     console.print(table)
 
 
-def _print(text: str) -> None:
+def _print_plain(text: str) -> None:
     console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orchestrator.cli.codes import BAD_INPUT, UNREACHABLE
-from orchestrator.cli.common import console, fail
+from orchestrator.cli.base.codes import BAD_INPUT, UNREACHABLE
+from orchestrator.cli.base.common import console, exit_with_error
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Axis, Controller, Fleet
@@ -26,10 +26,10 @@ _fleet = click.option("--fleet", envvar="TUTTI_FLEET", default=None, help="The f
 @_state
 def set_input(name: str, to: str, fleet: str | None, state: Path | None) -> None:
     """Make a named input of a simulated controller active or inactive, whatever its polarity."""
-    folder, controllers = _running(fleet, state)
-    controller, point = _split(name, {c: each.inputs for c, each in controllers.items()}, "input")
+    folder, controllers = _find_simulation(fleet, state)
+    controller, point = _split_name(name, {c: each.inputs for c, each in controllers.items()}, "input")
     wired = controllers[controller].inputs[point]
-    _tell(folder, controller, {"input": [wired.number, (to == "active") == (wired.active == "high")]})
+    _write_change(folder, controller, {"input": [wired.number, (to == "active") == (wired.active == "high")]})
 
 
 @click.command(epilog="Example: tutti sim limit gantry.x forward")
@@ -39,8 +39,8 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None) -> None
 @_state
 def limit(name: str, which: str, fleet: str | None, state: Path | None) -> None:
     """Press the limit switches of a simulated axis, or release them (`none`)."""
-    folder, controller, axis = _axis(name, fleet, state)
-    _tell(folder, controller, {"limit": [axis.motors[0], which]})
+    folder, controller, axis = _find_axis(name, fleet, state)
+    _write_change(folder, controller, {"limit": [axis.motors[0], which]})
 
 
 @click.command(epilog="Example: tutti sim power stage off")
@@ -50,10 +50,10 @@ def limit(name: str, which: str, fleet: str | None, state: Path | None) -> None:
 @_state
 def power(controller: str, to: str, fleet: str | None, state: Path | None) -> None:
     """Switch a simulated controller off or on."""
-    folder, controllers = _running(fleet, state)
+    folder, controllers = _find_simulation(fleet, state)
     if controller not in controllers:
-        fail(f"the fleet has no controller {controller}; it has: {', '.join(controllers)}", BAD_INPUT)
-    _tell(folder, controller, {"power": to == "on"})
+        exit_with_error(f"the fleet has no controller {controller}; it has: {', '.join(controllers)}", BAD_INPUT)
+    _write_change(folder, controller, {"power": to == "on"})
 
 
 @click.command(epilog="Example: tutti sim push gantry.x 2.5")
@@ -63,8 +63,8 @@ def power(controller: str, to: str, fleet: str | None, state: Path | None) -> No
 @_state
 def push(name: str, distance: float, fleet: str | None, state: Path | None) -> None:
     """Push a simulated axis with a disabled motor by DISTANCE in its unit."""
-    folder, controller, axis = _axis(name, fleet, state)
-    _tell(folder, controller, {"push": [axis.motors[0], round(distance * axis.counts_per_unit)]})
+    folder, controller, axis = _find_axis(name, fleet, state)
+    _write_change(folder, controller, {"push": [axis.motors[0], round(distance * axis.counts_per_unit)]})
 
 
 @click.command(epilog="Example: tutti sim stall gantry.x on")
@@ -74,11 +74,11 @@ def push(name: str, distance: float, fleet: str | None, state: Path | None) -> N
 @_state
 def stall(name: str, to: str, fleet: str | None, state: Path | None) -> None:
     """Stall a simulated axis, so that it does not follow its command (`on`); or free it (`off`)."""
-    folder, controller, axis = _axis(name, fleet, state)
-    _tell(folder, controller, {"stall": [axis.motors[0], to == "on"]})
+    folder, controller, axis = _find_axis(name, fleet, state)
+    _write_change(folder, controller, {"stall": [axis.motors[0], to == "on"]})
 
 
-def _running(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
+def _find_simulation(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
     """Return state folder and controllers of the selected simulated fleet."""
     from orchestrator.cli.up import default_state
     from orchestrator.model.files import FileError, load_fleet
@@ -89,38 +89,40 @@ def _running(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Co
         if len(folders) != 1:
             found = ", ".join(folder.name for folder in folders)
             text = f"several fleets have been simulated: {found}" if found else f"no simulated fleet below {base}"
-            fail(text, UNREACHABLE, "choose one with --fleet or --state, or start one: `tutti up FILE --sim`")
+            exit_with_error(
+                text, UNREACHABLE, "choose one with --fleet or --state, or start one: `tutti up FILE --sim`"
+            )
         state = folders[0]
     try:
         loaded: Fleet = load_fleet(state / "fleet.json")
     except FileError as error:
-        fail(str(error), UNREACHABLE, "is this the --state of a `tutti up … --sim`?")
+        exit_with_error(str(error), UNREACHABLE, "is this the --state of a `tutti up … --sim`?")
     return state, dict(loaded.controllers)
 
 
-def _axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path, str, Axis]":
-    folder, controllers = _running(fleet, state)
-    controller, axis = _split(name, {c: each.axes for c, each in controllers.items()}, "axis")
+def _find_axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path, str, Axis]":
+    folder, controllers = _find_simulation(fleet, state)
+    controller, axis = _split_name(name, {c: each.axes for c, each in controllers.items()}, "axis")
     return folder, controller, controllers[controller].axes[axis]
 
 
-def _split(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
+def _split_name(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
     controller, _, rest = name.partition(".")
     if controller not in known or rest not in known[controller]:
         all_names = [f"{c}.{each}" for c, names in known.items() for each in names]
-        fail(f"the fleet has no {what} {name}; known: {', '.join(all_names) or 'none'}", BAD_INPUT)
+        exit_with_error(f"the fleet has no {what} {name}; known: {', '.join(all_names) or 'none'}", BAD_INPUT)
     return controller, rest
 
 
-def _tell(state: Path, controller: str, change: dict[str, Any]) -> None:
+def _write_change(state: Path, controller: str, change: dict[str, Any]) -> None:
     """Write one line to the simulator's pipe."""
-    from orchestrator.runtime.live import world_pipe
+    from orchestrator.runtime.live import simulation_pipe
 
-    path = world_pipe(state, controller)
+    path = simulation_pipe(state, controller)
     try:
         pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
-        fail(f"no simulator listens at {path}", UNREACHABLE, "start the fleet: `tutti up FILE --sim`")
+        exit_with_error(f"no simulator listens at {path}", UNREACHABLE, "start the fleet: `tutti up FILE --sim`")
     with os.fdopen(pipe, "wb") as line:
         line.write(json.dumps(change).encode() + b"\n")
     console.print(f"{controller}: {json.dumps(change)}", highlight=False, markup=False)

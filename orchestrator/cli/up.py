@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.codes import FAILED, INTERRUPTED
-from orchestrator.cli.common import console, run
+from orchestrator.cli.base.codes import FAILED, INTERRUPTED
+from orchestrator.cli.base.common import console, run_main
 
-ORDINARY = (
+NO_REALTIME_WARNING = (
     "this user has no permission for real-time processes, so stops and starts may be late when the "
     "machine is busy; grant CAP_SYS_NICE, or an rtprio limit of 4 (`LimitRTPRIO=4` in a systemd unit)"
 )
@@ -37,10 +37,11 @@ Exit codes: 0 ended by Ctrl-C or SIGTERM; 130 the same before the fleet was up;
 @click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
 def up(
     file: Path,
-    simulated: bool,
     connect: str,
     port: int,
     state: Path | None,
+    *,
+    simulated: bool,
     take_over: bool,
     standby: bool,
     truth: bool,
@@ -49,38 +50,38 @@ def up(
 
     Ctrl-C stops the running job first; a process that dies is restarted.
     """
-    from orchestrator.clock.realtime import Urgency, hurry
+    from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
     from orchestrator.runtime.checked import load_checked_fleet
     from orchestrator.runtime.live import LiveFleet
 
-    async def main() -> None:
+    async def run_fleet() -> None:
         fleet = load_checked_fleet(file)
         folder = state or default_state(fleet.fleet)
-        live = LiveFleet(fleet, folder, _say, connect, port, simulated, take_over, truth, standby)
+        live = LiveFleet(fleet, folder, _print_line, connect, port, simulated, take_over, truth, standby)
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end.set)
-        if not hurry(Urgency.SERVICE, children=False):
-            _say(ORDINARY)
+        if not set_realtime_priority(RealtimePriority.SERVICE, children=False):
+            _print_line(NO_REALTIME_WARNING)
         starting = loop.create_task(live.start())
         ended = loop.create_task(end.wait())
         await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
         if not starting.done():
-            _say("interrupted while starting; ending the started processes")
+            _print_line("interrupted while starting; ending the started processes")
             starting.cancel()
             await asyncio.wait([starting])
             raise SystemExit(INTERRUPTED)
         await starting
-        _say(f"fleet {fleet.fleet} is up; state in {folder}; Ctrl-C ends it")
+        _print_line(f"fleet {fleet.fleet} is up; state in {folder}; Ctrl-C ends it")
         assert live.failed is not None
         await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
-        _say("stopping")
+        _print_line("stopping")
         await live.close()
         if live.failed.done():
             raise SystemExit(FAILED)
 
-    run(main())
+    run_main(run_fleet())
 
 
 def default_state(fleet: str) -> Path:
@@ -89,5 +90,5 @@ def default_state(fleet: str) -> Path:
     return Path(base) / "tutti" / fleet
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     console.print(line, highlight=False, markup=False, soft_wrap=True)

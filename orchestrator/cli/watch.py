@@ -2,7 +2,7 @@
 
 import click
 
-from orchestrator.cli.common import console, fleet_options, with_fleet
+from orchestrator.cli.base.common import console, fleet_options, with_fleet
 
 REFRESH_HZ = 10
 
@@ -16,17 +16,17 @@ def watch(connect: str, fleet: str | None) -> None:
     from orchestrator.client import Tutti
     from orchestrator.monitor.fleet_view import LiveView
 
-    async def act(tutti: Tutti) -> None:
+    async def watch_fleet(tutti: Tutti) -> None:
         view = LiveView(tutti.keys)
-        async with tutti.subscribe_samples(*view.expressions) as samples:
+        async with tutti.subscribe_samples(*view.key_expressions) as samples:
             view.states = await tutti.status()
             if not console.is_terminal:
                 while True:
-                    line = view.take(await samples.get())
+                    line = view.take_sample(await samples.get())
                     if line is not None:
                         console.print(line, highlight=False, markup=False, soft_wrap=True)
-            with Live(get_renderable=view.render, console=console, refresh_per_second=REFRESH_HZ):
+            with Live(get_renderable=view.render_screen, console=console, refresh_per_second=REFRESH_HZ):
                 while True:
-                    view.take(await samples.get())
+                    view.take_sample(await samples.get())
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, watch_fleet)

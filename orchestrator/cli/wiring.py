@@ -4,8 +4,8 @@ import json
 
 import click
 
-from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, fleet_options, with_fleet
+from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.common import console, fleet_options, with_fleet
 
 
 @click.group(epilog="Example: tutti wiring check")
@@ -16,20 +16,20 @@ def wiring() -> None:
 @wiring.command(epilog="Example: tutti wiring check")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
 @fleet_options
-def check(as_json: bool, connect: str, fleet: str | None) -> None:
+def check(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Check every wire of the fleet file: switch its output, and read all inputs.
 
     Nothing moves; all axes of the wired controllers are acquired meanwhile. Exit 1 when a wire is wrong.
     """
     from orchestrator.client import Tutti
-    from orchestrator.monitor.tables import plain_table
+    from orchestrator.monitor.tables import make_plain_table
 
-    async def act(tutti: Tutti) -> None:
+    async def check_wires(tutti: Tutti) -> None:
         found = await tutti.check_wiring()
         if as_json:
             console.print_json(json.dumps([each.to_plain() for each in found]))
         else:
-            table = plain_table(["output", "input", "", "found"])
+            table = make_plain_table(["output", "input", "", "found"])
             for each in found:
                 words = f"{each.text}; {each.remedy}" if each.remedy else each.text
                 table.add_row(each.output, each.input, "[green]ok[/]" if each.ok else "[red]wrong[/]", words)
@@ -37,4 +37,4 @@ def check(as_json: bool, connect: str, fleet: str | None) -> None:
         if not all(each.ok for each in found):
             raise SystemExit(FAILED)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, check_wires)

@@ -1,4 +1,4 @@
-"""The same for scripts and notebooks that have no use for `async`.
+"""The Python API without `async`, for scripts and notebooks.
 
 with BlockingTutti("tcp/127.0.0.1:7447") as tutti:
     job = tutti.submit(load_job(Path("demo.job.yaml")))
@@ -51,7 +51,7 @@ class _LoopThread:
 
 
 class BlockingJob:
-    """A submitted job. `id` is its name for everybody."""
+    """A submitted job. `id` identifies it for all clients."""
 
     def __init__(self, job: SubmittedJob, worker: _LoopThread) -> None:
         self._job = job
@@ -62,7 +62,7 @@ class BlockingJob:
         return self._job.id
 
     def events(self) -> Iterator[JobTransition | JobProgress]:
-        """Every change of its state, and its progress in between, until it has ended. Raises `Refusal`."""
+        """Every change of its state, and its progress in between, until its end. Raises `Refusal`."""
         events = self._job.events()
         try:
             while True:
@@ -74,36 +74,36 @@ class BlockingJob:
             self._worker.run_coroutine(events.aclose())
 
     def result(self) -> JobReport:
-        """Its report, once it has ended. Raises `Refusal`."""
+        """Wait for its end and return its report. Raises `Refusal`."""
         return self._worker.run_coroutine(self._job.result())
 
     def show(self) -> JobShown:
-        """Everything the journal has of it. Raises `Refusal`."""
+        """All details that the journal has. Raises `Refusal`."""
         return self._worker.run_coroutine(self._job.show())
 
     def cancel(self) -> None:
-        """Cancel it, queued or running. Raises `Refusal`."""
+        """Cancel it, whether queued or running. Raises `Refusal`."""
         self._worker.run_coroutine(self._job.cancel())
 
     def hold(self) -> None:
-        """Keep it from beginning. Raises `Refusal`: code `not-queued`."""
+        """Hold it in the queue until it is released. Raises `Refusal`: code `not-queued`."""
         self._worker.run_coroutine(self._job.hold())
 
     def release(self) -> None:
-        """Let it begin when it is its turn. Raises `Refusal`."""
+        """Release it, so that it begins in its turn. Raises `Refusal`."""
         self._worker.run_coroutine(self._job.release())
 
     def pause(self, *, now: bool = False) -> None:
-        """Hold it when its present step has ended, or `now` inside a motion step. Raises `Refusal`: `not-running`."""
+        """Pause it after its current step, or `now`, inside a motion step. Raises `Refusal`: `not-running`."""
         self._worker.run_coroutine(self._job.pause(now=now))
 
     def resume(self) -> None:
-        """Go on with it. Raises `Refusal`: codes `not-running`, `not-paused`."""
+        """Resume it. Raises `Refusal`: codes `not-running`, `not-paused`."""
         self._worker.run_coroutine(self._job.resume())
 
 
 class BlockingTutti:
-    """A connection to one fleet; use it as a context. Jogging needs `Tutti`: a hand that blocks can not renew."""
+    """A connection to one fleet; use it as a context manager. Jogging needs `Tutti`: it is renewed while it lasts."""
 
     def __init__(self, connect: str = DEFAULT_ENDPOINT, fleet: str | None = None, actor: str = "api") -> None:
         self._tutti = Tutti(connect, fleet, actor)
@@ -123,7 +123,7 @@ class BlockingTutti:
         self.close()
 
     def close(self) -> None:
-        """Leave. Safe to call twice."""
+        """Close the connection. May be called twice."""
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.run_coroutine(self._tutti.close())
@@ -132,7 +132,7 @@ class BlockingTutti:
     # Jobs
 
     def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> BlockingJob:
-        """Submit a job: safe in the journal when this returns. Raises `Refusal`."""
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`."""
         return BlockingJob(self._run(self._tutti.submit(job, client_key, terms)), self._loop_thread)
 
     def job(self, job_id: str) -> BlockingJob:
@@ -140,7 +140,7 @@ class BlockingTutti:
         return BlockingJob(self._tutti.job(job_id), self._loop_thread)
 
     def dry_run(self, job: Job) -> dict[str, Any]:
-        """What each motion step would take, from where the fleet stands now. Raises `Refusal`."""
+        """Plan each motion step from the current positions, without motion. Raises `Refusal`."""
         return self._run(self._tutti.dry_run(job))
 
     def list_jobs(self, limit: int = 50, state: JobState | None = None, name: str = "") -> QueueState:
@@ -148,33 +148,33 @@ class BlockingTutti:
         return self._run(self._tutti.list_jobs(limit, state, name))
 
     def retry_job(self, job_id: str, from_step: int = 0, *, dry_run: bool = False) -> JobRetried:
-        """Do an ended job again, from a step on. Raises `Refusal`: codes `not-ended`, `no-step`."""
+        """Re-run a finished job, from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`."""
         return self._run(self._tutti.retry_job(job_id, from_step, dry_run=dry_run))
 
     # The fleet
 
     def status(self) -> dict[str, ControllerState]:
-        """The state of every controller that has an adapter now, by id."""
+        """The state of every controller whose adapter is present, by id."""
         return self._run(self._tutti.status())
 
     def controller_info(self, controller: str) -> ControllerInfo:
-        """Who a controller is and what it can do. Raises `Refusal`."""
+        """The identity and abilities of a controller. Raises `Refusal`."""
         return self._run(self._tutti.controller_info(controller))
 
     def list_leases(self) -> Sequence[LeaseState]:
-        """Who has the axes of each controller now."""
+        """The current leases of the axes."""
         return self._run(self._tutti.list_leases())
 
     def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
-        """Stop every controller and the running jobs, and hold what is queued; what each controller answered."""
+        """Stop every controller and the running jobs, and hold the queued ones; return each controller's reply."""
         return self._run(self._tutti.stop(mode))
 
     def estop(self, reason: str = "") -> dict[str, bool]:
-        """Put an e-stop; which controllers show its latch."""
+        """Publish an e-stop; return which controllers show its latch."""
         return self._run(self._tutti.estop(reason))
 
     def reset(self, event: str | None = None) -> dict[str, Refusal | None]:
-        """Release the e-stop latch if it is safe on all controllers; what each answered."""
+        """Release the e-stop latch if it is safe on all controllers; return each controller's reply."""
         return self._run(self._tutti.reset(event))
 
     def _run(self, work: Coroutine[Any, Any, T]) -> T:

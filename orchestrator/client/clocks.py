@@ -1,4 +1,4 @@
-"""How well the clocks of all controllers are known, asked of their adapters."""
+"""Queries the adapters of all controllers for their clock mappings."""
 
 from pydantic import ValidationError
 
@@ -9,7 +9,7 @@ ANSWER_S = 2.0
 
 
 async def query_clocks(tutti: Tutti) -> dict[str, ClockReply]:
-    """By controller; one whose adapter does not answer, or can not be understood, is not there."""
+    """Return the clock mappings by controller, without those whose adapter gives no valid reply."""
     replies = await tutti.bus.request_all(tutti.keys.clock(), b"", timeout_s=ANSWER_S)
     found: dict[str, ClockReply] = {}
     for payload in replies.values():

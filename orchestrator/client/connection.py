@@ -5,9 +5,9 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-from orchestrator.bus.base import Bus, NoReply, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.base import Bus, BusSample, NoReply, RequestRefused, RequestTimeout
 from orchestrator.bus.fleets import find_fleets
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply, Request
@@ -37,7 +37,7 @@ class FleetConnection:
     ) -> None:
         self._endpoint = connect if isinstance(connect, str) else ""
         self._bus = None if isinstance(connect, str) else connect
-        self._keys = None if fleet is None else Keys(fleet)
+        self._keys = None if fleet is None else FleetKeys(fleet)
         self.actor = actor
         self.new_id = new_id
 
@@ -50,7 +50,7 @@ class FleetConnection:
             self._bus = await open_bus(self._endpoint)
         if self._keys is None:
             try:
-                self._keys = Keys(await find_only_fleet(self._bus))
+                self._keys = FleetKeys(await find_only_fleet(self._bus))
             except BaseException:
                 await self.close()
                 raise
@@ -64,7 +64,7 @@ class FleetConnection:
         return self._bus
 
     @property
-    def keys(self) -> Keys:
+    def keys(self) -> FleetKeys:
         """The keys of the fleet. Raises `RuntimeError` before `open`."""
         if self._keys is None:
             raise RuntimeError("not connected; use it as `async with Tutti(…) as tutti:`")
@@ -83,11 +83,11 @@ class FleetConnection:
             await bus.close()
 
     @asynccontextmanager
-    async def subscribe_samples(self, *expressions: str) -> AsyncGenerator["asyncio.Queue[Sample]"]:
+    async def subscribe_samples(self, *expressions: str) -> AsyncGenerator["asyncio.Queue[BusSample]"]:
         """A queue that receives every sample on the given key expressions while the context lasts."""
         import asyncio
 
-        queue: asyncio.Queue[Sample] = asyncio.Queue()
+        queue: asyncio.Queue[BusSample] = asyncio.Queue()
         declared = [await self.bus.subscribe(expression, queue.put_nowait) for expression in expressions]
         try:
             yield queue
@@ -104,7 +104,7 @@ class FleetConnection:
         absent = Refusal(
             "no-coordinator", f"fleet {self.keys.fleet} has no active coordinator", "start one: `tutti up FLEET`"
         )
-        return await self._request(self.keys.svc(verb), request, reply, timeout_s, absent)
+        return await self._request(self.keys.service(verb), request, reply, timeout_s, absent)
 
     async def request_controller(
         self, controller: str, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S
@@ -115,7 +115,7 @@ class FleetConnection:
         """
         try:
             return await self._request(
-                self.keys.cmd(controller, verb), request, reply, timeout_s, absence_refusal(controller)
+                self.keys.command(controller, verb), request, reply, timeout_s, absence_refusal(controller)
             )
         except Refusal as error:
             if error.controller != controller or controller in error.text:

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Callable
 from typing import Any, Self
 
-from orchestrator.bus.base import Sample
+from orchestrator.bus.base import BusSample
 from orchestrator.client.connection import FleetConnection
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
@@ -169,7 +169,7 @@ class JobRequests(FleetConnection):
         """
         changed = asyncio.Event()
 
-        def receive_progress(sample: Sample) -> None:
+        def receive_progress(sample: BusSample) -> None:
             progress = JobProgress.model_validate_json(sample.payload)
             if on_progress is not None:
                 on_progress(progress)
@@ -214,7 +214,7 @@ class SubmittedJob(str):
         Ends with the job. Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
         delivered = 0
-        samples: asyncio.Queue[Sample] = asyncio.Queue()
+        samples: asyncio.Queue[BusSample] = asyncio.Queue()
         requests = self._requests
         subscription = await requests.bus.subscribe(requests.keys.job_state(self), samples.put_nowait)
         try:
@@ -262,7 +262,7 @@ class SubmittedJob(str):
         await self._requests.resume_job(self)
 
 
-async def _next_progress(samples: "asyncio.Queue[Sample]") -> JobProgress | None:
+async def _next_progress(samples: "asyncio.Queue[BusSample]") -> JobProgress | None:
     """The newest progress on the bus; None after a while without."""
     try:
         async with asyncio.timeout(POLL_S):

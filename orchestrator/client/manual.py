@@ -129,7 +129,9 @@ class ManualControl:
         changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
         moving = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
-        await self._send_velocities(_JogOrder(moving, True, valid_ms, JOG_TIMEOUT_S if changed else ANSWER_S))
+        await self._send_velocities(
+            _JogOrder(moving, renew=True, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S if changed else ANSWER_S)
+        )
 
     async def stop(self) -> None:
         """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
@@ -150,7 +152,7 @@ class ManualControl:
             while not (await asyncio.wait([sending], timeout=RENEW_S))[0]:
                 # Not those that have been stopped or changed meanwhile. Refusals are reported by the order itself.
                 moving = {axis: v for axis, v in order.velocities.items() if v and self._velocities.get(axis) == v}
-                renewing += self._start_requests(_JogOrder(moving, True, order.valid_ms))
+                renewing += self._start_requests(_JogOrder(moving, renew=True, valid_ms=order.valid_ms))
             sending.result()
         finally:
             sending.cancel()

@@ -13,7 +13,7 @@ NS_PER_MS = 1_000_000
 NS_PER_US = 1_000
 
 
-class Timer(Protocol):
+class ClockTimer(Protocol):
     """A scheduled call that has not been made yet."""
 
     def cancel(self) -> None:
@@ -37,7 +37,7 @@ class Clock(Protocol):
         """The current instant as RFC 3339 UTC with microseconds, e.g. `2026-11-21T10:00:00.000000Z`."""
         ...
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> Timer:
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> ClockTimer:
         """Call `callback` at `at_ns`, never earlier; immediately (but not before this returns) if it is past.
 
         leeway_ns: permitted delay of the call in live operation, where each call wakes a process.
@@ -50,11 +50,11 @@ async def sleep_until_ns(clock: Clock, at_ns: int) -> None:
     loop = asyncio.get_running_loop()
     woken: asyncio.Future[None] = loop.create_future()
 
-    def wake() -> None:
+    def set_done() -> None:
         if not woken.done():
             woken.set_result(None)
 
-    timer = clock.call_at_ns(at_ns, wake)
+    timer = clock.call_at_ns(at_ns, set_done)
     try:
         await woken
     finally:

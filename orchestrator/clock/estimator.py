@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 MAX_PPM = 100.0
 """No crystal deviates further from its nominal rate."""
-KEPT = 512
+MAX_SAMPLES = 512
 WANDER_PPM = 0.05
 """Random walk of a crystal's rate: standard deviation of its change in a second, ppm."""
-SURE = 6.0
+SIGMA_LIMIT = 6.0
 """Number of standard deviations that the bound allows; five would be exceeded once in two million samples."""
-AHEAD_PPM = 1.0
+PREDICTION_WANDER_PPM = 1.0
 """Allowance of a prediction for wander, over half a minute: SIGMA_LIMIT * WANDER_PPM * sqrt(t / 3) ppm after t
 seconds."""
 _GRID = 48
@@ -36,7 +36,7 @@ _Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class CounterSample:
     """One reading of the counter, taken between the two host instants; known transmission times are already
     subtracted."""
 
@@ -65,11 +65,11 @@ class TickMapping:
     min_rtt_ns: int
     consistent: bool = True
 
-    def host_ns(self, ticks: int) -> int:
+    def to_host_ns(self, ticks: int) -> int:
         """Return the host time at which the counter becomes `ticks`."""
         return self.host_at_ns + round((ticks - self.ticks_at) * self.tick_ns)
 
-    def ticks(self, host_ns: int) -> float:
+    def to_ticks(self, host_ns: int) -> float:
         """Return the (fractional) counter value at `host_ns`."""
         return self.ticks_at + (host_ns - self.host_at_ns) / self.tick_ns
 
@@ -86,19 +86,19 @@ class TickEstimator:
     it.
     """
 
-    def __init__(self, nominal_tick_ns: float, late_ns: int = 0) -> None:
+    def __init__(self, nominal_tick_ns: float, usual_delay_ns: int = 0) -> None:
         self._nominal_tick_ns = nominal_tick_ns
-        self._late_ns = late_ns
+        self._usual_delay_ns = usual_delay_ns
         # Columns: sent_ns, received_ns, ticks; the newest is the last of `_count`.
-        self._kept: _Ints = np.empty((KEPT, 3), dtype=np.int64)
+        self._samples: _Ints = np.empty((MAX_SAMPLES, 3), dtype=np.int64)
         self._count = 0
-        self._last: Sample | None = None
+        self._last: CounterSample | None = None
 
-    def add(self, sample: Sample) -> bool:
+    def add_sample(self, sample: CounterSample) -> bool:
         """Add a sample. Return False when the counter has gone back or jumped: all earlier samples are then
         discarded."""
         last = self._last
-        self._keep(sample)
+        self._append_sample(sample)
         if last is None:
             return True
         elapsed_ns = (sample.ticks - last.ticks) * self._nominal_tick_ns
@@ -107,30 +107,30 @@ class TickEstimator:
         slack_ns = 2 * self._nominal_tick_ns + longest_ns * MAX_PPM * 1e-6
         if shortest_ns - slack_ns <= elapsed_ns <= longest_ns + slack_ns:
             return True
-        self.forget()
-        self._keep(sample)
+        self.discard_samples()
+        self._append_sample(sample)
         return False
 
-    def forget(self) -> None:
+    def discard_samples(self) -> None:
         """Discard all samples, e.g. after a reset of the controller."""
         self._count, self._last = 0, None
 
-    def mapping(self) -> TickMapping | None:
+    def compute_mapping(self) -> TickMapping | None:
         """Return the mapping from the current samples, or None without any."""
         last, nominal = self._last, self._nominal_tick_ns
         if last is None:
             return None
-        samples = self._kept[: self._count]
-        gates = _Gates(samples, nominal)
-        lines = gates.lines()
+        samples = self._samples[: self._count]
+        gates = _GateSet(samples, nominal)
+        lines = gates.find_lines()
         consistent = lines is not None
         if lines is None:
             # Outside the model (a delay beyond every allowance, a crystal beyond MAX_PPM): use the last sample only.
-            gates = _Gates(samples[-1:], nominal)
-            lines = gates.lines()
+            gates = _GateSet(samples[-1:], nominal)
+            lines = gates.find_lines()
             assert lines is not None
         # Move by half the usual delay, but never out of the feasible range nor out of the bound.
-        offset_ns = lines.offset_ns + min(self._late_ns / 2, lines.half_ns)
+        offset_ns = lines.offset_ns + min(self._usual_delay_ns / 2, lines.half_ns)
         tick_ns = nominal * (1.0 + lines.rate)
         return TickMapping(
             ticks_at=last.ticks,
@@ -139,23 +139,23 @@ class TickEstimator:
             rate_ppm=lines.rate * 1e6,
             residual_ns=round(gates.residual_ns(offset_ns, lines.rate)),
             bound_ns=math.ceil(lines.bound_ns + abs(offset_ns - lines.offset_ns)) + 1,
-            drift_ppm=lines.rate_bound * 1e6 + AHEAD_PPM,
+            drift_ppm=lines.rate_bound * 1e6 + PREDICTION_WANDER_PPM,
             samples=self._count,
             min_rtt_ns=int((samples[:, 1] - samples[:, 0]).min()),
             consistent=consistent,
         )
 
-    def _keep(self, sample: Sample) -> None:
-        if self._count == KEPT:
-            self._kept[:-1] = self._kept[1:]
+    def _append_sample(self, sample: CounterSample) -> None:
+        if self._count == MAX_SAMPLES:
+            self._samples[:-1] = self._samples[1:]
             self._count -= 1
-        self._kept[self._count] = sample.sent_ns, sample.received_ns, sample.ticks
+        self._samples[self._count] = sample.sent_ns, sample.received_ns, sample.ticks
         self._count += 1
         self._last = sample
 
 
 @dataclass(frozen=True, slots=True)
-class _Lines:
+class _FeasibleLines:
     """The properties common to all feasible lines.
 
     offset_ns: offset of the middle line when the counter became the last sample's ticks, counted from the instant
@@ -170,7 +170,7 @@ class _Lines:
     rate_bound: float
 
 
-class _Gates:
+class _GateSet:
     """The samples, relative to the last one: ages in nominal ns of the counter (0 or less), gates in host ns.
 
     Of the hundreds of gates, straight lines can touch only those on a convex hull: some tens decide, and only those
@@ -181,7 +181,7 @@ class _Gates:
         sent_ns, received_ns, ticks = (samples - (samples[-1, 0], samples[-1, 0], samples[-1, 2])).T
         self._ages: _Floats = ticks * nominal_tick_ns
         # Deviation of a line from a sample of this age by wander alone: the integral of a random walk.
-        wander_ns = SURE * WANDER_PPM * 1e-6 * np.sqrt(np.abs(self._ages * 1e-9) ** 3 / 3) * 1e9
+        wander_ns = SIGMA_LIMIT * WANDER_PPM * 1e-6 * np.sqrt(np.abs(self._ages * 1e-9) ** 3 / 3) * 1e9
         # The tick of a counter that runs slow is longer.
         tick_ns = nominal_tick_ns * (1.0 + MAX_PPM * 1e-6)
         self._low: _Floats = sent_ns - self._ages - tick_ns - wander_ns
@@ -190,44 +190,44 @@ class _Gates:
         self._floor = self._ages[floor], self._low[floor]
         self._ceiling = self._ages[ceiling], self._high[ceiling]
 
-    def lines(self) -> _Lines | None:
+    def find_lines(self) -> _FeasibleLines | None:
         """Find all lines through the gates; None when there is none."""
         rates = np.linspace(-MAX_PPM, MAX_PPM, _GRID) * 1e-6
         best = 0.0
         for _ in range(_ZOOMS):
-            low, high = self._gap(rates)
+            low, high = self._find_offset_range(rates)
             best = float(rates[np.argmax(high - low)])
             step = float(rates[1] - rates[0])
             rates = np.linspace(best - step, best + step, _GRID)
-        low, high = self._gap(np.array([best]))
+        low, high = self._find_offset_range(np.array([best]))
         if float(high[0]) < float(low[0]):
             return None
-        slowest, fastest = self._edge(best, -MAX_PPM * 1e-6), self._edge(best, MAX_PPM * 1e-6)
+        slowest, fastest = self._find_rate_limit(best, -MAX_PPM * 1e-6), self._find_rate_limit(best, MAX_PPM * 1e-6)
         rate = (slowest + fastest) / 2
         rates = np.linspace(slowest, fastest, _GRID)
-        lows, highs = self._gap(rates)
-        low, high = self._gap(np.array([rate]))
+        lows, highs = self._find_offset_range(rates)
+        low, high = self._find_offset_range(np.array([rate]))
         middle, half = float(high[0] + low[0]) / 2, max(0.0, float(high[0] - low[0]) / 2)
         # Between two rates of the grid a line may reach further, in proportion to the age of the oldest sample.
         between = (fastest - slowest) / _GRID * float(np.abs(self._ages).max())
         bound = max(float(highs.max()) - middle, middle - float(lows.min())) + between
-        return _Lines(middle, half, bound, rate, (fastest - slowest) / 2)
+        return _FeasibleLines(middle, half, bound, rate, (fastest - slowest) / 2)
 
     def residual_ns(self, offset_ns: float, rate: float) -> float:
         """Return the mean distance of the samples' middles from a line."""
         middles = (self._low + self._high) / 2 - self._ages * rate
         return float(np.abs(middles - offset_ns).mean())
 
-    def _gap(self, rates: _Floats) -> tuple[_Floats, _Floats]:
+    def _find_offset_range(self, rates: _Floats) -> tuple[_Floats, _Floats]:
         """Return, for each rate, the offsets between which a line passes all gates."""
         (low_ages, low), (high_ages, high) = self._floor, self._ceiling
         return (low - np.outer(rates, low_ages)).max(axis=1), (high - np.outer(rates, high_ages)).min(axis=1)
 
-    def _edge(self, inside: float, outside: float) -> float:
+    def _find_rate_limit(self, inside: float, outside: float) -> float:
         """Find the last rate on the way from `inside` to `outside` at which a line passes all gates."""
         for _ in range(_ZOOMS):
             rates = np.linspace(inside, outside, _GRID)
-            low, high = self._gap(rates)
+            low, high = self._find_offset_range(rates)
             possible = np.nonzero(high >= low)[0]
             last = int(possible[-1]) if len(possible) else 0
             if last == _GRID - 1:

@@ -17,13 +17,13 @@ class Executor(Protocol):
     async def __call__(self, function: Callable[..., T], *values: Any) -> T: ...
 
 
-async def run_while_recording(telling: Coroutine[Any, Any, None], doing: Coroutine[Any, Any, T]) -> T:
-    """Await `doing` while `telling` writes to disk, and return the result of `doing`.
+async def run_while_recording(record: Coroutine[Any, Any, None], work: Coroutine[Any, Any, T]) -> T:
+    """Await `work` while `record` writes to disk, and return the result of `work`.
 
     Not for an act that must not happen before it is on disk; but consecutive records reach the disk in order."""
-    told = asyncio.ensure_future(telling)
+    told = asyncio.ensure_future(record)
     try:
-        return await doing
+        return await work
     finally:
         await told
 
@@ -33,7 +33,7 @@ async def run_inline(function: Callable[..., T], *values: Any) -> T:
     return function(*values)
 
 
-class Threaded:
+class ThreadExecutor:
     """Runs calls in a thread of its own."""
 
     def __init__(self, name: str) -> None:

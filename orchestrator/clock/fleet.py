@@ -15,15 +15,15 @@ class FleetScale:
     origin_host_ns: int
     bound_ns: int = 0
 
-    def fleet_ns(self, host_ns: int) -> int:
+    def to_fleet_ns(self, host_ns: int) -> int:
         return host_ns - self.origin_host_ns
 
-    def host_ns(self, fleet_ns: int) -> int:
+    def to_host_ns(self, fleet_ns: int) -> int:
         return fleet_ns + self.origin_host_ns
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
+class TimeExchange:
     """One request for fleet time: host instants of request and reply, and the fleet time in the reply."""
 
     sent_ns: int
@@ -31,14 +31,14 @@ class Exchange:
     fleet_ns: int
 
 
-def exact_scale(reign: LeaderHeartbeat, clock: Clock) -> FleetScale | None:
+def exact_scale(heartbeat: LeaderHeartbeat, clock: Clock) -> FleetScale | None:
     """Return the exact scale of a coordinator on the same kernel; None when it runs on another."""
-    if reign.kernel_id != clock.kernel_id:
+    if heartbeat.kernel_id != clock.kernel_id:
         return None
-    return FleetScale(reign.scale_id, reign.origin_host_ns)
+    return FleetScale(heartbeat.scale_id, heartbeat.origin_host_ns)
 
 
-def estimated_scale(scale_id: str, exchanges: list[Exchange]) -> FleetScale:
+def estimate_scale(scale_id: str, exchanges: list[TimeExchange]) -> FleetScale:
     """Estimate the scale from requests over the bus: the smallest round trip decides, half of it is the bound.
 
     Accurate enough for the seconds between adoption and a start; crystals of hosts differ by some 10 ppm.

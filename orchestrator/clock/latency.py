@@ -15,12 +15,12 @@ the controller's normal behaviour and is part of the guarantee, until it is olde
 from collections import deque
 from dataclasses import dataclass
 
-KEPT = 128
-_ENOUGH = 8
+MAX_STARTS = 128
+_MIN_STARTS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Latency:
+class StartLatency:
     """Time from the end of the start command to the start, ns.
 
     usual_ns: the advance with which the command is written.
@@ -36,19 +36,19 @@ class Latency:
 class LatencyEstimator:
     """Learns from starts. declared: the guarantee before any start."""
 
-    def __init__(self, declared: Latency) -> None:
+    def __init__(self, declared: StartLatency) -> None:
         self._declared = declared
-        self._starts: deque[tuple[int, int]] = deque(maxlen=KEPT)
-        self._answered: deque[int] = deque(maxlen=KEPT)
+        self._starts: deque[tuple[int, int]] = deque(maxlen=MAX_STARTS)
+        self._answered: deque[int] = deque(maxlen=MAX_STARTS)
         self.latency = declared
 
-    def forget(self) -> None:
+    def discard_starts(self) -> None:
         """Discard all starts."""
         self._starts.clear()
         self._answered.clear()
         self.latency = self._declared
 
-    def take(self, earliest_ns: int, latest_ns: int, answered_ns: int | None) -> None:
+    def add_start(self, earliest_ns: int, latest_ns: int, answered_ns: int | None) -> None:
         """Add a start that was made in this interval after the end of its command.
 
         answered_ns: latest time at which the acknowledgement of the start can have begun to be sent; None for a
@@ -59,14 +59,14 @@ class LatencyEstimator:
         # The second of the starts that were certainly early, and of those that were certainly late.
         early = sorted(each[1] for each in self._starts)[1:2]
         late = sorted(each[0] for each in self._starts)[-2:-1]
-        self.latency = Latency(
-            usual_ns=self._usual_ns(),
+        self.latency = StartLatency(
+            usual_ns=self._estimate_usual_ns(),
             earliest_ns=min([self._declared.earliest_ns, *early]),
             latest_ns=max([self._declared.latest_ns, *late]),
             starts=len(self._starts),
         )
 
-    def _usual_ns(self) -> int:
+    def _estimate_usual_ns(self) -> int:
         """The mean of the acknowledgements, if they differ by no more than the starts themselves may: then no
         receiver delays them. Otherwise the declared value, unless every start was later, or earlier.
 
@@ -75,9 +75,9 @@ class LatencyEstimator:
         anything that acknowledgements and ends can show, by milliseconds.
         """
         declared, answered = self._declared, self._answered
-        if len(answered) >= _ENOUGH and max(answered) - min(answered) <= declared.latest_ns - declared.earliest_ns:
+        if len(answered) >= _MIN_STARTS and max(answered) - min(answered) <= declared.latest_ns - declared.earliest_ns:
             return min(max(sum(answered) // len(answered), declared.earliest_ns), declared.latest_ns)
-        if len(self._starts) < _ENOUGH:
+        if len(self._starts) < _MIN_STARTS:
             return declared.usual_ns
         first, last = min(each[0] for each in self._starts), max(each[1] for each in self._starts)
         return sorted((first, declared.usual_ns, last))[1]

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.clock.utc import rfc3339
+from orchestrator.clock.utc import format_rfc3339
 
 
 def raw_ns() -> int:
@@ -22,13 +22,13 @@ def boot_id() -> str:
     return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
 
 
-SWITCH_S = 0.0005
+THREAD_SWITCH_S = 0.0005
 """The bus's threads share the interpreter with the loop that timestamps data from controllers. By default Python
 lets a thread keep the interpreter for 5 ms, which would widen every timestamp, and delay every message, by as
 much."""
 
 
-def begin_live() -> None:
+def prepare_live_process() -> None:
     """Prepare a live process, once everything is loaded: exempt existing objects from garbage collection, and
     shorten the threads' time slices.
 
@@ -38,7 +38,7 @@ def begin_live() -> None:
     """
     gc.collect()
     gc.freeze()
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
 
 
 class _LiveTimer:
@@ -48,14 +48,14 @@ class _LiveTimer:
         self._at_ns = at_ns
         self._callback = callback
         self._loop = asyncio.get_running_loop()
-        self._handle = self._wait()
+        self._handle = self._schedule_wake_up()
 
-    def _wait(self) -> asyncio.TimerHandle:
-        return self._loop.call_later(max(0, self._at_ns - raw_ns()) / NS_PER_S, self._due)
+    def _schedule_wake_up(self) -> asyncio.TimerHandle:
+        return self._loop.call_later(max(0, self._at_ns - raw_ns()) / NS_PER_S, self._call_if_due)
 
-    def _due(self) -> None:
+    def _call_if_due(self) -> None:
         if raw_ns() < self._at_ns:
-            self._handle = self._wait()
+            self._handle = self._schedule_wake_up()
         else:
             self._callback()
 
@@ -77,7 +77,7 @@ class LiveClock:
         return raw_ns()
 
     def utc(self) -> str:
-        return rfc3339(datetime.now(UTC))
+        return format_rfc3339(datetime.now(UTC))
 
     def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> _LiveTimer:
         return _LiveTimer(at_ns + leeway_ns, callback)

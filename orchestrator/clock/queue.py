@@ -8,7 +8,7 @@ from orchestrator.clock.utc import virtual_utc
 
 
 @dataclass(slots=True)
-class _Call:
+class _ScheduledCall:
     callback: Callable[[], None] | None
 
     def cancel(self) -> None:
@@ -21,8 +21,8 @@ class EventQueue:
     they were scheduled."""
 
     _now_ns: int = 0
-    _heap: list[tuple[int, int, _Call]] = field(default_factory=list[tuple[int, int, _Call]])
-    _asked: int = 0
+    _heap: list[tuple[int, int, _ScheduledCall]] = field(default_factory=list[tuple[int, int, _ScheduledCall]])
+    _scheduled: int = 0
 
     @property
     def kernel_id(self) -> str:
@@ -34,11 +34,11 @@ class EventQueue:
     def utc(self) -> str:
         return virtual_utc(self._now_ns)
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> _Call:
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> _ScheduledCall:
         del leeway_ns
-        call = _Call(callback)
-        heapq.heappush(self._heap, (max(at_ns, self._now_ns), self._asked, call))
-        self._asked += 1
+        call = _ScheduledCall(callback)
+        heapq.heappush(self._heap, (max(at_ns, self._now_ns), self._scheduled, call))
+        self._scheduled += 1
         return call
 
     def next_ns(self) -> int | None:
@@ -47,7 +47,7 @@ class EventQueue:
             heapq.heappop(self._heap)
         return self._heap[0][0] if self._heap else None
 
-    def step(self) -> bool:
+    def make_next_call(self) -> bool:
         """Advance to the earliest call and make it. Return False when there is none."""
         if self.next_ns() is None:
             return False
@@ -61,5 +61,5 @@ class EventQueue:
     def run_until_ns(self, at_ns: int) -> None:
         """Make every call up to and including `at_ns`, and leave the clock there."""
         while (due_ns := self.next_ns()) is not None and due_ns <= at_ns:
-            self.step()
+            self.make_next_call()
         self._now_ns = max(self._now_ns, at_ns)

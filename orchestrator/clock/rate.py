@@ -16,16 +16,16 @@ from dataclasses import dataclass, replace
 from math import ceil, floor, sqrt
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.clock.estimator import SURE, WANDER_PPM
+from orchestrator.clock.estimator import SIGMA_LIMIT, WANDER_PPM
 
-KEPT = 256
-_LAST = 20
-LEAD_S = 30.0
+MAX_GATES = 256
+_RESIDUAL_MEASUREMENTS = 20
+MAX_LEAD_S = 30.0
 """A move is planned at most this long before it starts."""
 
 
 @dataclass(frozen=True, slots=True)
-class Gate:
+class RateGate:
     """The rate lay between low_ppm and high_ppm, as a mean over a time that ended at the host instant at_ns.
 
     spread_s: time over which the rate may have wandered between that mean and the rate at its end: a third of its
@@ -36,14 +36,14 @@ class Gate:
     at_ns: int
     spread_s: float
 
-    def widened(self, now_ns: int) -> tuple[float, float]:
+    def range_at(self, now_ns: int) -> tuple[float, float]:
         """Return the range of rates that the gate allows at `now_ns`."""
         wander = _wander_ppm((now_ns - self.at_ns) / NS_PER_S + self.spread_s)
         return self.low_ppm - wander, self.high_ppm + wander
 
 
 @dataclass(frozen=True, slots=True)
-class Measure:
+class RateMeasurement:
     """A measured rate.
 
     error_ppm: its standard deviation.
@@ -77,11 +77,11 @@ class CrystalRate:
     consistent: bool = True
 
     @property
-    def factor(self) -> float:
+    def clock_factor(self) -> float:
         """Seconds of the crystal in one of the host's."""
         return 1 + self.rate_ppm * 1e-6
 
-    def span_ppm(self, now_ns: int, duration_s: float, lead_s: float = 0.0) -> tuple[float, float]:
+    def range_ppm(self, now_ns: int, duration_s: float, lead_s: float = 0.0) -> tuple[float, float]:
         """Return the guaranteed least and largest mean rate over a move of this duration that ends now, or that
         starts within `lead_s` from now."""
         wander = _wander_ppm(max(0, now_ns - self.at_ns) / NS_PER_S + lead_s + duration_s / 3)
@@ -90,13 +90,13 @@ class CrystalRate:
 
     def bound_ppm(self, now_ns: int, duration_s: float, lead_s: float = 0.0) -> float:
         """Return the guaranteed error of the rate, for the same time as `range_ppm`."""
-        low, high = self.span_ppm(now_ns, duration_s, lead_s)
+        low, high = self.range_ppm(now_ns, duration_s, lead_s)
         return max(high - self.rate_ppm, self.rate_ppm - low)
 
-    def took_ns(self, duration_s: float, now_ns: int) -> tuple[int, int]:
+    def host_duration_ns(self, duration_s: float, now_ns: int) -> tuple[int, int]:
         """Return the least and largest duration by the host's clock of something that took `duration_s` by the
         crystal, and ends now."""
-        low, high = self.span_ppm(now_ns, duration_s)
+        low, high = self.range_ppm(now_ns, duration_s)
         device_ns = duration_s * NS_PER_S
         return floor(device_ns / (1 + high * 1e-6)), ceil(device_ns / (1 + low * 1e-6))
 
@@ -110,48 +110,50 @@ class RateEstimator:
         # `reach_ppm` counts as three standard deviations: most crystals are much better than the worst permitted one.
         self._assumed = CrystalRate(usual_ppm, *span, assumed_ppm=span, error_ppm=reach_ppm / 3)
         self._reach_ppm = reach_ppm
-        self._gates: deque[Gate] = deque(maxlen=KEPT)
-        self._measures: deque[Measure] = deque(maxlen=KEPT)
+        self._gates: deque[RateGate] = deque(maxlen=MAX_GATES)
+        self._measurements: deque[RateMeasurement] = deque(maxlen=MAX_GATES)
         self._moves = 0
         self.rate = self._assumed
 
-    def forget(self) -> None:
+    def discard_moves(self) -> None:
         """Discard all moves, e.g. after the controller was switched off and on."""
         self._gates.clear()
-        self._measures.clear()
+        self._measurements.clear()
         self._moves = 0
         self.rate = self._assumed
 
-    def take(self, gates: Iterable[Gate], measures: Iterable[Measure], now_ns: int) -> bool:
+    def add_move(self, gates: Iterable[RateGate], measures: Iterable[RateMeasurement], now_ns: int) -> bool:
         """Learn from a move that ends now. Return False when it contradicts the earlier ones: all are then
         discarded."""
-        fresh = [gate for gate in gates if self._excludes(gate, now_ns)]
+        fresh = [gate for gate in gates if self._narrows_range(gate, now_ns)]
         measured = [each for each in measures if each.error_ppm < self._reach_ppm]
         if not fresh and not measured:
             return True  # too short, or observed too poorly, to show anything
         self._gates.extend(fresh)
-        self._measures.extend(measured)
+        self._measurements.extend(measured)
         self._moves += 1
-        found = self._estimate(now_ns)
+        found = self._estimate_rate(now_ns)
         if found is None:
-            self.forget()
+            self.discard_moves()
             self.rate = replace(self._assumed, at_ns=now_ns, consistent=False)
             return False
         self.rate = found
         return True
 
-    def _excludes(self, gate: Gate, now_ns: int) -> bool:
-        low, high = gate.widened(now_ns)
+    def _narrows_range(self, gate: RateGate, now_ns: int) -> bool:
+        low, high = gate.range_at(now_ns)
         return low > self._assumed.low_ppm or high < self._assumed.high_ppm
 
-    def _estimate(self, now_ns: int) -> CrystalRate | None:
-        spans = [(self._assumed.low_ppm, self._assumed.high_ppm), *(each.widened(now_ns) for each in self._gates)]
+    def _estimate_rate(self, now_ns: int) -> CrystalRate | None:
+        spans = [(self._assumed.low_ppm, self._assumed.high_ppm), *(each.range_at(now_ns) for each in self._gates)]
         low, high = max(each[0] for each in spans), min(each[1] for each in spans)
         if low > high:
             return None
-        likely, variance = self._filtered(now_ns) if self._measures else ((low + high) / 2, (high - low) ** 2 / 12)
+        likely, variance = (
+            self._filter_measurements(now_ns) if self._measurements else ((low + high) / 2, (high - low) ** 2 / 12)
+        )
         rate = min(max(likely, low), high)
-        last = list(self._measures)[-_LAST:]
+        last = list(self._measurements)[-_RESIDUAL_MEASUREMENTS:]
         return CrystalRate(
             rate_ppm=rate,
             low_ppm=low,
@@ -163,11 +165,11 @@ class RateEstimator:
             moves=self._moves,
         )
 
-    def _filtered(self, now_ns: int) -> tuple[float, float]:
+    def _filter_measurements(self, now_ns: int) -> tuple[float, float]:
         """Return the most likely rate at `now_ns`, and its variance."""
         rate, variance = self._assumed.rate_ppm, self._assumed.error_ppm**2
         at_ns = now_ns
-        for each in self._measures:
+        for each in self._measurements:
             variance += WANDER_PPM**2 * max(0, each.at_ns - at_ns) / NS_PER_S
             gain = variance / (variance + each.error_ppm**2)
             rate += gain * (each.rate_ppm - rate)
@@ -179,4 +181,4 @@ class RateEstimator:
 def _wander_ppm(spread_s: float) -> float:
     """Return how far a crystal's rate may have walked in `spread_s`, or, over three times as long, deviate from its
     mean."""
-    return SURE * WANDER_PPM * sqrt(spread_s)
+    return SIGMA_LIMIT * WANDER_PPM * sqrt(spread_s)

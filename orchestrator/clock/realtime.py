@@ -12,10 +12,10 @@ import contextlib
 import os
 from enum import IntEnum
 
-STEP_BACK_S = 0.1
+YIELD_S = 0.1
 
 
-class Urgency(IntEnum):
+class RealtimePriority(IntEnum):
     """Real-time priorities, the lowest available: below everything else that a machine runs in real time."""
 
     SERVICE = 1
@@ -31,7 +31,7 @@ class Urgency(IntEnum):
     """Sleeps except for the last two milliseconds before a start."""
 
 
-def hurry(urgency: Urgency, children: bool = True) -> bool:
+def set_realtime_priority(priority: RealtimePriority, *, children: bool = True) -> bool:
     """Run this thread, and those that it starts later, at a real-time priority. Return whether that succeeded.
 
     An improvement, not a requirement: without permission, and outside of Linux, the priority stays as it is.
@@ -39,32 +39,32 @@ def hurry(urgency: Urgency, children: bool = True) -> bool:
     """
     try:
         policy = os.SCHED_RR if children else os.SCHED_RR | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(0, policy, os.sched_param(urgency))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except (OSError, AttributeError):
         with contextlib.suppress(OSError):
-            os.nice(-2 * urgency)
+            os.nice(-2 * priority)
         return False
     return True
 
 
-def may_hurry(urgency: Urgency) -> bool:
+def can_set_realtime_priority(priority: RealtimePriority) -> bool:
     """Return whether this user may set `priority`. Nothing changes."""
     try:
         policy, before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(urgency))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
         os.sched_setscheduler(0, policy, before)
     except (OSError, AttributeError):
         return False
     return True
 
 
-def step_back(urgency: Urgency) -> None:
+def yield_priority(priority: RealtimePriority) -> None:
     """Drop the real-time `priority` of this thread for a moment, so that urgent threads run; needs a running loop."""
-    calm()
-    asyncio.get_running_loop().call_later(STEP_BACK_S, hurry, urgency)
+    reset_priority()
+    asyncio.get_running_loop().call_later(YIELD_S, set_realtime_priority, priority)
 
 
-def calm() -> None:
+def reset_priority() -> None:
     """Return to the normal priority, though the parent has a higher one."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -7,7 +7,7 @@ VIRTUAL_ZERO = datetime(2026, 1, 1, tzinfo=UTC)
 _NAIVE_ZERO = VIRTUAL_ZERO.replace(tzinfo=None)
 
 
-def rfc3339(instant: datetime) -> str:
+def format_rfc3339(instant: datetime) -> str:
     """Format `instant` in UTC with microseconds, e.g. `2026-11-21T10:00:00.000000Z`."""
     return instant.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
 

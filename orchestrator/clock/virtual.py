@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.utc import virtual_utc
+from orchestrator.model.errors import TuttiError
 
 T = TypeVar("T")
 
@@ -24,11 +25,11 @@ T = TypeVar("T")
 GC_ALLOCATIONS = 200_000
 
 
-class VirtualDeadlock(Exception):
+class VirtualDeadlock(TuttiError):
     """The main coroutine waits, and no event is left that could wake it."""
 
 
-class Process:
+class VirtualProcess:
     """A process of the virtual fleet: everything that runs in its context can be frozen (SIGSTOP) and killed
     (SIGKILL)."""
 
@@ -37,29 +38,29 @@ class Process:
         self.alive = True
         self.frozen = False
         self._loop = loop
-        self._parked: list[_Handle] = []
+        self._parked: list[_VirtualHandle] = []
         self._on_death: list[Callable[[], None]] = []
 
-    def run(self, function: Callable[[], T]) -> T:
+    def run_inside(self, function: Callable[[], T]) -> T:
         """Call `function` as a part of this process; tasks that it creates belong to the process."""
 
-        def within() -> T:
+        def call_inside() -> T:
             _PROCESS.set(self)
             return function()
 
-        return copy_context().run(within)
+        return copy_context().run(call_inside)
 
-    def start(self, coroutine: Coroutine[Any, Any, T]) -> "asyncio.Task[T]":
+    def start_task(self, coroutine: Coroutine[Any, Any, T]) -> "asyncio.Task[T]":
         """Run `coroutine` as a task of this process. An error that ends it ends the whole run."""
-        task: asyncio.Task[T] = self.run(lambda: self._loop.create_task(coroutine))
-        task.add_done_callback(self._ended)
+        task: asyncio.Task[T] = self.run_inside(lambda: self._loop.create_task(coroutine))
+        task.add_done_callback(self._on_task_end)
         return task
 
-    def _ended(self, task: "asyncio.Task[Any]") -> None:
+    def _on_task_end(self, task: "asyncio.Task[Any]") -> None:
         if not task.cancelled() and (error := task.exception()) is not None:
             self._loop.call_exception_handler({"message": f"{self.name} failed", "exception": error})
 
-    def on_death(self, callback: Callable[[], None]) -> None:
+    def add_death_callback(self, callback: Callable[[], None]) -> None:
         """Register an action of the kernel for the process's death: close its sockets, drop its sessions."""
         self._on_death.append(callback)
 
@@ -71,7 +72,7 @@ class Process:
         """Like SIGCONT: everything that became due meanwhile runs now, in order."""
         self.frozen = False
         parked, self._parked = self._parked, []
-        self._loop.requeue(parked)
+        self._loop.requeue_handles(parked)
 
     def kill(self) -> None:
         """Like SIGKILL: nothing of the process ever runs again. Does nothing to a dead process."""
@@ -81,7 +82,7 @@ class Process:
         for callback in self._on_death:
             self._loop.call_soon(callback, context=Context())
 
-    def admits(self, handle: "_Handle") -> bool:
+    def may_run(self, handle: "_VirtualHandle") -> bool:
         """Return whether `handle` may run now; park it when the process is frozen."""
         if not self.frozen:
             return self.alive
@@ -90,10 +91,10 @@ class Process:
         return False
 
 
-_PROCESS: ContextVar[Process | None] = ContextVar("process", default=None)
+_PROCESS: ContextVar[VirtualProcess | None] = ContextVar("process", default=None)
 
 
-class _Handle:
+class _VirtualHandle:
     """A scheduled call: the result of `call_soon` and `call_at`."""
 
     __slots__ = ("args", "callback", "context")
@@ -116,8 +117,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
     def __init__(self) -> None:
         self.now_ns = 0
-        self._ready: deque[_Handle] = deque()
-        self._timers: list[tuple[int, int, _Handle]] = []
+        self._ready: deque[_VirtualHandle] = deque()
+        self._timers: list[tuple[int, int, _VirtualHandle]] = []
         self._asked = 0
         self._stopping = False
         self._running = False
@@ -132,7 +133,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
     def call_at_ns(self, at_ns: int, callback: Callable[..., object], *args: Any, context: Context | None = None):
         """Like `call_at`, in whole nanoseconds."""
-        handle = _Handle(callback, args, context)
+        handle = _VirtualHandle(callback, args, context)
         self._asked += 1
         heapq.heappush(self._timers, (at_ns if at_ns > self.now_ns else self.now_ns, self._asked, handle))
         return handle
@@ -146,11 +147,11 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         return self.call_at_ns(self.now_ns + round(delay * NS_PER_S), callback, *args, context=context)
 
     def call_soon(self, callback: Callable[..., object], *args: Any, context: Context | None = None) -> Any:
-        handle = _Handle(callback, args, context)
+        handle = _VirtualHandle(callback, args, context)
         self._ready.append(handle)
         return handle
 
-    def requeue(self, handles: list[_Handle]) -> None:
+    def requeue_handles(self, handles: list[_VirtualHandle]) -> None:
         """Make parked handles ready again."""
         self._ready.extend(handles)
 
@@ -160,7 +161,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         asyncio._set_running_loop(self)  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
         self._running = True
         try:
-            self._run()
+            self._run_ready()
         finally:
             self._running = False
             self._stopping = False
@@ -174,16 +175,16 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             raise self._errors[0]
         return task.result()
 
-    def _run(self) -> None:
+    def _run_ready(self) -> None:
         """Run ready calls one by one, until the loop is stopped."""
         ready = self._ready
         while not self._stopping:
-            handle = ready.popleft() if ready else self._jump()
+            handle = ready.popleft() if ready else self._jump_to_next()
             callback, context = handle.callback, handle.context
             if callback is None:
                 continue
             process = context.get(_PROCESS)
-            if process is not None and not process.admits(handle):
+            if process is not None and not process.may_run(handle):
                 continue
             try:
                 context.run(callback, *handle.args)
@@ -192,7 +193,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             except BaseException as error:
                 self.call_exception_handler({"message": f"error in {callback!r}", "exception": error})
 
-    def _jump(self) -> _Handle:
+    def _jump_to_next(self) -> _VirtualHandle:
         """Advance to the next instant with scheduled calls, return the first of them, and make the rest ready."""
         timers, pop = self._timers, heapq.heappop
         while timers and timers[0][2].callback is None:
@@ -269,7 +270,7 @@ class VirtualClock:
 
     def call_at_ns(
         self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0, context: Context | None = None
-    ) -> _Handle:
+    ) -> _VirtualHandle:
         """Schedule a call exactly at the instant. context: the process that the call belongs to; the caller's by
         default."""
         del leeway_ns

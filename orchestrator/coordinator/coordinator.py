@@ -3,16 +3,12 @@
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from orchestrator.bus.base import Bus, Declared
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log, Sink
-from orchestrator.clock.base import Clock
-from orchestrator.clock.executor import Executor
+from orchestrator.bus.base import BusDeclaration
+from orchestrator.bus.log import ProcessLog
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.leases import LeaseRegistry
+from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.requests import MemberRequests
@@ -21,7 +17,7 @@ from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.jobs.steps import PlainSteps
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
@@ -38,33 +34,14 @@ ADOPT_S = 2.0
 LEAVE_S = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class CoordinatorEnvironment:
-    """The environment of a coordinator: everything that differs between live and virtual fleets.
-
-    save_fleet: stores a reloaded fleet for the next start.
-    """
-
-    bus: Bus
-    keys: Keys
-    clock: Clock
-    journal: Journal
-    execute: Executor
-    new_id: Callable[[], str]
-    sink: Sink
-    save_fleet: Callable[[Fleet], None]
-
-
 class Coordinator:
     """One coordinator of `fleet`."""
 
     def __init__(self, fleet: Fleet, environment: CoordinatorEnvironment) -> None:
         self._environment = environment
         bus, keys, clock = environment.bus, environment.keys, environment.clock
-        self.leadership = Leadership(
-            fleet.fleet, bus, keys, clock, environment.journal, environment.execute, environment.new_id
-        )
-        self._log = Log("coordinator", self.leadership.coordinator[:8], clock, environment.sink, bus, keys)
+        self.leadership = Leadership(fleet.fleet, environment)
+        self._log = ProcessLog("coordinator", self.leadership.coordinator[:8], clock, environment.sink, (bus, keys))
         self._log.fleet_ns = lambda: self.leadership.fleet_now_ns() if self.leadership.epoch else None
         self._view = FleetView(fleet, bus, keys, clock, self._log)
         view = self._view
@@ -99,7 +76,7 @@ class Coordinator:
         self._requests = UserRequests(services, intake, self.scheduler, self._manual, maintenance)
         self._adopting: set[str] = set()
         self._adopted: dict[str, str] = {}
-        self._declared: list[Declared] = []
+        self._declared: list[BusDeclaration] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self.leadership_lost = asyncio.Event()
 
@@ -114,7 +91,7 @@ class Coordinator:
         await self._manual.start()
         await self.scheduler.start()
         self._declared = [
-            await bus.serve(keys.svc(), self._requests.answer),
+            await bus.serve(keys.service(), self._requests.answer),
             await bus.announce(keys.live("coordinator", self.leadership.coordinator[:8], f"e{self.leadership.epoch}")),
         ]
         self._log.info("leads the fleet", epoch=self.leadership.epoch, scale=self.leadership.scale.scale_id)
@@ -171,8 +148,8 @@ class Coordinator:
             return
         holder = f"start-{self._environment.new_id()[:8]}"
         try:
-            await self._leases.acquire(holder, "coordinator", "enabling at the start", names, brief=True)
-            await self._plain_steps.switch_motors(names, True, holder, "coordinator")
+            await self._leases.acquire(LeaseUser(holder, "coordinator", "enabling at the start"), names, brief=True)
+            await self._plain_steps.switch_motors(names, on=True, holder=holder, actor="coordinator")
         except Refusal as error:
             self._log.warning(f"not enabled at start: {error.text}", controller=controller)
         finally:

@@ -13,26 +13,27 @@ import uuid
 from pathlib import Path
 
 from orchestrator.bus.base import Bus
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log
-from orchestrator.bus.logfile import file_sink
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import ProcessLog
+from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
-from orchestrator.clock.executor import Threaded
-from orchestrator.clock.live import LiveClock, begin_live
+from orchestrator.clock.executor import ThreadExecutor
+from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
-from orchestrator.clock.realtime import Urgency, hurry, step_back
-from orchestrator.coordinator.coordinator import Coordinator, CoordinatorEnvironment
+from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority, yield_priority
+from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal, JournalError
+from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 
-BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, DEPOSED = 2, 3, 4, 5, 6
+BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST = 2, 3, 4, 5, 6
 
 
-async def run_coordinator(options: argparse.Namespace, urgent: bool) -> int:
+async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
     """Lead until the process is to end; return the exit code. urgent: whether it has real-time priority."""
     fleet = load_fleet(options.fleet)
     bus = await open_bus(options.connect)
@@ -42,16 +43,16 @@ async def run_coordinator(options: argparse.Namespace, urgent: bool) -> int:
     try:
         if options.standby:
             _print_ready()
-            if not await _stand_by(options, bus, Keys(fleet.fleet), end):
+            if not await _stand_by(options, bus, FleetKeys(fleet.fleet), end):
                 return 0
             # The fleet may have been reloaded meanwhile.
             fleet = load_fleet(options.fleet)
-        return await _lead(options, fleet, bus, end, urgent)
+        return await _lead(options, fleet, bus, end, urgent=urgent)
     finally:
         await bus.close()
 
 
-async def _stand_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyncio.Event) -> bool:
+async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end: asyncio.Event) -> bool:
     """Wait until there is no leader, and make sure that the last one is gone; False when this process is to end."""
     vacant = asyncio.ensure_future(wait_for_vacancy(bus, keys, LiveClock()))
     ended = asyncio.ensure_future(end.wait())
@@ -62,42 +63,42 @@ async def _stand_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyn
         return False
     killed = LeaderFile(options.journal).kill_other_process()
     if killed:
-        log = Log("coordinator", "standby", LiveClock(), file_sink(options.log), bus, keys)
+        log = ProcessLog("coordinator", "standby", LiveClock(), make_file_sink(options.log), (bus, keys))
         log.warning(f"the coordinator in process {killed} was silent and has been killed; taking over")
     return True
 
 
-async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, urgent: bool) -> int:
+async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, *, urgent: bool) -> int:
     loop = asyncio.get_running_loop()
-    journal, runs = Journal(options.journal), Threaded("journal")
+    journal, runs = Journal(options.journal), ThreadExecutor("journal")
     court = CoordinatorEnvironment(
         bus=bus,
-        keys=Keys(fleet.fleet),
+        keys=FleetKeys(fleet.fleet),
         clock=LiveClock(),
         journal=journal,
         execute=runs,
         new_id=lambda: uuid.uuid4().hex,
-        sink=file_sink(options.log),
+        sink=make_file_sink(options.log),
         save_fleet=lambda taken: save_fleet(options.fleet, taken),
     )
     coordinator = Coordinator(fleet, court)
     try:
         if urgent:
             # The adapters stop without the leader: the ends of its jobs must not delay that.
-            await bus.subscribe(court.keys.estop, lambda _: step_back(Urgency.SERVICE))
+            await bus.subscribe(court.keys.estop, lambda _: yield_priority(RealtimePriority.SERVICE))
         await coordinator.start(take_over=options.take_over, vacant=options.standby)
         LeaderFile(options.journal).write_own_process()
-        begin_live()
+        prepare_live_process()
         if not options.standby:
             _print_ready()
         waits = [loop.create_task(end.wait()), loop.create_task(coordinator.leadership_lost.wait())]
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for wait in waits:
             wait.cancel()
-        deposed = coordinator.leadership_lost.is_set()
-        if not deposed:
+        leadership_lost = coordinator.leadership_lost.is_set()
+        if not leadership_lost:
             await coordinator.close()
-        return DEPOSED if deposed else 0
+        return LEADERSHIP_LOST if leadership_lost else 0
     finally:
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)
@@ -127,9 +128,9 @@ def main() -> int:
     options = parser.parse_args()
     if options.parent:
         die_with_parent(options.parent)
-    urgent = hurry(Urgency.SERVICE)
+    urgent = set_realtime_priority(RealtimePriority.SERVICE)
     try:
-        return asyncio.run(run_coordinator(options, urgent))
+        return asyncio.run(run_coordinator(options, urgent=urgent))
     except (FileError, RouterUnreachable, AnotherLeader, JournalError) as error:
         sys.stderr.write(f"{error}\n")
         codes = {FileError: BAD_INPUT, RouterUnreachable: NO_BUS, AnotherLeader: ANOTHER, JournalError: BAD_JOURNAL}

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from orchestrator.bus.answers import Answers
-from orchestrator.bus.base import RequestRefused, Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.answers import AnswerCache
+from orchestrator.bus.base import BusSample, RequestRefused
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.jobs.intake import JobIntake
@@ -72,8 +72,8 @@ class UserRequests:
         self._scheduler = scheduler
         self._leases: LeaseRegistry = services.leases
         self._reload, self._wiring = maintenance
-        self._keys: Keys = services.keys
-        self._answers = Answers()
+        self._keys: FleetKeys = services.keys
+        self._answers = AnswerCache()
         self._verbs = {
             "submit": Verb(SubmitJob, JobSubmitted, intake.submit_job),
             "list": Verb(ListJobs, QueueState, self._list_jobs, cached=False),
@@ -94,7 +94,7 @@ class UserRequests:
             "check-wiring": Verb(Request, WiringChecked, self._check_wiring),
         }
 
-    async def answer(self, sample: Sample) -> bytes:
+    async def answer(self, sample: BusSample) -> bytes:
         """Answer one request. Raises `RequestRefused` for one that is not valid, and when the leadership is lost."""
         name = self._keys.verb_of(sample.key)
         verb = self._verbs.get(name)
@@ -108,7 +108,7 @@ class UserRequests:
             raise RequestRefused("this coordinator is no longer the leader; send the request again")
         if not verb.cached:
             return await self._execute(verb, request)
-        return await self._answers.once(name, request.request_id, lambda: self._execute(verb, request))
+        return await self._answers.answer_once(name, request.request_id, lambda: self._execute(verb, request))
 
     async def _execute(self, verb: Verb, request: Request) -> bytes:
         try:

@@ -2,16 +2,18 @@
 
 from typing import NamedTuple, Protocol
 
+from orchestrator.model.errors import TuttiError
 
-class LinkRefused(Exception):
+
+class LinkRefused(TuttiError):
     """The link cannot be opened. The text names it, the reason, and the remedy."""
 
 
-class LinkClosed(Exception):
+class LinkClosed(TuttiError):
     """The link is closed, by this side, by the other side, or by the wire. The text names it."""
 
 
-class Received(NamedTuple):
+class ReceivedBytes(NamedTuple):
     """Received bytes. at_ns: host time when the last of them was read from the operating system."""
 
     data: bytes
@@ -22,7 +24,7 @@ class Link(Protocol):
     """One open connection to one controller. Not shared between tasks, except for `write` of a stop."""
 
     @property
-    def place(self) -> str:
+    def endpoint(self) -> str:
         """A description of the endpoint for people: `tcp 127.0.0.1:2300`, `serial /dev/ttyUSB0`."""
         ...
 
@@ -36,7 +38,7 @@ class Link(Protocol):
         `LinkClosed`."""
         ...
 
-    async def read(self) -> Received:
+    async def read(self) -> ReceivedBytes:
         """Wait for bytes. Raises `LinkClosed`."""
         ...
 
@@ -44,7 +46,7 @@ class Link(Protocol):
         """The descriptor that a firing process may write to; -1 for a link in memory."""
         ...
 
-    def wrote(self, at_ns: int, data: bytes) -> None:
+    def record_write(self, at_ns: int, data: bytes) -> None:
         """Record that a firing process has written `data` to the descriptor at host time `at_ns`."""
         ...
 

@@ -75,26 +75,26 @@ class CanReceived(NamedTuple):
     at_ns: int
 
 
-def encode(*frames: CanFrame) -> bytes:
-    """Encode frames for a link; also for a `Firer` and a make's `stop_bytes`."""
-    return b"".join(map(_encode, frames))
+def encode_frames(*frames: CanFrame) -> bytes:
+    """Encode frames for a link; also for a `TimedWriter` and a make's `stop_bytes`."""
+    return b"".join(map(_encode_frame, frames))
 
 
 @lru_cache(maxsize=4096)
-def _encode(frame: CanFrame) -> bytes:
+def _encode_frame(frame: CanFrame) -> bytes:
     flags = _EXTENDED * frame.extended | _REMOTE * frame.rtr | _ERROR * frame.error
     return struct.pack("<IB3x8s", frame.id | flags, len(frame.data), frame.data)
 
 
-def decode(data: bytes) -> list[CanFrame]:
+def decode_frames(data: bytes) -> list[CanFrame]:
     """Decode the whole frames of `data`. Raises `ValueError` if it is not a multiple of 16 bytes, or not a frame."""
     if len(data) % FRAME_BYTES:
         raise ValueError(f"{len(data)} bytes are not whole CAN frames of {FRAME_BYTES} bytes")
-    return [_decode(data[at : at + FRAME_BYTES]) for at in range(0, len(data), FRAME_BYTES)]
+    return [_decode_frame(data[at : at + FRAME_BYTES]) for at in range(0, len(data), FRAME_BYTES)]
 
 
 @lru_cache(maxsize=4096)
-def _decode(data: bytes) -> CanFrame:
+def _decode_frame(data: bytes) -> CanFrame:
     """Cached, because drives at rest repeat the same few frames."""
     word, length, payload = struct.unpack("<IB3x8s", data)
     return CanFrame(
@@ -112,11 +112,11 @@ class FrameReader:
     def __init__(self) -> None:
         self._rest = b""
 
-    def feed(self, data: bytes) -> list[CanFrame]:
+    def add_bytes(self, data: bytes) -> list[CanFrame]:
         """Add `data` and return the frames that are complete."""
         self._rest += data
         whole = len(self._rest) // FRAME_BYTES * FRAME_BYTES
-        frames, self._rest = decode(self._rest[:whole]), self._rest[whole:]
+        frames, self._rest = decode_frames(self._rest[:whole]), self._rest[whole:]
         return frames
 
 
@@ -141,8 +141,8 @@ class CanLink:
         self._received: deque[CanReceived] = deque()
 
     @property
-    def place(self) -> str:
-        return self._link.place
+    def endpoint(self) -> str:
+        return self._link.endpoint
 
     @property
     def bitrate(self) -> int:
@@ -150,28 +150,28 @@ class CanLink:
         return self._bitrate
 
     @property
-    def link(self) -> Link:
-        """The link in bytes, for a `Firer`: `firer.schedule(can.link, encode(frame), at_ns, latest_ns)`."""
+    def byte_link(self) -> Link:
+        """The link in bytes, for a `TimedWriter`, which writes `encode_frames(frame)` to it."""
         return self._link
 
     def frame_ns(self, frame: CanFrame) -> int:
         """The maximum time of `frame` on this bus, ns."""
         return frame_ns(frame, self._bitrate)
 
-    def send(self, *frames: CanFrame) -> int:
+    def send_frames(self, *frames: CanFrame) -> int:
         """Pass frames to the CAN controller of this end, in order, without blocking. Returns the host time just
         before.
 
         It sends each as soon as the bus is free and no frame with a lower identifier waits, and repeats it until it
         is acknowledged. Raises `LinkClosed`.
         """
-        return self._link.write(encode(*frames))
+        return self._link.write(encode_frames(*frames))
 
-    async def read(self) -> CanReceived:
+    async def read_frame(self) -> CanReceived:
         """Wait for a frame of another node, or an error frame of this end. Raises `LinkClosed`."""
         while not self._received:
             received = await self._link.read()
-            self._received.extend(CanReceived(frame, received.at_ns) for frame in self._reader.feed(received.data))
+            self._received.extend(CanReceived(frame, received.at_ns) for frame in self._reader.add_bytes(received.data))
         return self._received.popleft()
 
     async def close(self) -> None:

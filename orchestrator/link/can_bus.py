@@ -54,7 +54,7 @@ _RUN = re.compile("0+|1+")
 @lru_cache(maxsize=8192)
 def exact_bits(frame: CanFrame) -> int:
     """Bits of `frame` on the bus with its actual stuff bits, and the intermission after it."""
-    bits = stuffable(frame)
+    bits = stuffable_bits(frame)
     stuffed = carried = 0
     for run in _RUN.findall(bits):
         # The bit that is stuffed after five equal ones is the first of the next run.
@@ -64,7 +64,7 @@ def exact_bits(frame: CanFrame) -> int:
     return len(bits) + stuffed + FIXED_BITS
 
 
-def stuffable(frame: CanFrame) -> str:
+def stuffable_bits(frame: CanFrame) -> str:
     """Start of frame to the end of the CRC, as zeros and ones."""
     length = len(frame.data)
     if frame.extended:
@@ -81,7 +81,7 @@ def stuffable(frame: CanFrame) -> str:
     return f"{word << 15 | crc:0{width + 15}b}"
 
 
-def _rank(frame: CanFrame) -> int:
+def _arbitration_rank(frame: CanFrame) -> int:
     """The bits that arbitrate, as a number: the lowest wins."""
     if frame.extended:
         return (frame.id >> 18) << 21 | 0b11 << 19 | (frame.id & 0x3FFFF) << 1 | frame.rtr
@@ -90,7 +90,7 @@ def _rank(frame: CanFrame) -> int:
 
 @dataclass(slots=True, eq=False)
 class CanNode:
-    """One CAN controller on the bus. Made by `MemoryCanBus.attach`.
+    """One CAN controller on the bus. Made by `MemoryCanBus.attach_node`.
 
     by_identifier: the waiting frame with the lowest identifier is sent first, not the oldest. accepts: identifiers
     that pass its acceptance filter; None: all.
@@ -98,7 +98,7 @@ class CanNode:
 
     _bus: "MemoryCanBus"
     receive: Callable[[CanFrame], None]
-    trouble: Callable[[int], None]
+    on_error: Callable[[int], None]
     bitrate: int
     by_identifier: bool
     connected: bool = True
@@ -111,58 +111,58 @@ class CanNode:
     accepts: frozenset[int] | None = None
 
     @property
-    def state(self) -> NodeState:
+    def node_state(self) -> NodeState:
         if self.off:
             return "off"
         return "passive" if max(self.transmit_errors, self.receive_errors) >= PASSIVE_FROM else "active"
 
     @property
-    def hears(self) -> bool:
+    def is_active(self) -> bool:
         """Whether it takes part in the traffic on the bus."""
         return self.connected and not self.off and self.bitrate == self._bus.bitrate
 
-    def send(self, *frames: CanFrame) -> None:
+    def queue_frames(self, *frames: CanFrame) -> None:
         """Queue frames. A node that is switched off, or in bus-off, sends nothing, now or later."""
         if self.connected and not self.off:
             self.waiting.extend(frames)
-            self._bus.kick()
+            self._bus.schedule_start()
 
-    def best(self) -> CanFrame:
+    def next_frame(self) -> CanFrame:
         """The waiting frame that is sent next."""
-        return min(self.waiting, key=_rank) if self.by_identifier else self.waiting[0]
+        return min(self.waiting, key=_arbitration_rank) if self.by_identifier else self.waiting[0]
 
-    def connect(self, connected: bool) -> None:
+    def set_connected(self, *, connected: bool) -> None:
         """Switch the node on, with its counters at 0 and nothing to send, or off. A frame that it sends just then is
         destroyed."""
         self.connected, self.off = connected, False
-        self.forget()
+        self.discard_frames()
         if connected:
-            self._bus.wake()
+            self._bus.retry_frames()
 
-    def restart(self) -> None:
+    def leave_bus_off(self) -> None:
         """Leave bus-off, after as many idle bits as the standard demands. Waiting frames have been discarded."""
         if self.off:
             self.waiting.clear()
             bus = self._bus
-            bus.later(RECOVERY_BITS * bus.bit_ns, self._back)
+            bus.schedule_call(RECOVERY_BITS * bus.bit_ns, self._rejoin_bus)
 
-    def _back(self) -> None:
+    def _rejoin_bus(self) -> None:
         if self.off and self.connected:
             self.off = False
-            self.forget()
-            self._bus.wake()
-            self.trouble(ERROR_RESTARTED)
+            self.discard_frames()
+            self._bus.retry_frames()
+            self.on_error(ERROR_RESTARTED)
 
-    def forget(self) -> None:
+    def discard_frames(self) -> None:
         self.transmit_errors = self.receive_errors = 0
         self.waiting.clear()
         self.parked = False
 
     # Notifications from the bus
 
-    def count(self, transmit: int = 0, receive: int = 0) -> None:
+    def count_errors(self, transmit: int = 0, receive: int = 0) -> None:
         """Add to the error counters; report a change of the node's state."""
-        before = self.state
+        before = self.node_state
         self.transmit_errors = max(0, self.transmit_errors + transmit)
         # A receiver that has been passive is nearly so after its first good frame.
         most = PASSIVE_FROM - 1 if receive < 0 else OFF_FROM
@@ -170,12 +170,12 @@ class CanNode:
         if self.transmit_errors >= OFF_FROM:
             self.off = True
             self.waiting.clear()
-            self.trouble(ERROR_BUS_OFF)
-        elif self.state != before:
-            self.trouble(ERROR_PASSIVE)
+            self.on_error(ERROR_BUS_OFF)
+        elif self.node_state != before:
+            self.on_error(ERROR_PASSIVE)
 
 
-def _ignore(trouble: int) -> None:
+def _ignore_error(trouble: int) -> None:
     del trouble
 
 
@@ -204,44 +204,44 @@ class MemoryCanBus:
     def bit_ns(self) -> float:
         return NS_PER_S / self.bitrate
 
-    def attach(
+    def attach_node(
         self,
         receive: Callable[[CanFrame], None],
-        trouble: Callable[[int], None] = _ignore,
+        on_error: Callable[[int], None] = _ignore_error,
         *,
         bitrate: int | None = None,
         by_identifier: bool = False,
     ) -> CanNode:
         """Attach a further node. receive: called with frames of others, at their end. trouble: called with `ERROR_…`
         of this node."""
-        node = CanNode(self, receive, trouble, bitrate or self.bitrate, by_identifier)
+        node = CanNode(self, receive, on_error, bitrate or self.bitrate, by_identifier)
         self._nodes.append(node)
-        self.wake()
+        self.retry_frames()
         return node
 
-    def detach(self, node: CanNode) -> None:
+    def detach_node(self, node: CanNode) -> None:
         """Unplug it for good."""
-        node.connect(False)
+        node.set_connected(connected=False)
         self._nodes.remove(node)
 
-    def watch(self, listener: Callable[[CanFrame, int, int], None]) -> None:
+    def add_listener(self, listener: Callable[[CanFrame, int, int], None]) -> None:
         """Call `listener(frame, begin_ns, end_ns)` for every frame that was sent."""
         self._listeners.append(listener)
 
-    def disturb(self, frames: int) -> None:
+    def disturb_frames(self, frames: int) -> None:
         """Destroy the next `frames` frames, repetitions included."""
         self._disturbed += frames
 
-    def later(self, duration_ns: float, callback: Callable[[], None]) -> None:
+    def schedule_call(self, duration_ns: float, callback: Callable[[], None]) -> None:
         self.clock.call_at_ns(self.clock.now_ns() + round(duration_ns), callback)
 
-    def wake(self) -> None:
+    def retry_frames(self) -> None:
         """A node has appeared that may acknowledge: retry frames that were given up."""
         for node in self._nodes:
             node.parked = False
-        self.kick()
+        self.schedule_start()
 
-    def kick(self) -> None:
+    def schedule_start(self) -> None:
         """Make sure that the next frame starts when it can."""
         if self._sending:
             return
@@ -251,25 +251,25 @@ class MemoryCanBus:
         at_ns = max(self.clock.now_ns(), self._free_ns, min(node.silent_until_ns for node in ready))
         if self._starts_ns is None or at_ns < self._starts_ns:
             self._starts_ns = at_ns
-            self.clock.call_at_ns(at_ns, lambda: self._start(at_ns))
+            self.clock.call_at_ns(at_ns, lambda: self._start_frame(at_ns))
 
-    def _start(self, planned_ns: int) -> None:
+    def _start_frame(self, planned_ns: int) -> None:
         if self._sending or self._starts_ns != planned_ns:
             return
         self._starts_ns = None
         now_ns = self.clock.now_ns()
         ready = [n for n in self._nodes if n.waiting and not n.parked and n.silent_until_ns <= now_ns]
         if not ready:
-            self.kick()
+            self.schedule_start()
             return
-        heads = [(_rank(frame), node, frame) for node in ready for frame in (node.best(),)]
+        heads = [(_arbitration_rank(frame), node, frame) for node in ready for frame in (node.next_frame(),)]
         least, _, frame = heads[0] if len(heads) == 1 else min(heads, key=lambda head: head[0])
         same = [(node, head) for rank, node, head in heads if rank == least]
         senders = [node for node, _ in same]
         begin_ns = planned_ns
         self._sending = True
-        acknowledged = not self.cut and any(node.hears for node in self._nodes if node not in senders)
-        spoilt = any(head != frame or not node.hears for node, head in same) or self._is_disturbed()
+        acknowledged = not self.cut and any(node.is_active for node in self._nodes if node not in senders)
+        spoilt = any(head != frame or not node.is_active for node, head in same) or self._is_disturbed()
         bits = exact_bits(frame)
         if spoilt:
             bits = self._draw.randint(1, bits - INTERMISSION_BITS) + ERROR_FRAME_BITS + INTERMISSION_BITS
@@ -280,17 +280,17 @@ class MemoryCanBus:
         # Receivers take a frame at its end, before the intermission.
         end_ns = self._free_ns - round(INTERMISSION_BITS * self.bit_ns)
 
-        def over() -> None:
+        def end_frame() -> None:
             self._sending = False
             if spoilt or any(frame not in node.waiting for node in senders):
-                self._destroyed(senders)
+                self._handle_destroyed(senders)
             elif not acknowledged:
-                self._unacknowledged(senders)
+                self._handle_unacknowledged(senders)
             else:
-                self._sent(senders, frame, begin_ns, end_ns)
-            self.kick()
+                self._deliver_frame(senders, frame, begin_ns, end_ns)
+            self.schedule_start()
 
-        self.clock.call_at_ns(end_ns, over)
+        self.clock.call_at_ns(end_ns, end_frame)
 
     def _is_disturbed(self) -> bool:
         if self._disturbed:
@@ -298,40 +298,40 @@ class MemoryCanBus:
             return True
         return bool(self.error_rate) and self._draw.random() < self.error_rate
 
-    def _sent(self, senders: list[CanNode], frame: CanFrame, begin_ns: int, end_ns: int) -> None:
+    def _deliver_frame(self, senders: list[CanNode], frame: CanFrame, begin_ns: int, end_ns: int) -> None:
         self.frames += 1
         for node in senders:
             node.waiting.remove(frame)
             if node.transmit_errors:
-                node.count(transmit=-1)
-            self._suspend(node)
+                node.count_errors(transmit=-1)
+            self._suspend_node(node)
         for listener in self._listeners:
             listener(frame, begin_ns, end_ns)
-        for node in [each for each in self._nodes if each.hears and each not in senders]:
+        for node in [each for each in self._nodes if each.is_active and each not in senders]:
             if node.receive_errors:
-                node.count(receive=-1)
+                node.count_errors(receive=-1)
             if node.accepts is None or frame.id in node.accepts:
                 node.receive(frame)
 
-    def _destroyed(self, senders: list[CanNode]) -> None:
+    def _handle_destroyed(self, senders: list[CanNode]) -> None:
         for node in list(self._nodes):
             if node in senders:
-                node.trouble(ERROR_ON_BUS)
-                node.count(transmit=8)
-                self._suspend(node)
-            elif node.hears:
-                node.count(receive=1)
+                node.on_error(ERROR_ON_BUS)
+                node.count_errors(transmit=8)
+                self._suspend_node(node)
+            elif node.is_active:
+                node.count_errors(receive=1)
 
-    def _unacknowledged(self, senders: list[CanNode]) -> None:
+    def _handle_unacknowledged(self, senders: list[CanNode]) -> None:
         for node in senders:
-            if node.state == "active":
-                node.count(transmit=8)
+            if node.node_state == "active":
+                node.count_errors(transmit=8)
             else:
                 # A passive node retries for ever without counting, and nothing on the bus changes by it.
                 node.parked = True
-                node.trouble(ERROR_NO_ACKNOWLEDGE)
-            self._suspend(node)
+                node.on_error(ERROR_NO_ACKNOWLEDGE)
+            self._suspend_node(node)
 
-    def _suspend(self, node: CanNode) -> None:
-        if node.state == "passive":
+    def _suspend_node(self, node: CanNode) -> None:
+        if node.node_state == "passive":
             node.silent_until_ns = self._free_ns + round(SUSPENDED_BITS * self.bit_ns)

@@ -15,8 +15,8 @@ from typing import Protocol
 
 from orchestrator.clock.base import sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.link.base import LinkClosed, LinkRefused, Received
-from orchestrator.link.supply import NEVER_NS, Supply
+from orchestrator.link.base import LinkClosed, LinkRefused, ReceivedBytes
+from orchestrator.link.supply import NEVER_NS, PowerSupply
 
 PIECE_CHARACTERS = 62  # characters of a serial line that are received together, as many as a USB adapter's packet holds
 
@@ -25,14 +25,14 @@ class FarConnection(Protocol):
     """The controller's end of an open link."""
 
     @property
-    def supply(self) -> Supply: ...
+    def supply(self) -> PowerSupply: ...
 
-    def receive(self, data: bytes) -> None: ...
+    def receive_bytes(self, data: bytes) -> None: ...
 
     def close(self) -> None: ...
 
 
-class FarEnd(Protocol):
+class LinkAcceptor(Protocol):
     """A controller that accepts links."""
 
     def connect(self, port: str, send: Callable[[bytes], None], closed: Callable[[], None]) -> FarConnection: ...
@@ -56,8 +56,8 @@ class WireModel:
 
 
 LAN = WireModel()
-PROMISED_NS = 1_000_000  # jitter that adapters assume for a line, unless configured (`wire_jitter_us`)
-STARTED_BY_NS = 300_000_000  # of the lines before a start, any may be what starts it, or delay the one that does
+DEFAULT_JITTER_NS = 1_000_000  # jitter that adapters assume for a line, unless configured (`wire_jitter_us`)
+START_RELEVANT_NS = 300_000_000  # of the lines before a start, any may be what starts it, or delay the one that does
 
 
 def serial_wire(baud: int, bits: int = 10, hold_ns: int = 0) -> WireModel:
@@ -71,7 +71,7 @@ def can_wire(hold_ns: int = 0) -> WireModel:
     return WireModel(latency_ns=20_000, jitter_ns=40_000, tail_chance=0.0005, tail_ns=1_000_000, hold_ns=hold_ns)
 
 
-def in_pieces(data: bytes) -> list[bytes]:
+def split_pieces(data: bytes) -> list[bytes]:
     """Split data into the pieces that a serial line delivers."""
     return [data[begin : begin + PIECE_CHARACTERS] for begin in range(0, len(data), PIECE_CHARACTERS)]
 
@@ -87,9 +87,9 @@ class MemoryWire:
 
     clock: VirtualClock
     model: WireModel
-    far: FarEnd
+    far: LinkAcceptor
     port: str
-    place: str
+    endpoint: str
     far_context: Context
     seed: int = 0
     cut: bool = False
@@ -105,28 +105,28 @@ class MemoryWire:
     def __post_init__(self) -> None:
         self.draw = Random(self.seed)
 
-    async def open(self) -> "MemoryLink":
+    async def open_link(self) -> "MemoryLink":
         """Open a link from the calling process. Raises `LinkRefused`."""
         if self.refuse:
-            raise LinkRefused(f"{self.place}: connection refused; is the controller switched on?")
+            raise LinkRefused(f"{self.endpoint}: connection refused; is the controller switched on?")
         if self.closed_ns > self.clock.now_ns():
             # A port can be opened again at once; the last bytes of one connection arrive before the next one begins.
             await sleep_until_ns(self.clock, self.closed_ns)
         link = MemoryLink(self)
         opened: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
 
-        def connect() -> None:
+        def connect_far() -> None:
             try:
-                link.connect()
+                link.connect_far()
             except Exception as error:
                 opened.set_result(str(error))
             else:
                 opened.set_result(None)
 
-        self.run_far(connect)
+        self.run_far(connect_far)
         reason = await opened
         if reason is not None:
-            raise LinkRefused(f"{self.place}: {reason}")
+            raise LinkRefused(f"{self.endpoint}: {reason}")
         self.links.append(link)
         return link
 
@@ -134,13 +134,13 @@ class MemoryWire:
         """Run `callback` in the controller's process, when it runs at all."""
         asyncio.get_running_loop().call_soon(callback, context=self.far_context)
 
-    def later(self, at_ns: int, callback: Callable[[], None]) -> None:
+    def schedule_call(self, at_ns: int, callback: Callable[[], None]) -> None:
         """Call `callback` at `at_ns` as an event of the wire, which a hung process does not delay."""
         self.clock.call_at_ns(at_ns, callback, context=self._outside)
 
-    def kept_a_start(self, start_ns: int) -> bool:
+    def delayed_start(self, start_ns: int) -> bool:
         """Whether a line that may have affected a start at that instant was late, which no process can detect."""
-        return any(start_ns - STARTED_BY_NS < each <= start_ns for each in self.late_ns)
+        return any(start_ns - START_RELEVANT_NS < each <= start_ns for each in self.late_ns)
 
     def delay_ns(self) -> int:
         """One draw of the latency."""
@@ -158,7 +158,7 @@ class MemoryLink:
         self._wire = wire
         self._far: FarConnection | None = None
         self._open = True
-        self._received: deque[Received] = deque()
+        self._received: deque[ReceivedBytes] = deque()
         self._waiting: asyncio.Future[None] | None = None
         self._out_free_ns = 0
         self._in_free_ns = 0
@@ -166,13 +166,13 @@ class MemoryLink:
         self._last_far_ns = 0
         self._last_near_ns = 0
 
-    def connect(self) -> None:
+    def connect_far(self) -> None:
         """Runs in the controller's process. Raises what the controller raises."""
         self._far = self._wire.far.connect(self._wire.port, self._from_far, self._far_closed)
 
     @property
-    def place(self) -> str:
-        return self._wire.place
+    def endpoint(self) -> str:
+        return self._wire.endpoint
 
     @property
     def char_ns(self) -> int:
@@ -181,33 +181,33 @@ class MemoryLink:
     def fileno(self) -> int:
         return -1
 
-    def wrote(self, at_ns: int, data: bytes) -> None:
+    def record_write(self, at_ns: int, data: bytes) -> None:
         """A link keeps no record of itself; `TracedLink` does."""
 
     def write(self, data: bytes) -> int:
         wire, now_ns = self._wire, self._wire.clock.now_ns()
         if not self._open:
-            raise LinkClosed(f"{wire.place} is closed")
+            raise LinkClosed(f"{wire.endpoint} is closed")
         if wire.to_far is not None:
             data = wire.to_far(data)
         # A command takes effect when its own terminator has arrived, not when the last one of the write has.
         for line in data.splitlines(keepends=True):
             self._out_free_ns = max(self._out_free_ns, now_ns) + len(line) * wire.model.char_ns
             delay_ns = wire.delay_ns()
-            if delay_ns > PROMISED_NS:
+            if delay_ns > DEFAULT_JITTER_NS:
                 wire.late_ns.append(now_ns)
             arrival_ns = max(self._out_free_ns + delay_ns, self._last_far_ns)
             self._last_far_ns = arrival_ns
-            wire.later(arrival_ns, lambda line=line: self._arrive_far(line))
+            wire.schedule_call(arrival_ns, lambda line=line: self._arrive_far(line))
         return now_ns
 
     def _arrive_far(self, data: bytes) -> None:
         far = self._far
         if self._wire.cut or far is None:
             return
-        heard = far.supply.heard(data, self._wire.clock.now_ns(), self._wire.model.char_ns)
-        if heard:
-            self._wire.run_far(lambda: far.receive(heard))
+        received = far.supply.cut_received(data, self._wire.clock.now_ns(), self._wire.model.char_ns)
+        if received:
+            self._wire.run_far(lambda: far.receive_bytes(received))
 
     def _from_far(self, data: bytes) -> None:
         wire, now_ns = self._wire, self._wire.clock.now_ns()
@@ -223,39 +223,39 @@ class MemoryLink:
             self._in_free_ns = now_ns
             self._last_near_ns = min(self._last_near_ns, lost_ns + PIECE_CHARACTERS * char_ns + delay_ns)
         self._said_ns = now_ns
-        for piece in in_pieces(data) if char_ns else (data,):
+        for piece in split_pieces(data) if char_ns else (data,):
             ends_ns = self._in_free_ns = max(self._in_free_ns, now_ns) + len(piece) * char_ns
             self._last_near_ns = max(ends_ns + delay_ns, self._last_near_ns)
-            wire.later(self._last_near_ns, partial(self._arrive_near, piece, now_ns, ends_ns))
+            wire.schedule_call(self._last_near_ns, partial(self._arrive_near, piece, now_ns, ends_ns))
 
-    def _arrive_near(self, data: bytes, said_ns: int, ends_ns: int) -> None:
+    def _arrive_near(self, data: bytes, sent_ns: int, ends_ns: int) -> None:
         if self._wire.cut or not self._open:
             return
         if self._far is not None:
-            data = self._far.supply.left(data, said_ns, ends_ns, self._wire.model.char_ns)
+            data = self._far.supply.cut_sent(data, sent_ns, ends_ns, self._wire.model.char_ns)
             if not data:
                 return
         at_ns = self._wire.clock.now_ns()
-        self._received.append(Received(data, at_ns))
-        self._wake()
+        self._received.append(ReceivedBytes(data, at_ns))
+        self._wake_reader()
 
     def _far_closed(self) -> None:
-        self._wire.later(self._wire.clock.now_ns() + self._wire.delay_ns(), self._shut)
+        self._wire.schedule_call(self._wire.clock.now_ns() + self._wire.delay_ns(), self._mark_closed)
 
-    def _shut(self) -> None:
+    def _mark_closed(self) -> None:
         self._open = False
         if self in self._wire.links:
             self._wire.links.remove(self)
-        self._wake()
+        self._wake_reader()
 
-    def _wake(self) -> None:
+    def _wake_reader(self) -> None:
         if self._waiting is not None and not self._waiting.done():
             self._waiting.set_result(None)
 
-    async def read(self) -> Received:
+    async def read(self) -> ReceivedBytes:
         while not self._received:
             if not self._open:
-                raise LinkClosed(f"{self._wire.place} is closed")
+                raise LinkClosed(f"{self._wire.endpoint} is closed")
             self._waiting = asyncio.get_running_loop().create_future()
             try:
                 await self._waiting
@@ -263,7 +263,7 @@ class MemoryLink:
                 self._waiting = None
         # A process that was frozen meanwhile gets the bytes when it runs again, as from a socket.
         received = self._received.popleft()
-        return Received(received.data, max(received.at_ns, self._wire.clock.now_ns()))
+        return ReceivedBytes(received.data, max(received.at_ns, self._wire.clock.now_ns()))
 
     async def close(self) -> None:
         self.hang_up()
@@ -272,10 +272,10 @@ class MemoryLink:
         """Close at once; the kernel does this for a process that died."""
         if not self._open:
             return
-        self._shut()
+        self._mark_closed()
         far = self._far
         if far is not None:
             wire = self._wire
             closed_ns = wire.clock.now_ns() + wire.delay_ns()
             wire.closed_ns = max(wire.closed_ns, closed_ns)
-            wire.later(closed_ns, lambda: wire.run_far(far.close))
+            wire.schedule_call(closed_ns, lambda: wire.run_far(far.close))

@@ -7,29 +7,29 @@ NEVER_NS = -(2**63)
 
 
 @dataclass(slots=True)
-class Supply:
+class PowerSupply:
     """lost_ns, back_ns: when power was last lost, and restored."""
 
     lost_ns: int = NEVER_NS
     back_ns: int = NEVER_NS
 
-    def switched(self, on: bool, at_ns: int) -> None:
+    def set_power(self, at_ns: int, *, on: bool) -> None:
         """Power is on or off from now on."""
         if on:
             self.back_ns = at_ns
         else:
             self.lost_ns = at_ns
 
-    def left(self, data: bytes, said_ns: int, ends_ns: int, char_ns: int) -> bytes:
-        """The part that has left a port, of characters of `char_ns` each, sent at `said_ns`, ending at `ends_ns`."""
-        if not said_ns <= self.lost_ns < ends_ns:
+    def cut_sent(self, data: bytes, sent_ns: int, ends_ns: int, char_ns: int) -> bytes:
+        """The part that has left a port, of characters of `char_ns` each, sent at `sent_ns`, ending at `ends_ns`."""
+        if not sent_ns <= self.lost_ns < ends_ns:
             return data
         return data[: max(0, len(data) + (self.lost_ns - ends_ns) // char_ns)]
 
-    def heard(self, data: bytes, ends_ns: int, char_ns: int) -> bytes:
+    def cut_received(self, data: bytes, ends_ns: int, char_ns: int) -> bytes:
         """The part that is received of characters of `char_ns` each that end at `ends_ns`: those that begin under
         power."""
         if self.back_ns <= ends_ns - len(data) * char_ns:
             return data
-        heard = max(0, ends_ns - self.back_ns) // char_ns if char_ns else len(data)
-        return data[len(data) - heard :]
+        received = max(0, ends_ns - self.back_ns) // char_ns if char_ns else len(data)
+        return data[len(data) - received :]

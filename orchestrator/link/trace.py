@@ -3,30 +3,30 @@
 from collections import deque
 from typing import Literal
 
-from orchestrator.link.base import Link, Received
+from orchestrator.link.base import Link, ReceivedBytes
 
-KEPT_NS = 60_000_000_000
-KEPT_ENTRIES = 20_000  # bounds the memory of a link that is always busy
+TRACE_NS = 60_000_000_000
+MAX_TRACE_ENTRIES = 20_000  # bounds the memory of a link that is always busy
 
-Direction = Literal["out", "in"]
-Entry = tuple[int, Direction, bytes]
+TraceDirection = Literal["out", "in"]
+TraceEntry = tuple[int, TraceDirection, bytes]
 
 
 class TraceRing:
     """Entries of the last 60 s: (host ns, direction, bytes)."""
 
     def __init__(self) -> None:
-        self._entries: deque[Entry] = deque(maxlen=KEPT_ENTRIES)
+        self._entries: deque[TraceEntry] = deque(maxlen=MAX_TRACE_ENTRIES)
 
-    def add(self, at_ns: int, direction: Direction, data: bytes) -> None:
+    def add_entry(self, at_ns: int, direction: TraceDirection, data: bytes) -> None:
         late = self._entries and at_ns < self._entries[-1][0]
         self._entries.append((at_ns, direction, data))
         if late:  # bytes written by another process are recorded afterwards
-            self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=KEPT_ENTRIES)
-        while self._entries[0][0] < at_ns - KEPT_NS:
+            self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=MAX_TRACE_ENTRIES)
+        while self._entries[0][0] < at_ns - TRACE_NS:
             self._entries.popleft()
 
-    def entries(self) -> list[Entry]:
+    def recent_entries(self) -> list[TraceEntry]:
         return list(self._entries)
 
     def tail_text(self, count: int = 200) -> list[str]:
@@ -42,8 +42,8 @@ class TracedLink:
         self._ring = ring
 
     @property
-    def place(self) -> str:
-        return self._link.place
+    def endpoint(self) -> str:
+        return self._link.endpoint
 
     @property
     def char_ns(self) -> int:
@@ -51,19 +51,19 @@ class TracedLink:
 
     def write(self, data: bytes) -> int:
         at_ns = self._link.write(data)
-        self._ring.add(at_ns, "out", data)
+        self._ring.add_entry(at_ns, "out", data)
         return at_ns
 
-    async def read(self) -> Received:
+    async def read(self) -> ReceivedBytes:
         received = await self._link.read()
-        self._ring.add(received.at_ns, "in", received.data)
+        self._ring.add_entry(received.at_ns, "in", received.data)
         return received
 
     def fileno(self) -> int:
         return self._link.fileno()
 
-    def wrote(self, at_ns: int, data: bytes) -> None:
-        self._ring.add(at_ns, "out", data)
+    def record_write(self, at_ns: int, data: bytes) -> None:
+        self._ring.add_entry(at_ns, "out", data)
 
     async def close(self) -> None:
         await self._link.close()

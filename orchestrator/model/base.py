@@ -6,6 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
+from orchestrator.model.errors import TuttiError
+
 ID_PATTERN = r"^[a-z0-9_-]+$"
 
 Id = Annotated[str, Field(pattern=ID_PATTERN, min_length=1, max_length=64)]
@@ -45,7 +47,7 @@ Rational = Annotated[
 ]
 
 
-class UnknownName(ValueError):
+class UnknownName(TuttiError, ValueError):
     """A reference to a name that the file does not define. `name` is the text of the reference."""
 
     def __init__(self, name: str, text: str) -> None:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from orchestrator.model.base import Model, UnknownName
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 
@@ -33,7 +34,7 @@ class FileProblem:
         return f"{where}: {self.field}: {self.text}" if self.field else f"{where}: {self.text}"
 
 
-class FileError(ValueError):
+class FileError(TuttiError, ValueError):
     """A file that cannot be used. The text lists all problems, one per line."""
 
     def __init__(self, problems: Sequence[FileProblem]) -> None:

@@ -160,7 +160,7 @@ class Axis(Model):
         """Signed counts of the controller per unit."""
         return self.scale * self.sign
 
-    def jog_speed(self, referenced: bool) -> float:
+    def jog_speed(self, *, referenced: bool) -> float:
         """The maximum jog speed, unit/s; lower while the axis is unreferenced."""
         fast = self.jog.speed or self.limits.velocity / 4
         return fast if referenced else min(fast, self.jog.slow_speed or self.limits.velocity / 50)
@@ -336,7 +336,7 @@ class WireConnection:
     feeds: DigitalInput
     delay_us: tuple[int, int]
 
-    def input_level(self, on: bool) -> bool:
+    def input_level(self, *, on: bool) -> bool:
         """The input's electrical level while the output is `on`; the wiring makes both active at the same time."""
         return (on == (self.driven_by.active == "high")) == (self.feeds.active == "high")
 
@@ -465,6 +465,10 @@ class Fleet(Model):
             return [f"{name}.{axis}" for axis in self.controllers[name].axes]
         self.axis(name)
         return [name]
+
+    def expand_names(self, names: Iterable[str]) -> list[str]:
+        """The axes that `names` stand for, each once, in order. Raises `UnknownName`."""
+        return list(dict.fromkeys(axis for name in names for axis in self.expand_name(name)))
 
 
 def _address_of(controller: Controller) -> int | None:

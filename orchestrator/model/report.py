@@ -114,7 +114,7 @@ class MemberReport(Model):
 
 
 class FeedHold(Model):
-    """A feed hold inside a motion step: by whom, when, and the spread of the axes' coming to rest, by evidence."""
+    """A feed hold inside a motion step: the user behind it, when, and the spread of the axes' stops, by evidence."""
 
     by: str
     utc: str

@@ -13,6 +13,8 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
+from orchestrator.model.errors import TuttiError
+
 
 class Unit(StrEnum):
     """The units of axes and values."""
@@ -56,7 +58,7 @@ MAX_QUANTITY_LENGTH = 60  # maximum characters of a quantity
 MAX_QUANTITY = 1e15  # in any unit; its counts can still be computed for any axis
 
 
-class UnitError(ValueError):
+class UnitError(TuttiError, ValueError):
     """A value that is not a number, or whose unit does not fit. The message lists what is allowed."""
 
 

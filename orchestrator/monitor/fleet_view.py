@@ -8,11 +8,11 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.bus.base import Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import BusSample
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.report import FINISHED_STATES, JobProgress
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
-from orchestrator.monitor.tables import plain_table
+from orchestrator.monitor.tables import make_plain_table
 
 _MODE_STYLE = {
     "idle": "green",
@@ -25,34 +25,34 @@ _MODE_STYLE = {
     "offline": "red",
     "fault": "red",
 }
-EVENTS_SHOWN = 5
-JOBS_SHOWN = 6
+MAX_EVENTS_SHOWN = 5
+MAX_JOBS_SHOWN = 6
 
 
 @dataclass(slots=True)
 class LiveView:
     """The known state of the fleet; pass each arriving sample to `take_sample`."""
 
-    keys: Keys
+    keys: FleetKeys
     states: dict[str, ControllerState] = field(default_factory=dict[str, ControllerState])
     jobs: dict[str, JobProgress] = field(default_factory=dict[str, JobProgress])
     events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
 
     @property
-    def expressions(self) -> tuple[str, ...]:
+    def key_expressions(self) -> tuple[str, ...]:
         """The key expressions to subscribe to."""
         return (self.keys.state(), self.keys.event(), self.keys.job_state())
 
-    def take(self, sample: Sample) -> str | None:
+    def take_sample(self, sample: BusSample) -> str | None:
         """Store a sample. Return the line to print where there is no live screen; None if the sample needs none."""
         try:
             if sample.key.endswith("/event"):
                 event = ControllerEvent.model_validate_json(sample.payload)
-                self.events = [*self.events, event][-EVENTS_SHOWN:]
+                self.events = [*self.events, event][-MAX_EVENTS_SHOWN:]
                 return f"{event.utc} {event.controller}: {event.kind}: {event.text}"
             if "/job/" in sample.key:
                 progress = JobProgress.model_validate_json(sample.payload)
-                return job_line(progress) if self.note(progress) else None
+                return format_job_line(progress) if self.store_progress(progress) else None
             state = ControllerState.model_validate_json(sample.payload)
         except ValidationError:
             return f"unreadable message on {sample.key}"
@@ -61,7 +61,7 @@ class LiveView:
             return None
         return f"{state.utc} {state.controller}: {state.mode}"
 
-    def note(self, progress: JobProgress) -> bool:
+    def store_progress(self, progress: JobProgress) -> bool:
         """Store a job's progress; return whether its state or step has changed. Of finished jobs only the newest is
         kept."""
         before = self.jobs.pop(progress.job_id, None)
@@ -70,13 +70,13 @@ class LiveView:
         self.jobs = kept | {progress.job_id: progress}
         return before is None or (before.state, before.step) != (progress.state, progress.step)
 
-    def render(self) -> RenderableType:
+    def render_screen(self) -> RenderableType:
         """Render the whole screen."""
-        parts: list[RenderableType] = [state_table(self.states)]
+        parts: list[RenderableType] = [make_state_table(self.states)]
         shown = sorted(self.jobs.values(), key=lambda each: (each.state == "queued", each.job_id))
-        parts += [job_bar(each) for each in shown[:JOBS_SHOWN]]
-        if len(shown) > JOBS_SHOWN:
-            parts.append(Text(f"and {len(shown) - JOBS_SHOWN} more jobs; see `tutti job ls`", style="dim"))
+        parts += [make_job_bar(each) for each in shown[:MAX_JOBS_SHOWN]]
+        if len(shown) > MAX_JOBS_SHOWN:
+            parts.append(Text(f"and {len(shown) - MAX_JOBS_SHOWN} more jobs; see `tutti job ls`", style="dim"))
         if self.events:
             table = Table.grid(padding=(0, 2))
             for event in self.events:
@@ -85,10 +85,10 @@ class LiveView:
         return Group(*parts)
 
 
-def state_table(states: dict[str, ControllerState]) -> RenderableType:
+def make_state_table(states: dict[str, ControllerState]) -> RenderableType:
     """Build a table with one row per axis: its position, and the reason why it is not ready; then the faults of
     whole controllers."""
-    table = plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"])
+    table = make_plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"])
     troubles: list[RenderableType] = []
     for controller, state in sorted(states.items()):
         known = state.mode != "offline"
@@ -100,8 +100,8 @@ def state_table(states: dict[str, ControllerState]) -> RenderableType:
                 axis,
                 f"{now.position:,.4f} {now.unit}" if known else "-",
                 f"{now.velocity:,.2f} /s" if known else "-",
-                _clock_words(state) if first else "",
-                axis_words(now) if known else "",
+                _describe_clock(state) if first else "",
+                describe_axis(now) if known else "",
             )
         if state.estop is not None:
             why = f": {state.estop.reason}" if state.estop.reason else ""
@@ -113,7 +113,7 @@ def state_table(states: dict[str, ControllerState]) -> RenderableType:
     return Group(table, *troubles)
 
 
-def axis_words(axis: AxisState) -> Text:
+def describe_axis(axis: AxisState) -> Text:
     """Describe the state of an axis in few words: the reason why it is not ready, or that it is."""
     words: list[tuple[str, str]] = []
     if axis.homing:
@@ -129,19 +129,19 @@ def axis_words(axis: AxisState) -> Text:
     return Text(", ").join(Text(word, style=style) for word, style in words or [("ready", "green")])
 
 
-def _clock_words(state: ControllerState) -> str:
+def _describe_clock(state: ControllerState) -> str:
     return f"±{state.clock.bound_ns / 1e6:.2f} ms" if state.clock is not None else ""
 
 
-def job_line(job: JobProgress) -> str:
+def format_job_line(job: JobProgress) -> str:
     """Return a job's progress as one line."""
     reason = f" ({job.reason})" if job.reason else ""
     if job.state in FINISHED_STATES:
         return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}{reason}"
-    return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}, {_step(job)}{reason}"
+    return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}, {_format_step(job)}{reason}"
 
 
-def job_bar(job: JobProgress) -> RenderableType:
+def make_job_bar(job: JobProgress) -> RenderableType:
     """Render a job's progress: name and state, and below them a bar with the step."""
     head = Text.assemble(
         "job ",
@@ -157,11 +157,11 @@ def job_bar(job: JobProgress) -> RenderableType:
     left = f", {job.remaining_s:.1f} s left" if job.remaining_s is not None else ""
     grid.add_row(
         ProgressBar(total=1.0, completed=job.fraction, width=24),
-        f"{_step(job)}{left}",
+        f"{_format_step(job)}{left}",
     )
     return Group(head, grid)
 
 
-def _step(job: JobProgress) -> str:
+def _format_step(job: JobProgress) -> str:
     """Number the step as reasons and reports do, and as `--from-step` expects it."""
     return f"step {job.step} {job.step_name}, {job.step + 1} of {job.steps}"

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from orchestrator.model.report import AxisRecording, StepRecording
 
-ROOM_BESIDE = 0.3  # of the move's duration, shown before and after it
+MARGIN_SHARE = 0.3  # of the move's duration, shown before and after it
 PLAN_POINTS = 1000
 WIDTH, HEIGHT, DPI = 9.0, 2.6, 120
 COLOUR_PLAN, COLOUR_SEEN = "#7a8ca5", "#c2410c"
@@ -29,34 +29,34 @@ def plot_step(recording: StepRecording, title: str, path: Path) -> None:
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
     rows = figure.subplots(len(axes), 2, squeeze=False, sharex=True, width_ratios=(3, 2))
-    for (name, axis), (above, beside) in zip(axes, rows, strict=True):
-        planned_s, planned = _planned(axis)
-        seen_s, seen, off = _seen(recording, axis)
+    for (name, axis), (above, difference) in zip(axes, rows, strict=True):
+        planned_s, planned = _planned_curve(axis)
+        seen_s, seen, off = _polled_points(recording, axis)
         above.plot(planned_s, planned, color=COLOUR_PLAN, linewidth=2.5, label="planned", zorder=1)
         above.plot(seen_s, seen, ".", color=COLOUR_SEEN, markersize=5, label="polled", zorder=2)
         above.set_ylabel(f"{name}, {axis.unit}")
         above.grid(alpha=0.3)
-        beside.axhline(0, color=COLOUR_PLAN, linewidth=1)
-        beside.plot(seen_s, off, ".-", color=COLOUR_SEEN, markersize=4, linewidth=0.8)
-        beside.set_ylabel(f"polled - planned, {axis.unit}")
-        beside.grid(alpha=0.3)
+        difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
+        difference.plot(seen_s, off, ".-", color=COLOUR_SEEN, markersize=4, linewidth=0.8)
+        difference.set_ylabel(f"polled - planned, {axis.unit}")
+        difference.grid(alpha=0.3)
     rows[0][0].legend(loc="best", frameon=False)
     longest_s = max(axis.profile.duration_s for axis in recording.axes.values())
     for column in rows[-1]:
         column.set_xlabel("s after T0")
         # A long arming phase would leave no room for the move.
-        column.set_xlim(-ROOM_BESIDE * longest_s, (1 + ROOM_BESIDE) * longest_s)
+        column.set_xlim(-MARGIN_SHARE * longest_s, (1 + MARGIN_SHARE) * longest_s)
     figure.savefig(path)
 
 
-def _planned(axis: AxisRecording) -> tuple[list[float], list[float]]:
+def _planned_curve(axis: AxisRecording) -> tuple[list[float], list[float]]:
     """Return the plan in the axis's unit (motor position), over its whole time."""
     at, end_s = axis.profile.make_evaluator(), axis.profile.duration_s
     times = [end_s * k / PLAN_POINTS for k in range(PLAN_POINTS + 1)]
     return times, [(axis.profile.start_counts + at(t).position) / axis.counts_per_unit for t in times]
 
 
-def _seen(recording: StepRecording, axis: AxisRecording) -> tuple[list[float], list[float], list[float]]:
+def _polled_points(recording: StepRecording, axis: AxisRecording) -> tuple[list[float], list[float], list[float]]:
     """Return instants (s after T0), positions, and distances to the plan, in the axis's unit."""
     at, start = axis.profile.make_evaluator(), axis.profile.start_counts
     times = [(at_ns - recording.t0_fleet_ns) * 1e-9 for at_ns, _ in axis.sampled]

@@ -5,57 +5,57 @@ from rich.text import Text
 
 from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence
-from orchestrator.monitor.tables import plain_table
+from orchestrator.monitor.tables import make_plain_table
 
 _VERDICT_STYLE = {"green": "bold green", "amber": "bold yellow", "red": "bold red", "none": "dim"}
-_STEP_LONGEST = 14  # characters of a step's name that fit into the row with all figures
+_MAX_STEP_NAME = 14  # characters of a step's name that fit into the row with all figures
 
 
-def report_tables(report: JobReport) -> RenderableType:
+def make_report_tables(report: JobReport) -> RenderableType:
     """Build the tables of a job's steps with their faults, and of the members of each move."""
     style = "bold green" if report.state == "done" else "bold red"
     head = Text.assemble("job ", (report.job_id, "bold"), f" {report.name!r}: ", (report.state, style))
     if report.reason:
         head.append(f" ({report.reason})")
-    steps = plain_table(["#>", "step", "planned>", "actual>", "start skew>", "budget>", "end skew>", "verdict"])
+    steps = make_plain_table(["#>", "step", "planned>", "actual>", "start skew>", "budget>", "end skew>", "verdict"])
     for step in report.steps:
-        steps.add_row(*_step_row(step))
-    members = plain_table(["#>", "member", "starts by", "axes", "armed in>", "start after T0>", "clock>", "rate>"])
+        steps.add_row(*_make_step_row(step))
+    members = make_plain_table(["#>", "member", "starts by", "axes", "armed in>", "start after T0>", "clock>", "rate>"])
     for step in report.steps:
-        for row in _member_rows(step):
+        for row in _make_member_rows(step):
             members.add_row(*row)
-    budgets = plain_table(["#>", "member", "by its", "start after T0>", "all together>", "measured>"])
+    budgets = make_plain_table(["#>", "member", "by its", "start after T0>", "all together>", "measured>"])
     for step in report.steps:
-        for row in _budget_rows(step):
+        for row in _make_budget_rows(step):
             budgets.add_row(*row)
     if not members.row_count:
         return Group(head, "", steps)
-    later = [Text(line) for step in report.steps for line in _later(step)]
+    later = [Text(line) for step in report.steps for line in _describe_deviations(step)]
     return Group(head, "", steps, "", members, "", "Predicted, guaranteed, and measured:", budgets, *later)
 
 
-def _step_row(step: StepReport) -> list[str | Text]:
+def _make_step_row(step: StepReport) -> list[str | Text]:
     name = step.name or step.do
-    if len(name) > _STEP_LONGEST:
-        name = name[: _STEP_LONGEST - 1] + "…"
+    if len(name) > _MAX_STEP_NAME:
+        name = name[: _MAX_STEP_NAME - 1] + "…"
     verdict = Text("" if step.verdict == "none" else step.verdict, style=_VERDICT_STYLE[step.verdict])
     return [
         str(step.index),
         name,
-        _seconds(step.planned_s),
-        _seconds(step.actual_s),
-        _skew(step.start_skew),
-        _budget(step.budget),
-        _skew(step.end_skew),
+        _format_seconds(step.planned_s),
+        _format_seconds(step.actual_s),
+        _format_skew(step.start_skew),
+        _format_budget(step.budget),
+        _format_skew(step.end_skew),
         verdict if step.state == "done" else Text(step.state, style="bold red"),
     ]
 
 
-def _member_rows(step: StepReport) -> list[list[str]]:
+def _make_member_rows(step: StepReport) -> list[list[str]]:
     rows: list[list[str]] = []
     t0_ns = step.t0_fleet_ns or 0
     for name, member in step.members.items():
-        starts = {axis: _around(each, t0_ns) for axis, each in member.evidence.items()}
+        starts = {axis: _format_start(each, t0_ns) for axis, each in member.evidence.items()}
         # One command or one timer starts all axes of most controllers: show it once.
         if len(set(starts.values())) == 1:
             starts = {", ".join(member.axes): next(iter(starts.values()))}
@@ -77,28 +77,28 @@ def _member_rows(step: StepReport) -> list[list[str]]:
     return rows
 
 
-def _budget_rows(step: StepReport) -> list[list[str]]:
+def _make_budget_rows(step: StepReport) -> list[list[str]]:
     """Build the rows of a step's budget, term by term, each with the measured value."""
     rows: list[list[str]] = []
     budget, t0_ns = step.budget, step.t0_fleet_ns or 0
     for name, member in (budget.members if budget is not None else {}).items():
         evidence = step.members[name].evidence if name in step.members else {}
-        measured = ", ".join(dict.fromkeys(_around(each, t0_ns) for each in evidence.values()))
-        whole = _between(member.earliest_ns, member.latest_ns)
+        measured = ", ".join(dict.fromkeys(_format_start(each, t0_ns) for each in evidence.values()))
+        whole = _format_interval(member.earliest_ns, member.latest_ns)
         for index, term in enumerate(member.terms):
             first = index == 0
             shown = [whole, measured] if first else ["", ""]
             head = [str(step.index), name] if first else ["", ""]
-            rows.append([*head, term.name, _between(term.earliest_ns, term.latest_ns), *shown])
+            rows.append([*head, term.name, _format_interval(term.earliest_ns, term.latest_ns), *shown])
     return rows
 
 
-def _later(step: StepReport) -> list[str]:
+def _describe_deviations(step: StepReport) -> list[str]:
     """Describe feed holds inside the step, starts later than promised, and predicted end and path skew."""
     budget = step.budget
     lines = [
         f"step {step.index}: feed hold by {hold.by} at {hold.utc[11:19]} UTC; its axes came to rest "
-        f"within {_skew(hold.rest_skew) or 'an unknown time'}"
+        f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
         for hold in step.feed_holds
     ]
     for name, member in step.members.items():
@@ -118,15 +118,15 @@ def _later(step: StepReport) -> list[str]:
     return lines
 
 
-def _between(earliest_ns: int, latest_ns: int) -> str:
+def _format_interval(earliest_ns: int, latest_ns: int) -> str:
     return f"{earliest_ns / 1e6:+.2f} … {latest_ns / 1e6:+.2f} ms"
 
 
-def _seconds(value: float | None) -> str:
+def _format_seconds(value: float | None) -> str:
     return "" if value is None else f"{value:.{3 if value < 10 else 2}f} s"
 
 
-def _skew(value: SkewInterval | None) -> str:
+def _format_skew(value: SkewInterval | None) -> str:
     """The interval that is certain: usually only an upper bound, rarely also a lower one."""
     if value is None:
         return ""
@@ -134,12 +134,12 @@ def _skew(value: SkewInterval | None) -> str:
     return f"≤ {most}" if value.at_least_ns == 0 else f"{value.at_least_ns / 1e6:.1f} to {most}"
 
 
-def _budget(budget: SyncBudget | None) -> str:
+def _format_budget(budget: SyncBudget | None) -> str:
     """The predicted skew, and the limit that the job allows."""
     return f"{budget.predicted_ns / 1e6:.1f} of {budget.allowed_ns / 1e6:g} ms" if budget else ""
 
 
-def _around(evidence: AxisEvidence, t0_ns: int) -> str:
+def _format_start(evidence: AxisEvidence, t0_ns: int) -> str:
     start = evidence.start_for_verdict
     earliest_ns, latest_ns = start.earliest_ns - t0_ns, start.latest_ns - t0_ns
     return f"{earliest_ns / 1e6:+.1f} … {latest_ns / 1e6:+.1f} ms"

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 WIDTH, ROW, DPI = 9.0, 0.36, 120
 COLOUR_OLD, COLOUR_NEW = "#9aa5b1", "#c2410c"
-LEAST_MS = 0.005  # smaller values are drawn at the edge
+MIN_SHOWN_MS = 0.005  # smaller values are drawn at the edge
 
 
 def plot_skews(skews_ms: Mapping[str, list[float]], path: Path) -> None:
@@ -26,7 +26,7 @@ def plot_skews(skews_ms: Mapping[str, list[float]], path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     for row, (name, values) in enumerate(reversed(list(skews_ms.items()))):
-        ordered = sorted(max(each, LEAST_MS) for each in values)
+        ordered = sorted(max(each, MIN_SHOWN_MS) for each in values)
         low, middle, high = (ordered[min(len(ordered) - 1, int(share * len(ordered)))] for share in (0.01, 0.5, 0.99))
         colour = COLOUR_OLD if ": old" in name else COLOUR_NEW
         axes.plot([low, high], [row, row], color=colour, linewidth=5, solid_capstyle="round")

@@ -22,6 +22,8 @@ from ruckig import (
     Trajectory,  # pyright: ignore[reportUnknownVariableType]
 )
 
+from orchestrator.model.errors import TuttiError
+
 MAX_DURATION_S = 7000.0
 # Ruckig's margin on its results is 1e-8 (its README); ten times that, relative to the distance, is a defect.
 TOLERANCE = 1e-7
@@ -35,11 +37,11 @@ _SOLVED: Any = (Result.Working, Result.Finished)  # pyright: ignore[reportUnknow
 Array = NDArray[np.float64]
 
 
-class PlanError(Exception):
+class PlanError(TuttiError):
     """A plan that cannot be made. The message names the axis and the reason."""
 
 
-class Bounds(NamedTuple):
+class ShapeBounds(NamedTuple):
     """The limits of shapes, one entry per axis: distance in seconds at full speed (> 0), acceleration 1/s, jerk
     1/s²."""
 
@@ -48,7 +50,7 @@ class Bounds(NamedTuple):
     jerk: Array
 
 
-class Shapes(NamedTuple):
+class ShapeRows(NamedTuple):
     """One row per axis, `SEGMENTS` columns: segments of constant jerk, from rest to rest, in normalised units.
 
     accelerations: at the start of each segment.
@@ -59,10 +61,10 @@ class Shapes(NamedTuple):
     jerks: Array
 
 
-def trapezoids(bounds: Bounds, ramp_s: Array, duration_s: Array | float) -> Shapes:
+def make_trapezoids(bounds: ShapeBounds, ramp_s: Array, duration_s: Array | float) -> ShapeRows:
     """Symmetric trapezoids of exactly `duration_s`, with ramps of `ramp_s` (at most half of it)."""
     ramp_s = np.minimum(ramp_s, duration_s / 2)  # rounding above it would make the cruise negative
-    shapes = Shapes(*(np.zeros((len(ramp_s), SEGMENTS)) for _ in range(3)))
+    shapes = ShapeRows(*(np.zeros((len(ramp_s), SEGMENTS)) for _ in range(3)))
     shapes.durations_s[:, 0] = shapes.durations_s[:, 2] = ramp_s
     shapes.durations_s[:, 1] = duration_s - 2 * ramp_s
     shapes.accelerations[:, 0] = bounds.distance / (duration_s - ramp_s) / ramp_s
@@ -70,14 +72,14 @@ def trapezoids(bounds: Bounds, ramp_s: Array, duration_s: Array | float) -> Shap
     return shapes
 
 
-def fastest_trapezoids(bounds: Bounds) -> tuple[Array, Array]:
+def find_fastest_trapezoids(bounds: ShapeBounds) -> tuple[Array, Array]:
     """(ramps, durations) in s of the fastest trapezoids with a peak velocity of at most 1: closed form."""
     ramp_s = np.minimum(np.sqrt(bounds.distance / bounds.acceleration), 1.0 / bounds.acceleration)
     # The peak is acceleration times ramp; the distance at the peak, plus one ramp.
     return ramp_s, bounds.distance / (bounds.acceleration * ramp_s) + ramp_s
 
 
-def ramp_ranges(bounds: Bounds, duration_s: float) -> tuple[Array, Array]:
+def find_ramp_ranges(bounds: ShapeBounds, duration_s: float) -> tuple[Array, Array]:
     """The shortest and longest ramp (s) with which each axis's trapezoid can last exactly `duration_s`.
 
     Its peak d / (T - r) <= 1 and r <= T / 2 give the longest; its acceleration d / ((T - r) r) <= a the shortest.
@@ -89,7 +91,7 @@ def ramp_ranges(bounds: Bounds, duration_s: float) -> tuple[Array, Array]:
     return shortest, np.maximum(shortest, longest)
 
 
-def solve(bounds: Bounds, names: Sequence[str], synchronised: bool) -> tuple[float, Shapes | None]:
+def solve_shapes(bounds: ShapeBounds, names: Sequence[str], *, synchronised: bool) -> tuple[float, ShapeRows | None]:
     """Fastest jerk-limited shapes, all of one duration if `synchronised`: (the longest duration in s, the shapes).
 
     Rows whose jerk limit is `SECOND_ORDER` only contribute to the duration: their shape here is meaningless. If the
@@ -100,30 +102,32 @@ def solve(bounds: Bounds, names: Sequence[str], synchronised: bool) -> tuple[flo
     reasons: list[str] = []
     for margin in (1.0, 0.999):
         try:
-            return _ruckig(bounds, synchronised, margin)
+            return _run_ruckig(bounds, synchronised=synchronised, margin=margin)
         except PlanError as error:
             reasons.append(str(error))
-    rows: list[Shapes] = []
+    rows: list[ShapeRows] = []
     durations = np.zeros(len(names))
     for k, name in enumerate(names):
         try:
-            durations[k], found = _ruckig(Bounds(*(part[k : k + 1] for part in bounds)), False, 1.0)
+            durations[k], found = _run_ruckig(
+                ShapeBounds(*(part[k : k + 1] for part in bounds)), synchronised=False, margin=1.0
+            )
         except PlanError as error:
             raise PlanError(f"{name}: no motion found ({error}; all axes together: {'; '.join(reasons)})") from None
         if found is None:
             return float(durations[k]), None
         rows.append(found)
-    shapes = Shapes(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
+    shapes = ShapeRows(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
     longest_s = float(durations.max())
-    return longest_s, stretched(shapes, longest_s / durations[:, None]) if synchronised else shapes
+    return longest_s, stretch_shapes(shapes, longest_s / durations[:, None]) if synchronised else shapes
 
 
-def stretched(shapes: Shapes, factor: Array | float) -> Shapes:
+def stretch_shapes(shapes: ShapeRows, factor: Array | float) -> ShapeRows:
     """The same paths in `factor` times the time: acceleration and jerk fall by its powers."""
-    return Shapes(shapes.durations_s * factor, shapes.accelerations / factor**2, shapes.jerks / factor**3)
+    return ShapeRows(shapes.durations_s * factor, shapes.accelerations / factor**2, shapes.jerks / factor**3)
 
 
-def check(shapes: Shapes, bounds: Bounds, names: Sequence[str]) -> None:
+def check_shapes(shapes: ShapeRows, bounds: ShapeBounds, names: Sequence[str]) -> None:
     """Verify the solver's result: the limits, the end, and monotone motion.
 
     Raises `PlanError` naming the axis.
@@ -148,9 +152,9 @@ def check(shapes: Shapes, bounds: Bounds, names: Sequence[str]) -> None:
         raise PlanError(f"{names[k]}: the solver's motion exceeds its limits or misses the target: {shape}")
 
 
-def _ruckig(bounds: Bounds, synchronised: bool, margin: float) -> tuple[float, Shapes | None]:
+def _run_ruckig(bounds: ShapeBounds, margin: float, *, synchronised: bool) -> tuple[float, ShapeRows | None]:
     n = len(bounds.distance)
-    solver, trajectory, question = workspace(n)
+    solver, trajectory, question = get_workspace(n)
     question.target_position = bounds.distance.tolist()
     question.max_velocity = [margin] * n
     question.max_acceleration = (bounds.acceleration * margin).tolist()
@@ -172,13 +176,13 @@ def _ruckig(bounds: Bounds, synchronised: bool, margin: float) -> tuple[float, S
     # From rest, acceleration is the sum of the jerks before.
     a = np.zeros((n, SEGMENTS))
     np.cumsum((t * j)[:, :-1], axis=1, out=a[:, 1:])
-    return duration_s, Shapes(t, a, j)
+    return duration_s, ShapeRows(t, a, j)
 
 
 _workspaces: dict[int, tuple[Any, Any, Any]] = {}
 
 
-def workspace(n: int) -> tuple[Any, Any, Any]:
+def get_workspace(n: int) -> tuple[Any, Any, Any]:
     """Ruckig's (solver, trajectory, input) for `n` axes, cached: making them takes longer than a plan."""
     if n not in _workspaces:
         question: Any = InputParameter(n)  # pyright: ignore[reportUnknownVariableType]

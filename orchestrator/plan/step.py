@@ -13,14 +13,14 @@ from orchestrator.plan.shape import (
     MAX_DURATION_S,
     SECOND_ORDER,
     Array,
-    Bounds,
     PlanError,
-    Shapes,
-    check,
-    fastest_trapezoids,
-    ramp_ranges,
-    solve,
-    trapezoids,
+    ShapeBounds,
+    ShapeRows,
+    check_shapes,
+    find_fastest_trapezoids,
+    find_ramp_ranges,
+    make_trapezoids,
+    solve_shapes,
 )
 
 Sync = Literal["time", "phase", "none"]
@@ -46,21 +46,21 @@ class AxisMove:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StepPlan:
     """The profiles of a step, by axis. duration_s: of the longest. Axes that need not move have no profile and are
     in `standing`."""
 
     duration_s: float
     profiles: Mapping[str, Profile]
-    standing: Sequence[str] = field(default=())
+    unmoved: Sequence[str] = field(default=())
 
-    def stretched(self, duration_s: float) -> "Plan":
+    def stretch_to(self, duration_s: float) -> "StepPlan":
         """The same paths in a longer time; limits that held still hold."""
         factor = duration_s / self.duration_s
-        return Plan(duration_s, {axis: p.stretch_time(factor) for axis, p in self.profiles.items()}, self.standing)
+        return StepPlan(duration_s, {axis: p.stretch_time(factor) for axis, p in self.profiles.items()}, self.unmoved)
 
 
-def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0, ramps: Ramps = "common") -> Plan:
+def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0, ramps: Ramps = "common") -> StepPlan:
     """Plan all moves from rest to rest. speed: fraction (0 to 1] of every velocity limit.
 
     sync `time`: one duration for all. Trapezoids share one ramp time as far as their limits allow (`ramps: common`),
@@ -74,13 +74,13 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
     if len(moving) < len(moves):
         standing = [move.axis for move in moves if move.target_counts == move.start_counts]
     if not moving:
-        return Plan(0.0, {}, standing)
-    bounds, scales = _question(moving, speed)
+        return StepPlan(0.0, {}, standing)
+    bounds, scales = _normalise_moves(moving, speed)
     names = [move.axis for move in moving]
     if sync == "phase":
-        duration_s, shapes, scales = _line(bounds, scales, names)
+        duration_s, shapes, scales = _plan_linear(bounds, scales, names)
     else:
-        duration_s, shapes = _each(bounds, names, sync == "time", ramps)
+        duration_s, shapes = _plan_axes(bounds, names, synchronised=sync == "time", ramps=ramps)
     if shapes is None:
         slowest = names[int(np.argmax(bounds.distance))]
         raise PlanError(
@@ -91,7 +91,7 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
         move.axis: Profile(move.start_counts, move.target_counts, scale, t, a, j)
         for move, scale, t, a, j in zip(moving, scales.tolist(), *(part.tolist() for part in shapes), strict=True)
     }
-    return Plan(duration_s, profiles, standing)
+    return StepPlan(duration_s, profiles, standing)
 
 
 def _check_limits(moves: Sequence[AxisMove]) -> None:
@@ -102,51 +102,53 @@ def _check_limits(moves: Sequence[AxisMove]) -> None:
         raise PlanError(f"{move.axis}: target {move.target_counts} counts is outside its soft limits {low} to {high}")
 
 
-def _question(moving: Sequence[AxisMove], speed: float) -> tuple[Bounds, Array]:
+def _normalise_moves(moving: Sequence[AxisMove], speed: float) -> tuple[ShapeBounds, Array]:
     """The normalised problem, and the scales in counts per unit that carry the sign of the direction."""
     table = np.array([_FIELDS(move) for move in moving], dtype=np.float64)
     start, target, velocity, acceleration, jerk, order = table.T
     distance, velocity = target - start, velocity * speed
     # No jerk limit (None became NaN), or a controller that cannot execute one: a trapezoid.
     jerk = np.where(np.isnan(jerk) | (order < 3), SECOND_ORDER, jerk)
-    bounds = Bounds(np.abs(distance) / velocity, acceleration / velocity, jerk / velocity)
+    bounds = ShapeBounds(np.abs(distance) / velocity, acceleration / velocity, jerk / velocity)
     return bounds, np.copysign(velocity, distance)
 
 
 _FIELDS = attrgetter("start_counts", "target_counts", "velocity", "acceleration", "jerk", "order")
 
 
-def _each(bounds: Bounds, names: Sequence[str], synchronised: bool, ramps: Ramps) -> tuple[float, Shapes | None]:
+def _plan_axes(
+    bounds: ShapeBounds, names: Sequence[str], ramps: Ramps, *, synchronised: bool
+) -> tuple[float, ShapeRows | None]:
     """Plan every axis on its own limits: one duration for all if `synchronised`, else the shortest for each."""
     second = bounds.jerk == SECOND_ORDER
-    duration_s, shapes = solve(bounds, names, synchronised)
+    duration_s, shapes = solve_shapes(bounds, names, synchronised=synchronised)
     if shapes is None:
         return duration_s, None
     if second.any():
-        part = Bounds(*(each[second] for each in bounds))
-        chosen = _common_trapezoids(part, duration_s, ramps) if synchronised else _fastest(part)
+        part = ShapeBounds(*(each[second] for each in bounds))
+        chosen = _make_common_trapezoids(part, duration_s, ramps) if synchronised else _plan_fastest(part)
         for whole, rows in zip(shapes, chosen, strict=True):
             whole[second] = rows
-    check(shapes, bounds, names)
+    check_shapes(shapes, bounds, names)
     return duration_s, shapes
 
 
-def _fastest(bounds: Bounds) -> Shapes:
-    ramp_s, duration_s = fastest_trapezoids(bounds)
-    return trapezoids(bounds, ramp_s, duration_s)
+def _plan_fastest(bounds: ShapeBounds) -> ShapeRows:
+    ramp_s, duration_s = find_fastest_trapezoids(bounds)
+    return make_trapezoids(bounds, ramp_s, duration_s)
 
 
-def _common_trapezoids(bounds: Bounds, duration_s: float, ramps: Ramps) -> Shapes:
+def _make_common_trapezoids(bounds: ShapeBounds, duration_s: float, ramps: Ramps) -> ShapeRows:
     """Symmetric trapezoids of exactly `duration_s`.
 
     Their common ramp is the longest of the shortest ramps of all axes; an axis whose velocity limit does not allow
     such a long ramp takes its own longest.
     """
-    shortest, longest = ramp_ranges(bounds, duration_s)
-    return trapezoids(bounds, np.minimum(shortest.max(), longest) if ramps == "common" else shortest, duration_s)
+    shortest, longest = find_ramp_ranges(bounds, duration_s)
+    return make_trapezoids(bounds, np.minimum(shortest.max(), longest) if ramps == "common" else shortest, duration_s)
 
 
-def _line(bounds: Bounds, scales: Array, names: Sequence[str]) -> tuple[float, Shapes | None, Array]:
+def _plan_linear(bounds: ShapeBounds, scales: Array, names: Sequence[str]) -> tuple[float, ShapeRows | None, Array]:
     """A straight line: one degree of freedom, the fraction of the path, with limits min(limit_i / |d_i|).
 
     Every axis gets this one shape scaled by its distance, so the line is straight by construction.
@@ -158,15 +160,15 @@ def _line(bounds: Bounds, scales: Array, names: Sequence[str]) -> tuple[float, S
     jerk = SECOND_ORDER
     if not (bounds.jerk == SECOND_ORDER).any():
         jerk = (bounds.jerk / bounds.distance).min() * longest
-    question = Bounds(np.array([longest]), np.array([acceleration]), np.array([jerk]))
-    duration_s, shape = _each(question, ["the line of " + ", ".join(names)], True, "own")
+    question = ShapeBounds(np.array([longest]), np.array([acceleration]), np.array([jerk]))
+    duration_s, shape = _plan_axes(question, ["the line of " + ", ".join(names)], synchronised=True, ramps="own")
     if shape is None:
         return duration_s, None, scales
-    shapes = Shapes(*(np.repeat(part, len(names), axis=0) for part in shape))
+    shapes = ShapeRows(*(np.repeat(part, len(names), axis=0) for part in shape))
     return duration_s, shapes, scales * bounds.distance / longest
 
 
-class Targets:
+class ExactTargets:
     """Exact targets of axes in their units, so that rounding remainders are carried from move to move.
 
     A thousand relative moves back and forth end on the same count, whatever the scale.
@@ -175,7 +177,7 @@ class Targets:
     def __init__(self) -> None:
         self._exact: dict[str, tuple[Fraction, int]] = {}
 
-    def position(self, axis: str, counts: int, counts_per_unit: Fraction) -> Fraction:
+    def exact_position(self, axis: str, counts: int, counts_per_unit: Fraction) -> Fraction:
         """The position of `axis` in its unit: its last exact target if `counts` is that target's count, else
         `counts`."""
         exact = self._exact.get(axis)
@@ -183,10 +185,10 @@ class Targets:
             return exact[0]
         return Fraction(counts) / counts_per_unit
 
-    def reached(self, axis: str, target: Fraction, counts: int) -> None:
+    def record_target(self, axis: str, target: Fraction, counts: int) -> None:
         """Record that `axis` was moved to `target`, which is `counts`."""
         self._exact[axis] = (target, counts)
 
-    def forget(self, axis: str) -> None:
+    def forget_target(self, axis: str) -> None:
         """Forget the target of an axis that moved otherwise (homed, jogged, power-cycled)."""
         self._exact.pop(axis, None)

@@ -15,13 +15,13 @@ def load_checked_fleet(file: Path) -> Fleet:
         try:
             check_controller(name, config)
         except ValueError as error:
-            problems.append(FileProblem(str(file), _line_of(file, name), "", str(error)))
+            problems.append(FileProblem(str(file), _find_line_number(file, name), "", str(error)))
     if problems:
         raise FileError(problems)
     return fleet
 
 
-def _line_of(file: Path, controller: str) -> int:
+def _find_line_number(file: Path, controller: str) -> int:
     """Return the line number where a controller begins, for the message."""
     lines = file.read_text(encoding="utf-8").splitlines()
     return next((k for k, line in enumerate(lines, start=1) if line.strip().startswith(f"{controller}:")), 1)

@@ -8,7 +8,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport
 
 
-class Held(NamedTuple):
+class VerdictCheck(NamedTuple):
     """The check of one motion step.
 
     skew_ns: its true start skew.
@@ -21,10 +21,10 @@ class Held(NamedTuple):
     outside: list[str]
 
 
-def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns: int) -> list[Held]:
+def check_verdicts(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns: int) -> list[VerdictCheck]:
     """Check each completed motion step. truth: the folder of the simulators' logs, in host time of this kernel."""
-    logged = {name: _starts(truth / f"{name}.jsonl") for name in fleet.controllers}
-    found: list[Held] = []
+    logged = {name: _load_starts(truth / f"{name}.jsonl") for name in fleet.controllers}
+    found: list[VerdictCheck] = []
     for step in report.steps:
         if step.start_skew is None or step.t0_fleet_ns is None or step.state != "done":
             continue
@@ -49,11 +49,11 @@ def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_
                     outside.append(f"{name}.{axis} by {off_ns / 1e6:+.2f} ms")
         skew_ns = max(true) - min(true) if true else 0
         within = step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
-        found.append(Held(step.index, skew_ns, within, outside))
+        found.append(VerdictCheck(step.index, skew_ns, within, outside))
     return found
 
 
-def _starts(log: Path) -> list[tuple[str, int]]:
+def _load_starts(log: Path) -> list[tuple[str, int]]:
     """Return axis and instant of the start of every motion."""
     entries = (json.loads(line) for line in log.read_text(encoding="utf-8").splitlines())
     return [(entry["axis"], entry["start_ns"]) for entry in entries if entry["event"] == "start"]

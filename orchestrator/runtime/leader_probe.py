@@ -4,32 +4,32 @@ import asyncio
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import BusSample
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.leadership.leadership import LEADER_TIMEOUT_NS
 from orchestrator.model.messages import LeaderHeartbeat
 
 
-async def reigning(endpoint: str, fleet: str) -> LeaderHeartbeat | None:
+async def find_leader(endpoint: str, fleet: str) -> LeaderHeartbeat | None:
     """Return the heartbeat of the coordinator that leads `fleet`, or None. Raises `RouterUnreachable`."""
-    heard: asyncio.Future[LeaderHeartbeat] = asyncio.get_running_loop().create_future()
+    found: asyncio.Future[LeaderHeartbeat] = asyncio.get_running_loop().create_future()
 
-    def take(sample: Sample) -> None:
+    def receive_heartbeat(sample: BusSample) -> None:
         try:
-            reign = LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
         except ValidationError:
             return
-        if not heard.done():
-            heard.set_result(reign)
+        if not found.done():
+            found.set_result(heartbeat)
 
     bus = await open_bus(endpoint)
     try:
-        subscription = await bus.subscribe(Keys(fleet).leader, take)
+        subscription = await bus.subscribe(FleetKeys(fleet).leader, receive_heartbeat)
         try:
             async with asyncio.timeout(LEADER_TIMEOUT_NS / NS_PER_S):
-                return await heard
+                return await found
         except TimeoutError:
             return None
         finally:

@@ -20,50 +20,51 @@ from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.runtime.bridge import bridge_baud
-from orchestrator.runtime.leader_probe import reigning
+from orchestrator.runtime.leader_probe import find_leader
 from sim.link.arguments import NEXT
 
-READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
-END_S = 8.0
-RESTART_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
+END_TIMEOUT_S = 8.0
+RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 # These exit codes are final: a restart would give the same (bad input, port or leadership taken, journal unusable).
-FINAL = frozenset({2, 4, 5})
-TAKEN = 4  # of the router: another process uses its port
+FINAL_EXIT_CODES = frozenset({2, 4, 5})
+EXIT_PORT_IN_USE = 4  # of the router: another process uses its port
 STANDBY = "coordinator/standby"
 # Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
-DEPOSED = frozenset({4, 6})
-TOGETHER = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
+EXIT_LEADERSHIP_LOST = frozenset({4, 6})
+CONTROLLERS_PER_SIMULATOR = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
 # What a simulator's ready line reports as its endpoint, by the kind of the simulated link.
-_FOUND = {
+_ENDPOINT_FIELDS = {
     "tcp": ("host", "port"),
     "udp": ("host", "port"),
     "serial": ("device",),
     "can": ("interface", "channel"),
 }
 
-Say = Callable[[str], None]
+PrintLine = Callable[[str], None]
 
 
-class UpFailed(Exception):
+class UpFailed(TuttiError):
     """The fleet cannot be started. The text names the part, the reason, and the remedy."""
 
 
 @dataclass(slots=True)
-class Child:
+class ChildProcess:
     """One process of the fleet.
 
-    tells: number of lines that it prints when it is ready.
-    ready: those lines."""
+    ready_lines: number of lines that it prints when it is ready.
+    ready_output: those lines."""
 
     name: str
     command: Sequence[str]
     log: Path
-    tells: int = 1
+    ready_lines: int = 1
     process: asyncio.subprocess.Process | None = None
     starts: int = 0
-    ready: Sequence[str] = ()
+    ready_output: Sequence[str] = ()
     ended: bool = False
     keeper: "asyncio.Task[None] | None" = None
 
@@ -73,11 +74,11 @@ class Child:
         return self.process.pid if self.process else 0
 
     @property
-    def code(self) -> int | None:
+    def exit_code(self) -> int | None:
         """Exit code of the current start; None while it runs."""
         return self.process.returncode if self.process else None
 
-    def last_word(self) -> str:
+    def last_error_line(self) -> str:
         """The last line that it wrote to standard error; "" if it wrote none."""
         said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return said[-1] if said else ""
@@ -95,14 +96,14 @@ class LiveFleet:
 
     fleet: Fleet
     state: Path
-    say: Say
+    say: PrintLine
     connect: str = ""
     port: int = 7447
     simulated: bool = False
     take_over: bool = False
     truth: bool = False
     standby: bool = False
-    children: dict[str, Child] = field(default_factory=dict[str, Child])
+    children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: TextIO | None = None
 
@@ -110,15 +111,15 @@ class LiveFleet:
         """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
         self.failed = asyncio.get_running_loop().create_future()
         try:
-            self._take_folder()
-            await self._route()
+            self._lock_folder()
+            await self._start_router()
             if self.simulated:
-                await self._simulate()
+                await self._start_simulators()
             file = self.state / "fleet.json"
             file.write_text(self.fleet.model_dump_json(), encoding="utf-8")
             for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
-                await self._start_child(f"host/{host}", self._host_command(host, file))
-            coordinator = await self._start_child("coordinator", self._coordinator_command(file))
+                await self._start_child(f"host/{host}", self._make_host_command(host, file))
+            coordinator = await self._start_child("coordinator", self._make_coordinator_command(file))
             if self.standby:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
@@ -127,10 +128,10 @@ class LiveFleet:
             await self.close()
             raise
 
-    def tell_simulator(self, controller: str, **change: object) -> None:
+    def change_simulation(self, controller: str, **change: object) -> None:
         """Change the physical environment of a simulated controller, e.g. `input=(1, True)`; see
         `sim/link/world.py`."""
-        pipe = os.open(world_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
+        pipe = os.open(simulation_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
         with os.fdopen(pipe, "wb") as line:
             line.write(json.dumps(change).encode() + b"\n")
 
@@ -138,16 +139,16 @@ class LiveFleet:
         """End all children, the coordinator first and the router last."""
         # Both coordinators at once: the standby must not take over from the other.
         both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
-        await asyncio.gather(*(self._end(child) for child in both))
+        await asyncio.gather(*(self._end_child(child) for child in both))
         order = ["coordinator", "host", "sim", "router"]
         for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
-            await self._end(child)
+            await self._end_child(child)
         if self._lock is not None:
             self._lock.close()
 
     # Parts
 
-    def _take_folder(self) -> None:
+    def _lock_folder(self) -> None:
         """Lock the state folder: two fleets with one journal, or one set of simulated ports, would interfere."""
         try:
             self.state.mkdir(parents=True, exist_ok=True)
@@ -161,31 +162,33 @@ class LiveFleet:
                 f"another `tutti up` uses {self.state}; end that one, or choose another folder: --state"
             ) from None
 
-    async def _simulate(self) -> None:
+    async def _start_simulators(self) -> None:
         """Replace every link by that of a simulated controller."""
         controllers: dict[str, Controller] = {}
-        for lines in _together(self.fleet):
+        for lines in _group_links(self.fleet):
             command = [sys.executable, "-m", "sim.link.process"]
             for names in lines:
-                command += [*([NEXT] if names is not lines[0] else []), *self._simulator_arguments(names)]
+                command += [*([NEXT] if names is not lines[0] else []), *self._make_simulator_arguments(names)]
             child = await self._start_child(f"sim/{'+'.join(chain(*lines))}", command, len(lines))
-            for names, ready in zip(lines, child.ready, strict=True):
+            for names, ready in zip(lines, child.ready_output, strict=True):
                 place = json.loads(ready)
                 for name in names:
                     config = self.fleet.controllers[name]
-                    link = config.link.model_copy(update={field: place[field] for field in _FOUND[config.link.kind]})
+                    link = config.link.model_copy(
+                        update={field: place[field] for field in _ENDPOINT_FIELDS[config.link.kind]}
+                    )
                     simulate = config.simulate.model_copy(update={"link": link})
                     controllers[name] = config.model_copy(update={"simulate": simulate})
                     self.say(f"{name}: simulated {config.adapter} on {link.endpoint}")
         for each in self.fleet.connections:
-            self.tell_simulator(each.target, input=(each.feeds.number, each.input_level(False)))
+            self.change_simulation(each.target, input=(each.feeds.number, each.input_level(on=False)))
         self.fleet = self.fleet.model_copy(
             update={"controllers": {name: controllers[name] for name in self.fleet.controllers}}
         )
 
-    async def _route(self) -> None:
+    async def _start_router(self) -> None:
         if self.connect:
-            other = None if self.take_over else await reigning(self.connect, self.fleet.fleet)
+            other = None if self.take_over else await find_leader(self.connect, self.fleet.fleet)
             if other is not None:
                 # Checked before adapter hosts are started, which would be second drivers of the same controllers.
                 raise UpFailed(
@@ -199,7 +202,7 @@ class LiveFleet:
         try:
             await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid())])
         except UpFailed:
-            if self.children["router"].code != TAKEN:
+            if self.children["router"].exit_code != EXIT_PORT_IN_USE:
                 raise
             raise UpFailed(
                 f"port {self.port} of 127.0.0.1 is in use; choose another for the router: --port {self.port + 1}; or, "
@@ -208,7 +211,7 @@ class LiveFleet:
         self.connect = endpoint
         self.say(f"router on {endpoint}")
 
-    def _simulator_arguments(self, names: Sequence[str]) -> list[str]:
+    def _make_simulator_arguments(self, names: Sequence[str]) -> list[str]:
         """Return the arguments of a simulator for the controllers of one link."""
         name, config = "+".join(names), self.fleet.controllers[names[0]]
         if isinstance(config.link, CanBusLink):
@@ -216,15 +219,20 @@ class LiveFleet:
         elif isinstance(config.link, SerialLink):
             # A restart listens at the same endpoint again: the symlink is stable.
             listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
-            listen += ["--frame", frame(config.link)]
+            listen += ["--frame", format_serial_frame(config.link)]
         else:
-            listen = ["--listen", f"{config.link.kind}:127.0.0.1:{free_port()}", "--baud", str(bridge_baud(config))]
+            listen = [
+                "--listen",
+                f"{config.link.kind}:127.0.0.1:{find_free_port()}",
+                "--baud",
+                str(bridge_baud(config)),
+            ]
         arguments = ["--model", config.adapter, "--name", name, *listen]
         for each in names:
-            arguments += ["--unit", json.dumps(self._simulated_unit(each))]
+            arguments += ["--unit", json.dumps(self._make_simulated_controller(each))]
         return arguments
 
-    def _simulated_unit(self, name: str) -> dict[str, object]:
+    def _make_simulated_controller(self, name: str) -> dict[str, object]:
         """Return the value of `--unit` for a controller."""
         config = self.fleet.controllers[name]
         link, simulate = config.link, config.simulate
@@ -240,14 +248,14 @@ class LiveFleet:
                 "drift_ppm": simulate.drift_ppm,
                 "wander_ppm": simulate.wander_ppm,
             },
-            "world": str(world_pipe(self.state, name)),
+            "world": str(simulation_pipe(self.state, name)),
             "truth": str(self.state / "truth" / f"{name}.jsonl") if self.truth else None,
             "wires": [
                 {
                     "output": each.driven_by.number,
-                    "world": str(world_pipe(self.state, each.target)),
+                    "world": str(simulation_pipe(self.state, each.target)),
                     "input": each.feeds.number,
-                    "level_when_on": each.input_level(True),
+                    "level_when_on": each.input_level(on=True),
                     "delay_us": sum(each.delay_us) // 2,
                 }
                 for each in self.fleet.connections
@@ -255,12 +263,12 @@ class LiveFleet:
             ],
         }
 
-    def _host_command(self, host: str, file: Path) -> list[str]:
+    def _make_host_command(self, host: str, file: Path) -> list[str]:
         command = [sys.executable, "-m", "adapters.host.guardian", "--fleet", str(file), "--host", host]
         command += ["--connect", self.connect, "--state", str(self.state / "adapters"), "--parent", str(os.getpid())]
         return [*command, "--log", str(self.state / "log" / f"host-{host}.jsonl")]
 
-    def _coordinator_command(self, file: Path) -> list[str]:
+    def _make_coordinator_command(self, file: Path) -> list[str]:
         command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
         command += ["--connect", self.connect, "--journal", str(self.state / "journal.sqlite3")]
         command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
@@ -268,14 +276,14 @@ class LiveFleet:
 
     # Children
 
-    async def _start_child(self, name: str, command: Sequence[str], tells: int = 1) -> Child:
+    async def _start_child(self, name: str, command: Sequence[str], tells: int = 1) -> ChildProcess:
         log = self.state / "log" / f"{name.replace('/', '-')}.err"
-        child = self.children[name] = Child(name, command, log, tells)
-        await self._spawn(child)
-        child.keeper = asyncio.get_running_loop().create_task(self._keep(child))
+        child = self.children[name] = ChildProcess(name, command, log, tells)
+        await self._spawn_process(child)
+        child.keeper = asyncio.get_running_loop().create_task(self._supervise_child(child))
         return child
 
-    async def _spawn(self, child: Child) -> None:
+    async def _spawn_process(self, child: ChildProcess) -> None:
         """Start the process and wait for its ready lines. Raises `UpFailed` with its output."""
         child.log.parent.mkdir(parents=True, exist_ok=True)
         with child.log.open("ab") as errors:
@@ -289,49 +297,49 @@ class LiveFleet:
         child.starts += 1
         assert child.process.stdout is not None
         try:
-            async with asyncio.timeout(READY_S):
-                lines = [await child.process.stdout.readline() for _ in range(child.tells)]
+            async with asyncio.timeout(READY_TIMEOUT_S):
+                lines = [await child.process.stdout.readline() for _ in range(child.ready_lines)]
         except TimeoutError:
-            raise UpFailed(f"{child.name} is not ready after {READY_S:g} s; see {child.log}") from None
+            raise UpFailed(f"{child.name} is not ready after {READY_TIMEOUT_S:g} s; see {child.log}") from None
         if not all(lines):
-            how = _how(await child.process.wait())
-            raise UpFailed(f"{child.name} ended ({how}): {child.last_word() or f'see {child.log}'}")
-        child.ready = [line.decode().strip() for line in lines]
+            how = _describe_exit(await child.process.wait())
+            raise UpFailed(f"{child.name} ended ({how}): {child.last_error_line() or f'see {child.log}'}")
+        child.ready_output = [line.decode().strip() for line in lines]
 
-    async def _keep(self, child: Child) -> None:
+    async def _supervise_child(self, child: ChildProcess) -> None:
         """Restart a child that died, unless its exit code is final."""
         while True:
             assert child.process is not None
             code = await child.process.wait()
             if child.ended:
                 return
-            if child.name == "coordinator" and code in DEPOSED and not self.standby:
+            if child.name == "coordinator" and code in EXIT_LEADERSHIP_LOST and not self.standby:
                 self.say(
                     f"{child.name} has lost leadership, another coordinator leads; the adapter hosts here "
                     "serve that one"
                 )
                 return
-            if code in FINAL:
-                self._fail(f"{child.name} ended: {child.last_word() or f'exit code {code}'}")
+            if code in FINAL_EXIT_CODES:
+                self._report_failure(f"{child.name} ended: {child.last_error_line() or f'exit code {code}'}")
                 return
-            pause_s = RESTART_S[min(child.starts, len(RESTART_S)) - 1]
-            self.say(f"{child.name} ended ({_how(code)}); restarting it in {pause_s:g} s")
+            pause_s = RESTART_PAUSES_S[min(child.starts, len(RESTART_PAUSES_S)) - 1]
+            self.say(f"{child.name} ended ({_describe_exit(code)}); restarting it in {pause_s:g} s")
             await asyncio.sleep(pause_s)
             if child.ended:
                 return
             try:
-                await self._spawn(child)
+                await self._spawn_process(child)
             except UpFailed as error:
                 self.say(str(error))
                 if child.process.returncode is None:
                     child.process.kill()
 
-    def _fail(self, text: str) -> None:
+    def _report_failure(self, text: str) -> None:
         self.say(text)
         if self.failed is not None and not self.failed.done():
             self.failed.set_result(text)
 
-    async def _end(self, child: Child) -> None:
+    async def _end_child(self, child: ChildProcess) -> None:
         child.ended = True
         process = child.process
         if process is not None and process.returncode is None:
@@ -339,17 +347,17 @@ class LiveFleet:
             process.send_signal(signal.SIGCONT)
             process.send_signal(signal.SIGTERM)
             try:
-                async with asyncio.timeout(END_S):
+                async with asyncio.timeout(END_TIMEOUT_S):
                     await process.wait()
             except TimeoutError:
-                self.say(f"{child.name} did not end within {END_S:g} s and is killed")
+                self.say(f"{child.name} did not end within {END_TIMEOUT_S:g} s and is killed")
                 process.kill()
                 await process.wait()
         if child.keeper is not None:
             child.keeper.cancel()
 
 
-def _together(fleet: Fleet) -> Iterator[list[list[str]]]:
+def _group_links(fleet: Fleet) -> Iterator[list[list[str]]]:
     """Group the links whose controllers one process simulates.
 
     Controllers of one make on Ethernet share processes: a process that was asleep is woken for each exchange, finds
@@ -362,26 +370,26 @@ def _together(fleet: Fleet) -> Iterator[list[list[str]]]:
         else:
             ethernet.setdefault(config.adapter, []).append(names)
     for lines in ethernet.values():
-        for at in range(0, len(lines), TOGETHER):
-            yield lines[at : at + TOGETHER]
+        for at in range(0, len(lines), CONTROLLERS_PER_SIMULATOR):
+            yield lines[at : at + CONTROLLERS_PER_SIMULATOR]
 
 
-def world_pipe(state: Path, controller: str) -> Path:
+def simulation_pipe(state: Path, controller: str) -> Path:
     """Return the pipe for lines that change the physical environment of a simulated controller."""
     return state / "world" / controller
 
 
-def frame(link: SerialLink) -> str:
+def format_serial_frame(link: SerialLink) -> str:
     """Return data bits, parity and stop bits in the usual short form, e.g. `8N1`."""
     return f"{link.data_bits}{link.parity[0].upper()}{link.stop_bits}"
 
 
-def free_port() -> int:
+def find_free_port() -> int:
     """Return a TCP port that is not in use."""
     with closing(socket.socket()) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
 
 
-def _how(code: int) -> str:
+def _describe_exit(code: int) -> str:
     return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"

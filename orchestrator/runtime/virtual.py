@@ -14,32 +14,33 @@ from adapters.controller.store import VolatileStore
 from adapters.host.host import AdapterHost, HostEnvironment, stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
-from orchestrator.bus.memory.medium import Latency
+from orchestrator.bus.memory.medium import BusLatency
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.executor import run_inline
-from orchestrator.clock.virtual import Process, VirtualClock
-from orchestrator.coordinator.coordinator import Coordinator, CoordinatorEnvironment
+from orchestrator.clock.virtual import VirtualClock, VirtualProcess
+from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal, JournalError
+from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import wait_for_vacancy
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, WireConnection, group_by_link
 from orchestrator.model.state import ControllerState
-from orchestrator.runtime.bridge import network
+from orchestrator.runtime.bridge import network_wire
 from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator
 
 # Latency of the live bus, through a router on one machine (measured: 0.3 ms a sample, 0.8 ms a request).
-BUS_LATENCY = Latency(least_ns=200 * NS_PER_US, median_ns=300 * NS_PER_US, most_ns=600 * NS_PER_US)
-HUNG_NS = 300 * NS_PER_MS  # timeout of a guardian
+BUS_LATENCY = BusLatency(least_ns=200 * NS_PER_US, median_ns=300 * NS_PER_US, most_ns=600 * NS_PER_US)
+GUARDIAN_TIMEOUT_NS = 300 * NS_PER_MS  # timeout of a guardian
 RESTART_NS = 200 * NS_PER_MS
-WAKE_NS = 60 * NS_PER_US  # largest wake-up delay of the firing process
-JOURNAL_READS = frozenset(
+MAX_WAKE_DELAY_NS = 60 * NS_PER_US  # largest wake-up delay of the firing process
+READ_ONLY_JOURNAL_CALLS = frozenset(
     each.__name__
     for each in (
         Journal.list_decisions,
@@ -60,11 +61,11 @@ T = TypeVar("T")
 
 
 @dataclass(slots=True)
-class _Host:
+class _RunningHost:
     """An adapter host and the number of its start."""
 
     name: str
-    process: Process
+    process: VirtualProcess
     links: list[MemoryLink] = field(default_factory=list[MemoryLink])
 
 
@@ -72,7 +73,6 @@ class VirtualFleet:
     """A simulation of the whole `fleet`; all randomness comes from `seed`. Create it outside every process.
 
     wired: the real wiring, where it differs from the fleet file.
-    beside: wraps the bus of a coordinator, e.g. to observe it.
     """
 
     def __init__(
@@ -80,32 +80,33 @@ class VirtualFleet:
         fleet: Fleet,
         clock: VirtualClock,
         seed: int = 0,
-        guardian: bool = True,
         wired: Fleet | None = None,
-        beside: Callable[[MemoryBus], Bus] = lambda bus: bus,
+        *,
+        guardian: bool = True,
     ) -> None:
         self.fleet = fleet
         self.clock = clock
         self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
-        self.keys = Keys(fleet.fleet)
+        self.keys = FleetKeys(fleet.fleet)
         self.lines: list[str] = []
         self.journal = Journal(":memory:")
         self.controllers: dict[str, SimulatedController] = {}
         self.wires: dict[str, MemoryWire] = {}
         self.crystals: dict[str, Oscillator] = {}
-        self.simulators: dict[str, Process] = {}
-        self.hosts: dict[str, _Host] = {}
-        self.coordinators: dict[str, tuple[Process, Coordinator]] = {}
+        self.simulators: dict[str, VirtualProcess] = {}
+        self.hosts: dict[str, _RunningHost] = {}
+        self.coordinators: dict[str, tuple[VirtualProcess, Coordinator]] = {}
         self.disk_full = False
         self._guardian = guardian
-        self._beside = beside
+        self.wrap_bus: Callable[[MemoryBus], Bus] = lambda bus: bus
+        """Wraps the bus of a coordinator that starts, e.g. to observe it."""
         self._draw = Random(seed)
         self._stores: dict[str, VolatileStore] = {}
         self._starts = 0
         for names in group_by_link(fleet):
-            self._simulate(names)
+            self._start_simulator(names)
         for connection in (wired or fleet).connections:
-            self._connect(connection)
+            self._connect_wire(connection)
 
     # Start, wait, client
 
@@ -114,14 +115,14 @@ class VirtualFleet:
         for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
             self.start_host(host)
         self.start_coordinator("first")
-        await self.until(lambda states: all(state.epoch and state.mode == "idle" for state in states.values()))
+        await self.wait_until(lambda states: all(state.epoch and state.mode == "idle" for state in states.values()))
 
-    async def until(
+    async def wait_until(
         self, holds: Callable[[dict[str, ControllerState]], bool], limit_s: float = 60.0
     ) -> dict[str, ControllerState]:
         """Wait until `holds` is true of the states of all controllers. Raises `TimeoutError` with the current
         states."""
-        client = self.client("until")
+        client = self.make_client("until")
         states: dict[str, ControllerState] = {}
         try:
             async with asyncio.timeout(limit_s):
@@ -136,36 +137,36 @@ class VirtualFleet:
         finally:
             await client.close()
 
-    def client(self, name: str = "client") -> Tutti:
+    def make_client(self, name: str = "client") -> Tutti:
         """Return a client of the fleet, with a bus session of its own."""
-        return Tutti(self.net.join(self._fresh(name)), self.fleet.fleet, name, self.new_id)
+        return Tutti(self.net.join_process(self._make_name(name)), self.fleet.fleet, name, self.draw_id)
 
-    def new_id(self) -> str:
+    def draw_id(self) -> str:
         return f"{self._draw.getrandbits(128):032x}"
 
     # Simulated controllers
 
-    def _simulate(self, names: Sequence[str]) -> None:
+    def _start_simulator(self, names: Sequence[str]) -> None:
         """Simulate the controllers of one link: one process, one connection."""
         config = self.fleet.controllers[names[0]]
-        process = Process(self.clock.loop, f"sim/{'+'.join(names)}")
-        units = {name: self._branch(self.fleet.controllers[name]) for name in names}
-        line = process.run(lambda: build_line(find_simulator(config.adapter), self.clock, units))
+        process = VirtualProcess(self.clock.loop, f"sim/{'+'.join(names)}")
+        units = {name: self._make_device(self.fleet.controllers[name]) for name in names}
+        line = process.run_inside(lambda: build_line(find_simulator(config.adapter), self.clock, units))
         link = config.link
         wire = MemoryWire(
             clock=self.clock,
-            model=_wire(config, line.endpoint),
+            model=_make_wire(config, line.endpoint),
             far=line.endpoint,
             port=link.kind if link.kind in line.endpoint.port_names else line.endpoint.port_names[0],
-            place=link.endpoint,
-            far_context=process.run(copy_context),
+            endpoint=link.endpoint,
+            far_context=process.run_inside(copy_context),
             seed=units[names[0]].seed,
         )
         for name in names:
             self.simulators[name], self.controllers[name], self.wires[name] = process, line.devices[name], wire
             self.crystals[name] = units[name].oscillator
 
-    def _branch(self, config: Controller) -> DeviceSpec:
+    def _make_device(self, config: Controller) -> DeviceSpec:
         link, simulate, seed = config.link, config.simulate, self._draw.getrandbits(32)
         return DeviceSpec(
             address=link.address if isinstance(link, SerialLink | CanBusLink) else None,
@@ -175,91 +176,93 @@ class VirtualFleet:
             seed=seed,
         )
 
-    def _connect(self, connection: WireConnection) -> None:
+    def _connect_wire(self, connection: WireConnection) -> None:
         """Make an input follow an output after a delay; the delay of each wire is fixed, and lies within its bounds."""
         least_ns, most_ns = (each * NS_PER_US for each in connection.delay_us)
         delay_ns = self._draw.randint(least_ns, most_ns)
         source, number = self.controllers[connection.source], connection.driven_by.number
 
-        def feed(on: bool) -> None:
-            level = connection.input_level(on)
-            self.within(connection.target, lambda unit: unit.set_input(connection.feeds.number, level))
+        def set_input(*, on: bool) -> None:
+            level = connection.input_level(on=on)
+            self.act_on_controller(connection.target, lambda unit: unit.set_input(connection.feeds.number, level=level))
 
-        def changed(output: int, on: bool) -> None:
+        def on_output_change(output: int, *, on: bool) -> None:
             if output == number:
                 # A wire belongs to no process.
-                self.clock.call_at_ns(self.clock.now_ns() + delay_ns, lambda: feed(on), context=Context())
+                self.clock.call_at_ns(self.clock.now_ns() + delay_ns, lambda: set_input(on=on), context=Context())
 
-        self.within(connection.source, lambda unit: unit.on_output(changed))
-        feed(source.output_level(number))
+        self.act_on_controller(
+            connection.source, lambda unit: unit.on_output(lambda output, on: on_output_change(output, on=on))
+        )
+        set_input(on=source.output_level(number))
 
-    def within(self, controller: str, action: Callable[[SimulatedController], None]) -> None:
+    def act_on_controller(self, controller: str, action: Callable[[SimulatedController], None]) -> None:
         """Act on the physical environment of a simulated controller, inside its own process."""
-        self.simulators[controller].run(lambda: action(self.controllers[controller]))
+        self.simulators[controller].run_inside(lambda: action(self.controllers[controller]))
 
     # Adapter hosts
 
     def start_host(self, name: str) -> None:
         """Start (or restart) the adapter host `name`; with a guardian, it is supervised from now on."""
-        label = self._fresh(f"host-{name}")
-        process = Process(self.clock.loop, label)
-        host = self.hosts[name] = _Host(name, process)
-        bus = self.net.join(label)
+        label = self._make_name(f"host-{name}")
+        process = VirtualProcess(self.clock.loop, label)
+        host = self.hosts[name] = _RunningHost(name, process)
+        bus = self.net.join_process(label)
 
         def open_link(controller: str, config: Controller) -> OpenLink:
-            async def opened() -> MemoryLink:
-                link = await self.wires[controller].open()
+            async def open_memory_link() -> MemoryLink:
+                link = await self.wires[controller].open_link()
                 host.links.append(link)
                 return link
 
-            return opened
+            return open_memory_link
 
         draw = Random(self._draw.getrandbits(32))
         environment = HostEnvironment(
             bus=bus,
             keys=self.keys,
             clock=self.clock,
-            timed_writer=LoopTimedWriter(self.clock, lambda: draw.randrange(WAKE_NS)),
+            timed_writer=LoopTimedWriter(self.clock, lambda: draw.randrange(MAX_WAKE_DELAY_NS)),
             open_link=open_link,
             store=lambda controller: self._stores.setdefault(controller, VolatileStore()),
             runs=run_inline,
             sink=self.lines.append,
             instance=label,
         )
-        process.on_death(lambda: self._reap(host, label))
+        process.add_death_callback(lambda: self._clean_up_host(host, label))
 
-        async def run() -> None:
+        async def run_host() -> None:
             await AdapterHost(name, self.fleet, environment).start()
 
-        process.start(run())
+        process.start_task(run_host())
         if self._guardian:
-            self._kernel(self._guard(host))
+            self._run_outside(self._guard_host(host))
 
-    def _reap(self, host: _Host, label: str) -> None:
+    def _clean_up_host(self, host: _RunningHost, label: str) -> None:
         """Clean up after a dead host, as the kernel does."""
-        self.net.kill(label)
+        self.net.kill_process(label)
         for link in host.links:
             link.hang_up()
 
-    async def _guard(self, host: _Host) -> None:
+    async def _guard_host(self, host: _RunningHost) -> None:
         """The guardian: end a dead or hung host, stop its controllers, and restart it."""
         while host.process.alive and not host.process.frozen:
             await sleep_ns(self.clock, 50 * NS_PER_MS)
-        await sleep_ns(self.clock, HUNG_NS)
+        await sleep_ns(self.clock, GUARDIAN_TIMEOUT_NS)
         if host.process.alive and not host.process.frozen:
-            self._kernel(self._guard(host))
+            self._run_outside(self._guard_host(host))
             return
         host.process.kill()
         await sleep_ns(self.clock, NS_PER_MS)
         mine = {name: config for name, config in self.fleet.controllers.items() if config.host == host.name}
-        await asyncio.gather(*(self._stop_by_hand(names[0], stop) for names, stop in stops_by_line(mine)))
+        await asyncio.gather(*(self._stop_link(names[0], stop) for names, stop in stops_by_line(mine)))
         await sleep_ns(self.clock, RESTART_NS)
         self.start_host(host.name)
 
-    async def _stop_by_hand(self, name: str, stop: bytes) -> None:
+    async def _stop_link(self, name: str, stop: bytes) -> None:
         """Stop everything on a controller's link."""
         try:
-            link = await self.wires[name].open()
+            link = await self.wires[name].open_link()
         except LinkRefused:
             return
         link.write(stop)
@@ -268,18 +271,18 @@ class VirtualFleet:
 
     # Coordinators
 
-    def start_coordinator(self, name: str, take_over: bool = False, standby: bool = False) -> Process:
+    def start_coordinator(self, name: str, *, take_over: bool = False, standby: bool = False) -> VirtualProcess:
         """Start a coordinator on the fleet's journal; an error at its start is appended to `lines`.
 
         standby: it leads as soon as no other coordinator does, and ends the previous one."""
-        label = self._fresh(f"coordinator-{name}")
-        process = Process(self.clock.loop, label)
-        bus = self.net.join(label)
-        coordinator = process.run(lambda: Coordinator(self.fleet, self._court(bus)))
+        label = self._make_name(f"coordinator-{name}")
+        process = VirtualProcess(self.clock.loop, label)
+        bus = self.net.join_process(label)
+        coordinator = process.run_inside(lambda: Coordinator(self.fleet, self._make_environment(bus)))
         self.coordinators[name] = (process, coordinator)
-        process.on_death(lambda: self.net.kill(label))
+        process.add_death_callback(lambda: self.net.kill_process(label))
 
-        async def run() -> None:
+        async def run_coordinator() -> None:
             try:
                 if standby:
                     await wait_for_vacancy(bus, self.keys, self.clock)
@@ -290,34 +293,34 @@ class VirtualFleet:
             except AnotherLeader as error:
                 self.lines.append(str(error))
 
-        process.start(run())
+        process.start_task(run_coordinator())
         return process
 
-    def _court(self, bus: MemoryBus) -> CoordinatorEnvironment:
+    def _make_environment(self, bus: MemoryBus) -> CoordinatorEnvironment:
         return CoordinatorEnvironment(
-            bus=self._beside(bus),
+            bus=self.wrap_bus(bus),
             keys=self.keys,
             clock=self.clock,
             journal=self.journal,
-            execute=self._runs,
-            new_id=self.new_id,
+            execute=self._run_journal_call,
+            new_id=self.draw_id,
             sink=self.lines.append,
-            save_fleet=self._take_fleet,
+            save_fleet=self._save_fleet,
         )
 
-    async def _runs(self, function: Callable[..., T], *values: Any) -> T:
+    async def _run_journal_call(self, function: Callable[..., T], *values: Any) -> T:
         """Run a call of the journal; calls that write fail while its disk is full."""
-        if self.disk_full and function.__name__ not in JOURNAL_READS:
+        if self.disk_full and function.__name__ not in READ_ONLY_JOURNAL_CALLS:
             raise JournalError("the journal cannot be used (database or disk is full)", "free space on its disk")
         return await run_inline(function, *values)
 
-    def _take_fleet(self, fleet: Fleet) -> None:
+    def _save_fleet(self, fleet: Fleet) -> None:
         """Set the fleet file for hosts and coordinators that start from now on."""
         self.fleet = fleet
 
     # Processes by name, for faults
 
-    def process(self, name: str) -> Process:
+    def find_process(self, name: str) -> VirtualProcess:
         """Return the process `host/NAME`, `coordinator/NAME` or `sim/NAME` that runs now."""
         kind, _, rest = name.partition("/")
         if kind == "host":
@@ -326,37 +329,37 @@ class VirtualFleet:
 
     def freeze(self, name: str) -> None:
         """Like SIGSTOP."""
-        process = self.process(name)
+        process = self.find_process(name)
         process.freeze()
         if not name.startswith("sim/"):
-            self.net.hang(process.name)
+            self.net.suspend_process(process.name)
 
     def resume(self, name: str) -> None:
         """Like SIGCONT."""
-        process = self.process(name)
+        process = self.find_process(name)
         if process.alive:
             process.resume()
             if not name.startswith("sim/"):
-                self.net.resume(process.name)
+                self.net.resume_process(process.name)
 
     def kill(self, name: str) -> None:
         """Like SIGKILL."""
-        self.process(name).kill()
+        self.find_process(name).kill()
 
-    def _fresh(self, name: str) -> str:
+    def _make_name(self, name: str) -> str:
         self._starts += 1
         return f"{name}-{self._starts}"
 
-    def _kernel(self, coroutine: Coroutine[Any, Any, None]) -> None:
+    def _run_outside(self, coroutine: Coroutine[Any, Any, None]) -> None:
         """Run `coroutine` outside every process."""
         Context().run(self.clock.loop.create_task, coroutine)
 
 
-def _wire(config: Controller, far: LineEndpoint) -> WireModel:
+def _make_wire(config: Controller, far: LineEndpoint) -> WireModel:
     """Return the connection from an adapter host to the device or bus of a controller."""
     hold_ns = round(config.simulate.hold_ms * NS_PER_MS)
     if isinstance(config.link, SerialLink):
         return serial_wire(config.link.baud, hold_ns=hold_ns)
     if isinstance(config.link, CanBusLink):
         return can_wire(hold_ns)
-    return network(config, far)
+    return network_wire(config, far)

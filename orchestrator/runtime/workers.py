@@ -13,7 +13,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def spread(work: Callable[[Item], Result], items: Iterable[Item], processes: int = 1) -> Iterator[Result]:
+def map_in_processes(work: Callable[[Item], Result], items: Iterable[Item], processes: int = 1) -> Iterator[Result]:
     """Apply `work` to each item and yield the results in the order of the items, whatever the number of processes.
 
     With more than one process, `work` is a function of a module, and items and results can be pickled.
@@ -22,14 +22,14 @@ def spread(work: Callable[[Item], Result], items: Iterable[Item], processes: int
         yield from map(work, items)
         return
     # Start a new interpreter for each worker: it must not inherit open files or threads of the parent.
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), initializer=_begin, initargs=(os.getpid(),))
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), initializer=_prepare_worker, initargs=(os.getpid(),))
     try:
         yield from pool.map(work, items)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _begin(parent_pid: int) -> None:
+def _prepare_worker(parent_pid: int) -> None:
     """Prepare a worker: it ends with its parent, and silently on Ctrl-C."""
     die_with_parent(parent_pid)
     signal.signal(signal.SIGINT, signal.SIG_DFL)

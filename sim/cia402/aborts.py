@@ -1,7 +1,9 @@
 """SDO abort codes (CiA 301, table 22)."""
 
+from orchestrator.model.errors import TuttiError
 
-class SdoAbort(Exception):
+
+class SdoAbort(TuttiError):
     """The drive refuses an access; the code is sent to the client."""
 
     def __init__(self, code: int) -> None:

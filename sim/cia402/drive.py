@@ -1,6 +1,7 @@
 """The drive below its object dictionary: power states, modes, halt, faults (CiA 402-2)."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from sim.cia402 import aborts
 from sim.cia402.aborts import SdoAbort
@@ -20,7 +21,7 @@ from sim.cia402.modes import (
     ProfileVelocity,
 )
 from sim.cia402.options import DriveOptions
-from sim.cia402.servo import ServoMotor
+from sim.cia402.servo import ServoEvents, ServoMotor
 from sim.cia402.states import POWERED, Leave, PowerState, PowerStates
 from sim.core.controller import LimitSwitch
 from sim.core.devicetime import DeviceTime
@@ -38,11 +39,21 @@ _POSITIVE = (0x6083, 0x6084, 0x6085, 0x609A)
 _FACTORS = tuple((index, sub) for index in (0x608F, 0x6091, 0x6092, 0x6096, 0x6097) for sub in (1, 2))
 
 
+@dataclass(frozen=True, slots=True)
+class DriveEvents:
+    """Calls of the drive.
+
+    emergency: sends an EMCY with this error code, and these bits in the error register; code 0: no error is left.
+    changed: a value that a PDO may carry has changed.
+    """
+
+    emergency: Callable[[int, int], None]
+    changed: Callable[[], None]
+
+
 class ServoDrive:
     """Power states, mode and motor of one drive.
 
-    emergency: sends an EMCY with this error code, and these bits in the error register; code 0: no error is left.
-    changed: called when a value that a PDO may carry has changed.
     phase_ns: phase of the control loop's ticks.
     """
 
@@ -52,13 +63,12 @@ class ServoDrive:
         time: DeviceTime,
         options: DriveOptions,
         phase_ns: int,
-        emergency: Callable[[int, int], None],
-        changed: Callable[[], None],
+        events: DriveEvents,
     ) -> None:
         self._dictionary = dictionary
         self._options = options
-        self._emergency = emergency
-        self._changed = changed
+        self._emergency = events.emergency
+        self._changed = events.changed
         self._control = 0
         self._after_stop: Callable[[], None] | None = None
         self.servo = ServoMotor(
@@ -66,16 +76,13 @@ class ServoDrive:
             time,
             options,
             phase_ns,
-            changed,
-            self._handle_motion_end,
-            self._handle_limit,
-            self._handle_following_error,
+            ServoEvents(events.changed, self._handle_motion_end, self._handle_limit, self._handle_following_error),
         )
         self.states = PowerStates(dictionary.get_value, self._stop_motion, self._state_changed, self._has_voltage)
         self._homing = HomingMode(dictionary, self.servo, options)
-        self._homing.failed = lambda: emergency(HOMING_ERROR_CODE, _GENERIC | _PROFILE)
-        interpolated = InterpolatedPosition(dictionary, self.servo, False, options.sync_missed)
-        cyclic = InterpolatedPosition(dictionary, self.servo, True, options.sync_missed)
+        self._homing.failed = lambda: events.emergency(HOMING_ERROR_CODE, _GENERIC | _PROFILE)
+        interpolated = InterpolatedPosition(dictionary, self.servo, cyclic=False, missed=options.sync_missed)
+        cyclic = InterpolatedPosition(dictionary, self.servo, cyclic=True, missed=options.sync_missed)
         interpolated.sync_lost = cyclic.sync_lost = lambda: self.enter_fault(SYNC_LOST_CODE, _COMMUNICATION)
         self._modes: dict[int, OperationMode] = {
             0: OperationMode(dictionary, self.servo),
@@ -267,8 +274,8 @@ class ServoDrive:
         self.states.enter_state(PowerState.NOT_READY)
         self.servo.terminals.drive_outputs(0, 0xFFFF_FFFF)
 
-    def set_input(self, number: int, level: bool) -> None:
-        self.servo.terminals.set_input(number, level)
+    def set_input(self, number: int, *, level: bool) -> None:
+        self.servo.terminals.set_input(number, level=level)
         if not self._has_voltage():
             self.states.lose_voltage()
 

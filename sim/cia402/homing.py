@@ -104,7 +104,7 @@ class HomingMode(OperationMode):
 
     # Legs
 
-    def _next_leg(self, passed: float | None, first: bool = False) -> None:
+    def _next_leg(self, passed: float | None, *, first: bool = False) -> None:
         script = self._script
         if script is None:
             return
@@ -212,7 +212,7 @@ class HomingMode(OperationMode):
             return None
         return (yield from self._by_index(-sign))
 
-    def _by_switch(self, direction: int, end: int, last: int, index: bool = False) -> Script:
+    def _by_switch(self, direction: int, end: int, last: int, *, index: bool = False) -> Script:
         """Move to the home switch, reverse at a limit switch, and move slowly over the selected end; or on to the
         next index pulse."""
         terminals, edges = self.servo.terminals, tuple(self.servo.terminals.home_edges())

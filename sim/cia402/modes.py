@@ -6,7 +6,7 @@ A mode acts only while the drive is in the state ENABLED.
 import math
 from dataclasses import dataclass
 
-from orchestrator.clock.base import Timer
+from orchestrator.clock.base import ClockTimer
 from sim.cia402.dictionary import DriveDictionary
 from sim.cia402.profile import to_speed, to_target
 from sim.cia402.servo import UNLIMITED, ServoMotor
@@ -88,14 +88,14 @@ class ProfilePosition(OperationMode):
     def _offer_set_point(self, word: int) -> None:
         if self._next is not None:
             return  # the buffer is full: not acknowledged
-        point = self._read_set_point(bool(word & _RELATIVE))
+        point = self._read_set_point(relative=bool(word & _RELATIVE))
         self._acknowledged = True
         if word & _IMMEDIATELY or not self.servo.is_busy:
             self._begin_set_point(point)
         else:
             self._next = point
 
-    def _read_set_point(self, relative: bool) -> _PositionSetPoint:
+    def _read_set_point(self, *, relative: bool) -> _PositionSetPoint:
         get, servo = self.dictionary.get_value, self.servo
         target = float(get(0x607A))
         if relative:
@@ -194,24 +194,24 @@ class InterpolatedPosition(OperationMode):
     lost: called when SYNC has been missing for too long.
     """
 
-    def __init__(self, dictionary: DriveDictionary, servo: ServoMotor, cyclic: bool, missed: int) -> None:
+    def __init__(self, dictionary: DriveDictionary, servo: ServoMotor, missed: int, *, cyclic: bool) -> None:
         super().__init__(dictionary, servo)
         self._key = (0x607A, 0) if cyclic else (0x60C1, 1)
         self._cyclic = cyclic
         self._missed = missed
         self._on = False
-        self._watchdog: Timer | None = None
+        self._watchdog: ClockTimer | None = None
         self.sync_lost = lambda: None
 
     def enter_mode(self) -> None:
         """Set the target to the present position until a client writes another one."""
         self._on = self._cyclic
-        self.servo.mover.set_interpolating(True)
+        self.servo.mover.set_interpolating(on=True)
         self.dictionary.put_value(*self._key, round(self.servo.demand_position))
 
     def leave_mode(self) -> None:
         self._on = False
-        self.servo.mover.set_interpolating(False)
+        self.servo.mover.set_interpolating(on=False)
         self._cancel_watchdog()
 
     def handle_controlword(self, word: int, rising: int) -> None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_S, Timer
+from orchestrator.clock.base import NS_PER_S, ClockTimer
 from sim.cia402.profile import MotionPlan, to_linear
 from sim.core.controller import CommandedMotion
 from sim.core.devicetime import DeviceTime
@@ -45,7 +45,7 @@ class MotionGenerator:
         self._base = 0.0
         self._plan: MotionPlan | None = None
         self._begin_ns = 0
-        self._timers: list[Timer] = []
+        self._timers: list[ClockTimer] = []
         self._motion: CommandedMotion | None = None
         self.motions: list[CommandedMotion] = []
         self.shift: Callable[[], float] = lambda: 0.0
@@ -85,7 +85,7 @@ class MotionGenerator:
 
     # Orders, effective now
 
-    def start_plan(self, plan: MotionPlan, slowing: bool = False, start_position: float | None = None) -> None:
+    def start_plan(self, plan: MotionPlan, start_position: float | None = None, *, slowing: bool = False) -> None:
         """Replace the present motion by `plan`, from `start_position` on.
 
         slowing: because of a stop."""
@@ -141,7 +141,7 @@ class MotionGenerator:
             self._path = self._motion
             self._close_motion(self._ended_ns)
 
-    def set_interpolating(self, on: bool) -> None:
+    def set_interpolating(self, *, on: bool) -> None:
         """Set whether plans are segments of a path: then the end of one is not the end of the motion."""
         self._interpolating, self._path = on, None
         if not on and self._plan is None and self._motion is not None:

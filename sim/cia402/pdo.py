@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Timer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, ClockTimer
 from orchestrator.link.can import CanFrame
 from sim.cia402 import aborts
 from sim.cia402.aborts import SdoAbort
@@ -62,8 +62,8 @@ class _TransmitPdo(_PdoParameters):
     last: bytes = b""
     syncs: int = 0
     free_ns: int = 0
-    waiting: Timer | None = None
-    event: Timer | None = None
+    waiting: ClockTimer | None = None
+    event: ClockTimer | None = None
 
 
 @dataclass(slots=True)
@@ -110,13 +110,13 @@ class PdoSet:
         """Install the checks for writes of its parameters."""
         writes, receive = self._dictionary.writes, isinstance(pdo, _ReceivePdo)
         writes[pdo.parameter, 1] = lambda value: self._check_id(pdo, value)
-        writes[pdo.parameter, 2] = lambda value: self._check_type(pdo, value, receive)
+        writes[pdo.parameter, 2] = lambda value: self._check_type(pdo, value, receive=receive)
         if not receive:
             writes[pdo.parameter, 3] = lambda _: self._require_off(pdo)
             writes[pdo.parameter, 5] = lambda value: self._new_event_timer(pdo, value)
-        writes[pdo.mapping, 0] = lambda value: self._check_count(pdo, value, receive)
+        writes[pdo.mapping, 0] = lambda value: self._check_count(pdo, value, receive=receive)
         for sub in range(1, MOST_OBJECTS + 1):
-            writes[pdo.mapping, sub] = lambda value: self._check_object(pdo, value, receive)
+            writes[pdo.mapping, sub] = lambda value: self._check_object(pdo, value, receive=receive)
 
     def _require_off(self, pdo: _PdoParameters) -> None:
         if not self._dictionary.get_value(pdo.parameter, 1) & _OFF:
@@ -130,7 +130,7 @@ class PdoSet:
             raise SdoAbort(aborts.RANGE)
         self._after_write(pdo, (pdo.parameter, 1), value)
 
-    def _check_type(self, pdo: _PdoParameters, value: int, receive: bool) -> None:
+    def _check_type(self, pdo: _PdoParameters, value: int, *, receive: bool) -> None:
         if _SYNCHRONOUS_UP_TO < value < _EVENT_FROM and (receive or value < _REMOTE_SYNCHRONOUS):
             raise SdoAbort(aborts.RANGE)
         self._after_write(pdo, (pdo.parameter, 2), value)
@@ -138,27 +138,27 @@ class PdoSet:
     def _new_event_timer(self, pdo: _PdoParameters, value: int) -> None:
         self._after_write(pdo, (pdo.parameter, 5), value)
 
-    def _check_count(self, pdo: _PdoParameters, value: int, receive: bool) -> None:
+    def _check_count(self, pdo: _PdoParameters, value: int, *, receive: bool) -> None:
         self._require_off(pdo)
         if value > MOST_OBJECTS:
             raise SdoAbort(aborts.TOO_HIGH)
         bits = 0
         for sub in range(1, value + 1):
             word = self._dictionary.get_value(pdo.mapping, sub)
-            self._check_mapped(word, receive)
+            self._check_mapped(word, receive=receive)
             bits += word & 0xFF
         if bits > 64:
             raise SdoAbort(aborts.PDO_LENGTH)
         self._after_write(pdo, (pdo.mapping, 0), value)
 
-    def _check_object(self, pdo: _PdoParameters, value: int, receive: bool) -> None:
+    def _check_object(self, pdo: _PdoParameters, value: int, *, receive: bool) -> None:
         self._require_off(pdo)
         if self._dictionary.get_value(pdo.mapping, 0):
             raise SdoAbort(aborts.UNSUPPORTED)
         if value:
-            self._check_mapped(value, receive)
+            self._check_mapped(value, receive=receive)
 
-    def _check_mapped(self, word: int, receive: bool) -> None:
+    def _check_mapped(self, word: int, *, receive: bool) -> None:
         entry = self._dictionary.find_entry(word >> 16, word >> 8 & 0xFF)
         if not entry.mappable or entry.size * 8 != word & 0xFF or (receive and not entry.writable):
             raise SdoAbort(aborts.NOT_MAPPABLE)

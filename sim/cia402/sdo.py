@@ -2,7 +2,7 @@
 
 import binascii
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sim.cia402 import aborts
 from sim.cia402.aborts import SdoAbort
@@ -18,10 +18,10 @@ LONGEST_BYTES = 1024
 class _SegmentedTransfer:
     """A transfer in segments, each of which is acknowledged."""
 
-    up: bool
     index: int
     sub: int
     data: bytes = b""
+    up: bool = field(kw_only=True)
     size: int | None = None
     toggle: int = 0
 
@@ -32,10 +32,10 @@ class _BlockTransfer:
 
     ending: the last segment has been transferred."""
 
-    up: bool
     index: int
     sub: int
     data: bytes = b""
+    up: bool = field(kw_only=True)
     size: int | None = None
     segments: int = BLOCK_SEGMENTS
     sequence: int = 0
@@ -91,7 +91,7 @@ class SdoServer:
     def _send_abort(self, index: int, sub: int, code: int) -> None:
         self._transfer = None
         self._reply(bytes([0x80, *index.to_bytes(2, "little"), sub, *code.to_bytes(4, "little")]))
-        self._watch(False)
+        self._watch(self._transfer is not None)
 
     def _run_command(self, data: bytes, index: int, sub: int) -> None:
         command = data[0] >> 5
@@ -126,7 +126,7 @@ class SdoServer:
             size = int.from_bytes(data[4:8], "little") if sized else None
             if size is not None and size > LONGEST_BYTES:
                 raise SdoAbort(aborts.TOO_LONG)
-            self._transfer = _SegmentedTransfer(False, index, sub, size=size)
+            self._transfer = _SegmentedTransfer(index, sub, up=False, size=size)
         self._reply(bytes([0x60, *data[1:4], 0, 0, 0, 0]))
 
     def _download_segment(self, data: bytes) -> None:
@@ -152,7 +152,7 @@ class SdoServer:
         if 0 < len(value) <= 4:
             self._reply(bytes([0x43 | (4 - len(value)) << 2, *head]) + value.ljust(4, b"\0"))
         else:
-            self._transfer = _SegmentedTransfer(True, index, sub, value)
+            self._transfer = _SegmentedTransfer(index, sub, value, up=True)
             self._reply(bytes([0x41, *head]) + len(value).to_bytes(4, "little"))
 
     def _upload_segment(self, data: bytes) -> None:
@@ -167,7 +167,7 @@ class SdoServer:
             self._transfer = None
         self._reply(bytes([head]) + part.ljust(SEGMENT_BYTES, b"\0"))
 
-    def _require_segmented(self, up: bool) -> _SegmentedTransfer:
+    def _require_segmented(self, *, up: bool) -> _SegmentedTransfer:
         transfer = self._transfer
         if not isinstance(transfer, _SegmentedTransfer) or transfer.up != up:
             raise SdoAbort(aborts.COMMAND)
@@ -182,7 +182,7 @@ class SdoServer:
             segments = data[4]
             if not 1 <= segments <= BLOCK_SEGMENTS:
                 raise SdoAbort(aborts.BLOCK_SIZE)
-            self._transfer = _BlockTransfer(True, index, sub, value, segments=segments, crc=bool(data[0] & 4))
+            self._transfer = _BlockTransfer(index, sub, value, up=True, segments=segments, crc=bool(data[0] & 4))
             self._reply(bytes([0xC6, *data[1:4]]) + len(value).to_bytes(4, "little"))
             return
         transfer = self._require_block(up=True)
@@ -234,7 +234,7 @@ class SdoServer:
         size = int.from_bytes(data[4:8], "little") if data[0] & 2 else None
         if size is not None and size > LONGEST_BYTES:
             raise SdoAbort(aborts.TOO_LONG)
-        self._transfer = _BlockTransfer(False, index, sub, size=size, crc=bool(data[0] & 4), begun=True)
+        self._transfer = _BlockTransfer(index, sub, up=False, size=size, crc=bool(data[0] & 4), begun=True)
         self._reply(bytes([0xA4, *data[1:4], BLOCK_SEGMENTS, 0, 0, 0]))
 
     def _block_segment(self, transfer: _BlockTransfer, data: bytes) -> None:
@@ -265,7 +265,7 @@ class SdoServer:
         self._transfer = None
         self._reply(bytes([0xA1, 0, 0, 0, 0, 0, 0, 0]))
 
-    def _require_block(self, up: bool) -> _BlockTransfer:
+    def _require_block(self, *, up: bool) -> _BlockTransfer:
         transfer = self._transfer
         if not isinstance(transfer, _BlockTransfer) or transfer.up != up:
             raise SdoAbort(aborts.COMMAND)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from sim.cia402.dictionary import DriveDictionary
@@ -16,14 +17,24 @@ UNLIMITED = 0xFFFF_FFFF
 """Value that switches off a following error window, and other objects."""
 
 
-class ServoMotor:
-    """Motor and control loop of one drive.
+@dataclass(frozen=True, slots=True)
+class ServoEvents:
+    """Calls of the motor.
 
-    changed: called when a value visible to clients has changed.
-    ended: called when a motion has ended.
-    limit: called when the motor reaches a limit switch (-1 negative, 1 positive).
-    strayed: called when the following error has been too large for too long.
+    changed: a value visible to clients has changed.
+    ended: a motion has ended.
+    limit: the motor reaches a limit switch (-1 negative, 1 positive).
+    strayed: the following error has been too large for too long.
     """
+
+    changed: Callable[[], None]
+    ended: Callable[[], None]
+    limit: Callable[[int], None]
+    strayed: Callable[[], None]
+
+
+class ServoMotor:
+    """Motor and control loop of one drive."""
 
     def __init__(
         self,
@@ -31,18 +42,15 @@ class ServoMotor:
         time: DeviceTime,
         options: DriveOptions,
         phase_ns: int,
-        changed: Callable[[], None],
-        ended: Callable[[], None],
-        limit: Callable[[int], None],
-        strayed: Callable[[], None],
+        events: ServoEvents,
     ) -> None:
         self._dictionary = dictionary
         self._options = options
         self._phase_ns = phase_ns
-        self._changed = changed
-        self._ended = ended
-        self._limit = limit
-        self._strayed = strayed
+        self._changed = events.changed
+        self._ended = events.ended
+        self._limit = events.limit
+        self._strayed = events.strayed
         self._stuck_at: float | None = None
         self._pending = 0
         self._orders = 0
@@ -54,7 +62,7 @@ class ServoMotor:
         """Bit 11 of the statusword."""
         self.wanted: list[PositionMark] = []
         """Positions that a homing searches for."""
-        self.terminals = DriveTerminals(options, changed)
+        self.terminals = DriveTerminals(options, events.changed)
         self.mover = MotionGenerator(time, AXIS, self._collect_marks, self._handle_rest)
         self.mover.shift = lambda: self.offset
 
@@ -135,7 +143,7 @@ class ServoMotor:
         """Cancel the order for the next tick."""
         self._pending = 0
 
-    def follow_plan(self, plan: MotionPlan, slowing: bool = False) -> None:
+    def follow_plan(self, plan: MotionPlan, *, slowing: bool = False) -> None:
         """Follow `plan` from now on, unless a pressed limit switch forbids it."""
         direction = plan.distance if plan.distance else plan.segments[0].v
         negative, positive = self.terminals.limit_states(self.mechanical_position)
@@ -144,7 +152,7 @@ class ServoMotor:
             return
         if not slowing:
             self.internal_limit = False
-        self.mover.start_plan(plan, slowing)
+        self.mover.start_plan(plan, slowing=slowing)
         self._changed()
 
     def slow_down(self, rate: float) -> None:
@@ -162,7 +170,7 @@ class ServoMotor:
             self._rested_ns = self.time.now_ns()
             self.time.call_after(self._settle_ns(), self._changed)
         self.cancel_order()
-        self.mover.set_interpolating(False)
+        self.mover.set_interpolating(on=False)
         self.mover.halt_dead()
         self.mover.set_position(self.mechanical_position)
 
@@ -185,7 +193,7 @@ class ServoMotor:
 
     # Environment
 
-    def set_stalled(self, stalled: bool) -> None:
+    def set_stalled(self, *, stalled: bool) -> None:
         self._stuck_at = self.mechanical_position if stalled else None
         self.mover.recheck_marks()
         self._changed()

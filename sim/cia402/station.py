@@ -1,101 +1,92 @@
 """The node on the bus: NMT, boot-up, heartbeat, node guarding, SYNC, EMCY, TIME, permanent memory (CiA 301)."""
 
 import random
-from collections import deque
 from collections.abc import Callable
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, Timer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.link.can import ERROR_BUS_OFF, ERROR_PASSIVE, ERROR_RESTARTED, CanFrame
 from orchestrator.link.can_bus import MemoryCanBus
 from sim.cia402 import aborts
 from sim.cia402.aborts import SdoAbort
 from sim.cia402.dictionary import DriveDictionary
-from sim.cia402.drive import COMMUNICATION_CODE, ServoDrive
+from sim.cia402.drive import COMMUNICATION_CODE, DriveEvents, ServoDrive
+from sim.cia402.emergency import EmergencyProducer
 from sim.cia402.options import DriveOptions
 from sim.cia402.pdo import PdoSet
+from sim.cia402.permanent import PermanentObjects
 from sim.cia402.sdo import SdoServer
-from sim.core.controller import FirmwareTiming
+from sim.cia402.supervision import NodeSupervision
+from sim.cia402.timers import MicrosecondCounter, NodeTimers
+from sim.core.controller import DeviceSpec
 from sim.core.devicetime import DeviceTime
 
 OFF, BOOTING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = -1, 0, 4, 5, 127
 """NMT states, as heartbeats report them; -1: no power."""
 
 _START, _STOP, _ENTER_PRE_OPERATIONAL, _RESET_NODE, _RESET_COMMUNICATION = 1, 2, 0x80, 0x81, 0x82
-_NO_CLIENT = 0x8000_0000
 _PRODUCES = 0x4000_0000
 """In 0x1005: the node is to produce SYNC itself, which this drive does not support."""
 _ID = 0x7FF
-_SAVE, _LOAD = 0x6576_6173, 0x6461_6F6C
-_NOT_KEPT = (0x1003, 0x1010, 0x1011, 0x1013, 0x6040)
-_HISTORY = 8
 _PASSIVE_CODE, _RECOVERED_CODE = 0x8120, 0x8140
 _COMMUNICATION = 0x10
 _COMMUNICATION_OBJECTS = range(0x1000, 0x2000)
 
 
 class DriveNode:
-    """One drive with its CAN controller.
+    """One drive with its CAN controller. Its node number, 1-127, is the address of `device`; 1 without one."""
 
-    node: its number, 1-127."""
-
-    def __init__(
-        self,
-        clock: Clock,
-        time: DeviceTime,
-        bus: MemoryCanBus,
-        node: int,
-        options: DriveOptions,
-        timing: FirmwareTiming,
-        seed: int,
-    ) -> None:
-        draw = random.Random(seed)
-        self._clock = clock
+    def __init__(self, time: DeviceTime, bus: MemoryCanBus, options: DriveOptions, device: DeviceSpec) -> None:
+        draw = random.Random(device.seed)
+        node = 1 if device.address is None else device.address
+        self._clock = time.clock
         self._time = time
         self._options = options
-        self._timing = timing
+        self._timing = device.timing
         self._draw = draw
         self.node = node
         self.state = OFF
         self.dictionary = DriveDictionary(node, frozenset(int(each, 16) for each in options.without))
-        self._delivered = {_parse_key(name): value for name, value in options.objects.items()}
-        self._unknown = next(
-            (name for name in options.objects if _parse_key(name) not in self.dictionary.entries), None
+        self._permanent = PermanentObjects(self.dictionary, options)
+        self.can = bus.attach_node(
+            self._receive_frame, self._handle_bus_error, bitrate=options.bitrate, by_identifier=True
         )
-        if self._unknown is not None:
-            raise ValueError(f"objects: {self._unknown} is not an object of the drive; see its EDS file")
-        self._kept = dict(self._delivered)
-        self.can = bus.attach(self._receive_frame, self._handle_bus_error, bitrate=options.bitrate, by_identifier=True)
-        self.can.connect(False)
+        self.can.set_connected(connected=False)
+        self._timers = NodeTimers(time)
+        self.emergencies = EmergencyProducer(
+            self.dictionary,
+            self._timers,
+            self.can.queue_frames,
+            lambda: self.state in (PRE_OPERATIONAL, OPERATIONAL),
+        )
+        self._supervision = NodeSupervision(self, self._timers)
         self.pdos = PdoSet(
             self.dictionary,
             time,
-            self.can.send,
-            lambda code: self.send_emergency(code, _COMMUNICATION),
+            self.can.queue_frames,
+            lambda code: self.emergencies.send_emergency(code, _COMMUNICATION),
             self._set_filter,
         )
         phase_ns = draw.randrange(options.cycle_us * NS_PER_US)
-        self.drive = ServoDrive(self.dictionary, time, options, phase_ns, self.send_emergency, self.schedule_pdo_check)
-        self._sdo = SdoServer(self.dictionary, self._send_sdo_reply, self._watch_transfer)
-        self._timers: dict[str, Timer] = {}
-        self._emergencies: deque[bytes] = deque()
+        events = DriveEvents(self.emergencies.send_emergency, self.schedule_pdo_check)
+        self.drive = ServoDrive(self.dictionary, time, options, phase_ns, events)
+        self._sdo = SdoServer(self.dictionary, self._send_sdo_reply, lambda on: self._watch_transfer(on=on))
         self._starts = 0
         self._real_time_ns = 0
         self._sdo_free_ns = 0
-        self._toggle = 0
         self._looking = self._following = False
-        self._microseconds_ahead = 0
+        self._counter = MicrosecondCounter(time)
         self._connect_objects()
-        self.set_power(True)
+        self.set_power(on=True)
 
     # Power and NMT
 
-    def set_power(self, on: bool) -> None:
+    def set_power(self, *, on: bool) -> None:
         if on and self.state == OFF:
             self._start_boot()
         elif not on and self.state != OFF:
             self._end_activity(OFF)
             self.drive.power_down()
-            self.can.connect(False)
+            self.can.set_connected(connected=False)
 
     def _end_activity(self, state: int) -> None:
         """Cancel all activity."""
@@ -103,30 +94,28 @@ class DriveNode:
         self._starts += 1
         self.pdos.stop_sending()
         self._sdo.reset_transfer()
-        for timer in self._timers.values():
-            timer.cancel()
-        self._timers.clear()
-        self._emergencies.clear()
+        self._timers.cancel_all()
+        self.emergencies.clear_queue()
 
     def _start_boot(self) -> None:
         self._end_activity(BOOTING)
-        self._call_later("boot", self._options.boot_ms * NS_PER_MS, self._finish_boot)
+        self._timers.call_later("boot", self._options.boot_ms * NS_PER_MS, self._finish_boot)
 
     def _finish_boot(self) -> None:
-        self.dictionary.reset_values(self._kept)
+        self.dictionary.reset_values(self._permanent.kept)
         self.dictionary.put_value(0x1018, 4, self._options.serial)
         self.drive.power_up()
         if not self.can.connected:
-            self.can.connect(True)
+            self.can.set_connected(connected=True)
         self._send_boot_up()
 
     def _send_boot_up(self) -> None:
         """Send the boot-up message, which ends every start of communication."""
         self.state = PRE_OPERATIONAL
-        self._toggle = 0
+        self._supervision.reset_toggle()
         self._set_filter()
-        self.can.send(CanFrame(0x700 + self.node, b"\0"))
-        self._restart_heartbeat(self.dictionary.get_value(0x1017))
+        self.can.queue_frames(CanFrame(0x700 + self.node, b"\0"))
+        self._supervision.restart_heartbeat(self.dictionary.get_value(0x1017))
 
     def _handle_nmt(self, command: int) -> None:
         if command == _START and self.state != OPERATIONAL:
@@ -146,24 +135,12 @@ class DriveNode:
         elif command == _RESET_COMMUNICATION:
             self.drive.connection_lost()
             self._end_activity(BOOTING)
-            kept = {key: value for key, value in self._kept.items() if key[0] in _COMMUNICATION_OBJECTS}
+            kept = {key: value for key, value in self._permanent.kept.items() if key[0] in _COMMUNICATION_OBJECTS}
             application = {
                 k: v for k, v in self.dictionary.writable_values().items() if k[0] not in _COMMUNICATION_OBJECTS
             }
             self.dictionary.reset_values(kept | application)
-            self._call_later("boot", NS_PER_MS, self._send_boot_up)
-
-    def _call_later(self, name: str, after_ns: int, callback: Callable[[], None]) -> None:
-        """Call back unless this node is restarted before, or the timer of this name is set again."""
-        old = self._timers.pop(name, None)
-        if old is not None:
-            old.cancel()
-        self._timers[name] = self._time.call_after(after_ns, callback)
-
-    def _cancel_timer(self, name: str) -> None:
-        timer = self._timers.pop(name, None)
-        if timer is not None:
-            timer.cancel()
+            self._timers.call_later("boot", NS_PER_MS, self._send_boot_up)
 
     # From the bus
 
@@ -174,9 +151,9 @@ class DriveNode:
             if self.state in (PRE_OPERATIONAL, OPERATIONAL):
                 self._queue_request(lambda: self._sdo.handle_request(frame.data))
         elif frame.id == 0x700 + self.node and frame.rtr:
-            self._answer_guarding()
+            self._supervision.answer_guarding()
         elif frame.id > 0x700:
-            self._handle_heartbeat(frame.id - 0x700)
+            self._supervision.handle_heartbeat(frame.id - 0x700)
         else:
             self._queue_interrupt(lambda: self._process_frame(frame))
 
@@ -248,69 +225,19 @@ class DriveNode:
         self.schedule_pdo_check()
 
     def _send_sdo_reply(self, data: bytes) -> None:
-        self.can.send(CanFrame(0x580 + self.node, data))
+        self.can.queue_frames(CanFrame(0x580 + self.node, data))
 
-    def _watch_transfer(self, on: bool) -> None:
+    def _watch_transfer(self, *, on: bool) -> None:
         if on and self._options.sdo_timeout_ms:
-            self._call_later("sdo", self._options.sdo_timeout_ms * NS_PER_MS, self._sdo.abort_timed_out)
+            self._timers.call_later("sdo", self._options.sdo_timeout_ms * NS_PER_MS, self._sdo.abort_timed_out)
         else:
-            self._cancel_timer("sdo")
-
-    def send_emergency(self, code: int, register: int) -> None:
-        """Send EMCY, and add the error to the history. Code 0: no error is left."""
-        dictionary = self.dictionary
-        dictionary.put_value(0x1001, 0, register)
-        if code:
-            errors = [dictionary.get_value(0x1003, sub) for sub in range(1, _HISTORY)]
-            for sub, error in enumerate([code, *errors], 1):
-                dictionary.put_value(0x1003, sub, error)
-            dictionary.put_value(0x1003, 0, min(_HISTORY, dictionary.get_value(0x1003, 0) + 1))
-        if self.state in (PRE_OPERATIONAL, OPERATIONAL) and not dictionary.get_value(0x1014) & _NO_CLIENT:
-            self._emergencies.append(code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))
-            if "emergency" not in self._timers:
-                self._send_next_emergency()
-
-    def _send_next_emergency(self) -> None:
-        """Send the queued EMCYs one at a time, each after the inhibit time of the one before (0x1015, in 100 µs)."""
-        self._cancel_timer("emergency")
-        if not self._emergencies:
-            return
-        self.can.send(CanFrame(self.dictionary.get_value(0x1014) & _ID, self._emergencies.popleft()))
-        inhibit_ns = self.dictionary.get_value(0x1015) * 100 * NS_PER_US
-        if inhibit_ns:
-            self._call_later("emergency", inhibit_ns, self._send_next_emergency)
-        elif self._emergencies:
-            self._send_next_emergency()
+            self._timers.cancel_timer("sdo")
 
     # Node guarding and heartbeats
 
-    def _restart_heartbeat(self, every_ms: int) -> None:
-        self._cancel_timer("heartbeat")
-        if every_ms:
-
-            def send_heartbeat() -> None:
-                self.can.send(CanFrame(0x700 + self.node, bytes([self.state])))
-                self._call_later("heartbeat", every_ms * NS_PER_MS, send_heartbeat)
-
-            self._call_later("heartbeat", every_ms * NS_PER_MS, send_heartbeat)
-
-    def _answer_guarding(self) -> None:
-        """Node guarding: answer with the state and a bit that alternates."""
-        self.can.send(CanFrame(0x700 + self.node, bytes([self.state | self._toggle << 7])))
-        self._toggle ^= 1
-        life_ms = self.dictionary.get_value(0x100C) * self.dictionary.get_value(0x100D)
-        if life_ms:
-            self._call_later("life", life_ms * NS_PER_MS, self._handle_node_loss)
-
-    def _handle_heartbeat(self, node: int) -> None:
-        for sub in (1, 2):
-            word = self.dictionary.get_value(0x1016, sub)
-            if word >> 16 & 0x7F == node and word & 0xFFFF:
-                self._call_later(f"consumer{sub}", (word & 0xFFFF) * NS_PER_MS, self._handle_node_loss)
-
-    def _handle_node_loss(self) -> None:
+    def handle_node_loss(self) -> None:
         """Handle the loss of the node that guards this one, or of a node that this one watches."""
-        self.send_emergency(COMMUNICATION_CODE, _COMMUNICATION | 1)
+        self.emergencies.send_emergency(COMMUNICATION_CODE, _COMMUNICATION | 1)
         self._report_communication_error()
 
     def _report_communication_error(self) -> None:
@@ -323,62 +250,33 @@ class DriveNode:
 
     def _handle_bus_error(self, what: int) -> None:
         if what == ERROR_BUS_OFF:
-            self._clock.call_at_ns(self._clock.now_ns() + self._options.bus_off_ms * NS_PER_MS, self.can.restart)
+            self._clock.call_at_ns(self._clock.now_ns() + self._options.bus_off_ms * NS_PER_MS, self.can.leave_bus_off)
             self._report_communication_error()
         elif what == ERROR_RESTARTED:
-            self.send_emergency(_RECOVERED_CODE, _COMMUNICATION)
-        elif what == ERROR_PASSIVE and self.can.state == "passive":
-            self.send_emergency(_PASSIVE_CODE, _COMMUNICATION)
+            self.emergencies.send_emergency(_RECOVERED_CODE, _COMMUNICATION)
+        elif what == ERROR_PASSIVE and self.can.node_state == "passive":
+            self.emergencies.send_emergency(_PASSIVE_CODE, _COMMUNICATION)
 
     # Objects of the node itself
 
     def _connect_objects(self) -> None:
         reads, writes = self.dictionary.reads, self.dictionary.writes
         reads[0x1010, 1] = reads[0x1011, 1] = lambda: 1
-        writes[0x1010, 1] = self._save_objects
-        writes[0x1011, 1] = self._load_objects
-        writes[0x1017, 0] = self._restart_heartbeat
-        writes[0x1003, 0] = self._clear_history
+        writes[0x1010, 1] = self._permanent.save_objects
+        writes[0x1011, 1] = self._permanent.load_objects
+        writes[0x1017, 0] = self._supervision.restart_heartbeat
+        writes[0x1003, 0] = self.emergencies.clear_history
         for sub in (1, 2):
             writes[0x1016, sub] = lambda value, sub=sub: self._watch_other(sub, value)
         writes[0x1005, 0] = self._new_sync
-        reads[0x1013, 0] = self._read_microseconds
-        writes[0x1013, 0] = self._set_microseconds
+        reads[0x1013, 0] = self._counter.read_counter
+        writes[0x1013, 0] = self._counter.set_counter
 
     def _watch_other(self, sub: int, value: int) -> None:
-        self._cancel_timer(f"consumer{sub}")
+        self._timers.cancel_timer(f"consumer{sub}")
         self._store_filtered(0x1016, sub, value)
 
     def _new_sync(self, value: int) -> None:
         if value & _PRODUCES:
             raise SdoAbort(aborts.RANGE)
         self._store_filtered(0x1005, 0, value)
-
-    def _save_objects(self, signature: int) -> None:
-        if signature != _SAVE:
-            raise SdoAbort(aborts.NOT_STORED)
-        kept = self.dictionary.writable_values()
-        self._kept = {key: value for key, value in kept.items() if key[0] not in _NOT_KEPT}
-
-    def _load_objects(self, signature: int) -> None:
-        if signature != _LOAD:
-            raise SdoAbort(aborts.NOT_STORED)
-        self._kept = dict(self._delivered)
-
-    def _clear_history(self, value: int) -> None:
-        if value:
-            raise SdoAbort(aborts.RANGE)
-        for sub in range(1, _HISTORY + 1):
-            self.dictionary.put_value(0x1003, sub, 0)
-
-    def _read_microseconds(self) -> int:
-        return (self._time.now_ns() // NS_PER_US + self._microseconds_ahead) % (1 << 32)
-
-    def _set_microseconds(self, value: int) -> None:
-        self._microseconds_ahead = value - self._time.now_ns() // NS_PER_US
-
-
-def _parse_key(name: str) -> tuple[int, int]:
-    """Parse `6091:1` as index and sub-index."""
-    index, _, sub = name.partition(":")
-    return int(index, 16), int(sub or "0", 16)

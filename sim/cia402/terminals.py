@@ -28,7 +28,7 @@ class DriveTerminals:
 
     # Inputs
 
-    def set_input(self, number: int, level: bool) -> None:
+    def set_input(self, number: int, *, level: bool) -> None:
         if not 1 <= number <= POINTS:
             raise ValueError(f"no input {number}; there are 1-{POINTS}")
         self._inputs[number - 1] = level

@@ -37,19 +37,19 @@ class SimulatedDrive:
 
     # Environment
 
-    def set_power(self, on: bool) -> None:
-        self.station.set_power(on)
+    def set_power(self, *, on: bool) -> None:
+        self.station.set_power(on=on)
 
-    def set_input(self, number: int, level: bool) -> None:
-        self.station.drive.set_input(number, level)
+    def set_input(self, number: int, *, level: bool) -> None:
+        self.station.drive.set_input(number, level=level)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         _require_axis(axis)
         self.station.drive.set_limit(which)
 
-    def set_stalled(self, axis: str, stalled: bool) -> None:
+    def set_stalled(self, axis: str, *, stalled: bool) -> None:
         _require_axis(axis)
-        self.station.drive.servo.set_stalled(stalled)
+        self.station.drive.servo.set_stalled(stalled=stalled)
 
     def push_axis(self, axis: str, counts: int) -> None:
         """Push the axis. Raises `ValueError` while the motor keeps torque."""
@@ -118,6 +118,5 @@ def build_bus(clock: Clock, branches: Sequence[DeviceSpec]) -> tuple[CanSegment,
 
 def _build_on_segment(clock: Clock, segment: CanSegment, branch: DeviceSpec, options: DriveOptions) -> SimulatedDrive:
     time = DeviceTime(clock, branch.oscillator)
-    node = 1 if branch.address is None else branch.address
-    station = DriveNode(clock, time, segment.bus, node, options, branch.timing, branch.seed)
+    station = DriveNode(time, segment.bus, options, branch)
     return SimulatedDrive(segment, station, time)

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 from orchestrator.clock.base import Clock
-from orchestrator.link.supply import Supply
+from orchestrator.link.supply import PowerSupply
+from orchestrator.model.errors import TuttiError
 from sim.core.oscillator import Oscillator
 
 SendBytes = Callable[[bytes], None]
 LimitSwitch = Literal["forward", "reverse", "both", "none"]
 
 
-class PortRefused(Exception):
+class PortRefused(TuttiError):
     """The controller rejects this connection (no such port, or no free handle); the message states the reason."""
 
 
@@ -56,12 +57,12 @@ class PortConnection(Protocol):
     """One open connection to one port of the controller."""
 
     @property
-    def supply(self) -> Supply:
+    def supply(self) -> PowerSupply:
         """Power supply of the device that owns this port. Loss of power cuts off its output; without power the
         connection closes if the port does so."""
         ...
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         """Process `data`, which arrives now."""
         ...
 
@@ -91,19 +92,19 @@ class SimulatedController(Protocol):
 
     # Physical environment, changed from outside at the present instant.
 
-    def set_power(self, on: bool) -> None:
+    def set_power(self, *, on: bool) -> None:
         """Switch the power. Off: motion stops dead, connections drop, volatile state is lost. On: power-up as in the
         manual."""
         ...
 
-    def set_input(self, number: int, level: bool) -> None: ...
+    def set_input(self, number: int, *, level: bool) -> None: ...
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         """Press limit switches of the axis from outside, independent of its travel; `none` restores the travel's own
         state."""
         ...
 
-    def set_stalled(self, axis: str, stalled: bool) -> None:
+    def set_stalled(self, axis: str, *, stalled: bool) -> None:
         """Stall or free an axis. A stalled axis does not follow its command."""
         ...
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from orchestrator.clock.base import Clock, Timer
+from orchestrator.clock.base import Clock, ClockTimer
 from sim.core.oscillator import Oscillator
 
 _STRIDE_NS = 600_000_000_000
@@ -22,7 +22,7 @@ class _FarTimer:
         self._time = time
         self._at_ns = at_ns
         self._callback = callback
-        self._timer: Timer
+        self._timer: ClockTimer
         self._advance_stride()
 
     def _advance_stride(self) -> None:
@@ -56,13 +56,13 @@ class DeviceTime:
         """Convert device instant `at_ns`, which should not be far ahead, to true time."""
         return self.oscillator.true_ns(at_ns)
 
-    def call_at(self, at_ns: int, callback: Callable[[], None]) -> Timer:
+    def call_at(self, at_ns: int, callback: Callable[[], None]) -> ClockTimer:
         """Call back at device instant `at_ns`, however far ahead."""
         if at_ns - self.now_ns() > _STRIDE_NS:
             return _FarTimer(self, at_ns, callback)
         return self.clock.call_at_ns(self.true_ns(at_ns), callback)
 
-    def call_after(self, delay_ns: int, callback: Callable[[], None]) -> Timer:
+    def call_after(self, delay_ns: int, callback: Callable[[], None]) -> ClockTimer:
         """Call back after `delay_ns` of device time, of any length."""
         return self.call_at(self.now_ns() + delay_ns, callback)
 

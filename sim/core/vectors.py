@@ -15,6 +15,7 @@ from typing import Any, cast
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.queue import EventQueue
+from orchestrator.model.errors import TuttiError
 from sim.core.controller import PortConnection, Simulator, VectorBench
 
 QUIET_NS = 200_000_000  # a reply ends after this time without a byte
@@ -24,7 +25,7 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 Vector = Mapping[str, Any]
 
 
-class VectorFileError(ValueError):
+class VectorFileError(TuttiError, ValueError):
     """A vector file that cannot be read; the message names file, line and error."""
 
 
@@ -138,7 +139,7 @@ class _VectorRun:
         self.received.clear()
         self.last_byte_ns = self.clock.now_ns()
         if text:
-            self.connection.receive(text.encode("latin-1"))
+            self.connection.receive_bytes(text.encode("latin-1"))
 
     def collect_reply(self, quiet_ns: int = QUIET_NS) -> bytes:
         """Return the bytes received since `send_text`, once the controller has been quiet for `quiet_ns`."""
@@ -153,7 +154,7 @@ class _VectorRun:
             if due_ns is None or due_ns > limit_ns:
                 self.clock.run_until_ns(limit_ns)
                 return
-            self.clock.step()
+            self.clock.make_next_call()
 
     def run_step(self, step: Mapping[str, Any]) -> None:
         """Run a `setup` step."""
@@ -166,8 +167,8 @@ class _VectorRun:
             elif name == "until":
                 self.wait_for_rest()
             elif name == "power":
-                self.controller.set_power(False)
-                self.controller.set_power(True)
+                self.controller.set_power(on=False)
+                self.controller.set_power(on=True)
                 self.connection = self._open_port()
             else:
                 self.bench.apply_given({name: value})

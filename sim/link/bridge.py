@@ -10,6 +10,7 @@ import socket
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from sim.core.controller import LineEndpoint, PortConnection, PortRefused
+from sim.link.arguments import TcpAddress
 from sim.link.pacing import PacedLine
 
 PORT = "serial"
@@ -102,9 +103,9 @@ class BridgeServer:
         """Forward `data` from a client to the line."""
         self._in.queue_lines(data)
         if not self._held_up and self._in.waiting >= UNSENT_BYTES:
-            self._throttle_clients(True)
+            self._throttle_clients(on=True)
 
-    def _throttle_clients(self, on: bool) -> None:
+    def _throttle_clients(self, *, on: bool) -> None:
         """Pause or resume clients that send faster than the line transmits."""
         self._held_up = on
         for client in self.clients:
@@ -113,12 +114,12 @@ class BridgeServer:
 
     def _deliver_to_controller(self, data: bytes) -> None:
         if self._held_up and self._in.waiting < UNSENT_BYTES:
-            self._throttle_clients(False)
+            self._throttle_clients(on=False)
         self.restore_link()
         if self._far is not None:
-            delivered = self._far.supply.heard(data, self._clock.now_ns(), self._char_ns)
+            delivered = self._far.supply.cut_received(data, self._clock.now_ns(), self._char_ns)
             if delivered:
-                self._far.receive(delivered)
+                self._far.receive_bytes(delivered)
 
     def _send_to_clients(self, data: bytes) -> None:
         for client in list(self.clients):
@@ -130,11 +131,11 @@ class BridgeServer:
 
 
 async def listen_bridge(
-    controller: LineEndpoint, clock: Clock, host: str, port: int, baud: int, bits: int
+    controller: LineEndpoint, clock: Clock, place: TcpAddress, baud: int, bits: int
 ) -> BridgeServer:
-    """Serve the serial port of `controller` at `host` and `port`. Raises `PortRefused` when it has none, `OSError`."""
+    """Serve the serial port of `controller` at `place`. Raises `PortRefused` when it has none, `OSError`."""
     if PORT not in controller.port_names:
         raise PortRefused(f"no port {PORT!r}; this model has {', '.join(controller.port_names)}")
     server = BridgeServer(controller, clock, baud, bits)
-    await server.open_port(host, port)
+    await server.open_port(place.host, place.port)
     return server

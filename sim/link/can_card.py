@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.link.can import ERROR_BUS_OFF, CanFrame, FrameReader, encode
+from orchestrator.link.can import ERROR_BUS_OFF, CanFrame, FrameReader, encode_frames
 from orchestrator.link.can_bus import PASSIVE_FROM, MemoryCanBus
-from orchestrator.link.supply import Supply
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import PortConnection, PortRefused, SendBytes
 
 PORT = "can"
@@ -24,28 +24,28 @@ _NOW_ACTIVE = 0x40
 class CanCard:
     """One open connection from the computer to the bus; implements `PortConnection`. The computer has power."""
 
-    supply = Supply()
+    supply = PowerSupply()
 
     def __init__(self, bus: MemoryCanBus, send: Callable[[bytes], None]) -> None:
         self._bus = bus
         self._send = send
         self._reader = FrameReader()
-        self.node = bus.attach(lambda frame: send(encode(frame)), self._report_bus_error)
+        self.node = bus.attach_node(lambda frame: send(encode_frames(frame)), self._report_bus_error)
 
-    def receive(self, data: bytes) -> None:
-        self.node.send(*(frame for frame in self._reader.feed(data) if not frame.error))
+    def receive_bytes(self, data: bytes) -> None:
+        self.node.queue_frames(*(frame for frame in self._reader.add_bytes(data) if not frame.error))
 
     def close(self) -> None:
         """Close the connection; frames not yet sent are lost."""
-        self._bus.detach(self.node)
+        self._bus.detach_node(self.node)
 
     def _report_bus_error(self, what: int) -> None:
         passive = max(self.node.transmit_errors, self.node.receive_errors) >= PASSIVE_FROM
         state = _NOW_PASSIVE if passive else _NOW_ACTIVE
         counters = [min(255, self.node.transmit_errors), min(255, self.node.receive_errors)]
-        self._send(encode(CanFrame(what, bytes([0, state, 0, 0, 0, 0, *counters]), error=True)))
+        self._send(encode_frames(CanFrame(what, bytes([0, state, 0, 0, 0, 0, *counters]), error=True)))
         if what == ERROR_BUS_OFF:
-            self._bus.later(RESTART_NS, self.node.restart)
+            self._bus.schedule_call(RESTART_NS, self.node.leave_bus_off)
 
 
 class CanSegment:

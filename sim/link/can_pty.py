@@ -9,7 +9,7 @@ from pathlib import Path
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.can import ERROR_BUS_OFF, CanFrame
 from orchestrator.link.can_bus import CanNode, MemoryCanBus
-from orchestrator.link.supply import Supply
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import PortConnection, PortRefused, SendBytes
 from sim.link.can_card import RESTART_NS, CanSegment
 from sim.link.pty import PORT, PtyServer
@@ -28,7 +28,7 @@ _CHARACTER_BITS = 10
 class _SlcanAdapter:
     """One client of the adapter. It is a node of the bus while its channel is open, and has its power from the host."""
 
-    supply = Supply()
+    supply = PowerSupply()
 
     def __init__(self, bus: MemoryCanBus, clock: Clock, send: SendBytes) -> None:
         self._bus = bus
@@ -49,7 +49,7 @@ class _SlcanAdapter:
             b"N": lambda _: b"NTUT1\r",
         }
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         for byte in data:
             if byte == 0x0D:
                 line, self._line = self._line, b""
@@ -59,7 +59,7 @@ class _SlcanAdapter:
 
     def close(self) -> None:
         if self._node is not None:
-            self._bus.detach(self._node)
+            self._bus.detach_node(self._node)
             self._node = None
 
     def _answer_line(self, line: bytes) -> bytes:
@@ -83,7 +83,7 @@ class _SlcanAdapter:
         if rest or self._node is not None:
             return _BELL
         self._listens_only = self._failed = False
-        self._node = self._bus.attach(self._forward_frame, self._handle_bus_error, bitrate=self._bitrate)
+        self._node = self._bus.attach_node(self._forward_frame, self._handle_bus_error, bitrate=self._bitrate)
         return _OK
 
     def _open_listen_only(self, rest: bytes) -> bytes:
@@ -106,7 +106,7 @@ class _SlcanAdapter:
     def _read_flags(self, rest: bytes) -> bytes:
         if rest or self._node is None:
             return _BELL
-        flags = _PASSIVE_FLAG * (self._node.state == "passive") | _ERROR_FLAG * self._failed
+        flags = _PASSIVE_FLAG * (self._node.node_state == "passive") | _ERROR_FLAG * self._failed
         self._failed = False
         return b"F%02X\r" % flags
 
@@ -117,7 +117,7 @@ class _SlcanAdapter:
         data = bytes(length) if remote else bytes.fromhex(rest[digits + 1 :].decode("ascii"))
         if self._node is None or self._listens_only or len(data) != length:
             return _BELL
-        self._node.send(CanFrame(int(rest[:digits], 16), data, extended, remote))
+        self._node.queue_frames(CanFrame(int(rest[:digits], 16), data, extended, remote))
         return b"Z\r" if extended else b"z\r"
 
     # The bus
@@ -132,7 +132,7 @@ class _SlcanAdapter:
     def _handle_bus_error(self, what: int) -> None:
         self._failed = True
         if what == ERROR_BUS_OFF and self._node is not None:
-            self._bus.later(RESTART_NS, self._node.restart)
+            self._bus.schedule_call(RESTART_NS, self._node.leave_bus_off)
 
 
 class _SlcanPort:

@@ -3,8 +3,8 @@
 from collections import deque
 from collections.abc import Callable
 
-from orchestrator.clock.base import Clock, Timer
-from orchestrator.link.supply import Supply
+from orchestrator.clock.base import Clock, ClockTimer
+from orchestrator.link.supply import PowerSupply
 
 
 class PacedLine:
@@ -15,8 +15,8 @@ class PacedLine:
         self._char_ns = char_ns
         self._deliver = deliver
         self._free_ns = 0
-        self._cut = Supply()
-        self._next: Timer | None = None
+        self._cut = PowerSupply()
+        self._next: ClockTimer | None = None
         self._underway: deque[tuple[int, bytes]] = deque()
         self.waiting = 0
         """Bytes that are still on the line."""
@@ -38,13 +38,13 @@ class PacedLine:
         """Discard bytes that had not left when the sender lost its power, at `at_ns` or earlier."""
         if at_ns <= self._cut.lost_ns:
             return
-        self._cut.switched(False, at_ns)
+        self._cut.set_power(on=False, at_ns=at_ns)
         if self._underway and self._next is not None:
             self._next.cancel()
             ends_ns, data = self._underway[0]
             self._underway.clear()
             self.waiting = 0
-            left = self._cut.left(data, ends_ns - len(data) * self._char_ns, ends_ns, self._char_ns)
+            left = self._cut.cut_sent(data, ends_ns - len(data) * self._char_ns, ends_ns, self._char_ns)
             if left:
                 self._deliver(left)
         self._free_ns = min(self._free_ns, at_ns)

@@ -20,8 +20,9 @@ from typing import TextIO
 
 from pydantic import ValidationError
 
-from orchestrator.clock.live import LiveClock, begin_live
-from orchestrator.clock.realtime import Urgency, hurry
+from orchestrator.clock.live import LiveClock, prepare_live_process
+from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+from orchestrator.model.errors import TuttiError
 from sim.core.controller import (
     DeviceSpec,
     FirmwareTiming,
@@ -48,14 +49,14 @@ from sim.link.world import EnvironmentRefused, change_environment
 Server = TcpServer | UdpServer | PtyServer | BridgeServer
 
 
-class CannotStart(Exception):
+class CannotStart(TuttiError):
     """The simulator cannot be served as requested; the message states the reason."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run until ended. Return 0, or 2 with one line on stderr when it cannot start."""
     links = parse_arguments(arguments)
-    hurry(Urgency.BUS)
+    set_realtime_priority(RealtimePriority.BUS)
     try:
         on_ethernet = all(each.model == "smc4000" and not isinstance(each.listen, PtyAddress) for each in links)
         with asyncio.Runner(loop_factory=_exact_loop if on_ethernet else None) as runner:
@@ -85,7 +86,7 @@ async def _run_links(links: Sequence[argparse.Namespace]) -> None:
     with contextlib.suppress(asyncio.CancelledError), contextlib.ExitStack() as cleanup:
         lines = await _standard_input()
         followers = [await _open_link(chosen, clock, cleanup) for chosen in links]
-        begin_live()
+        prepare_live_process()
         for chosen, (server, *_) in zip(links, followers, strict=True):
             sys.stdout.write(json.dumps({"name": chosen.name, **server.ready_fields}) + "\n")
         sys.stdout.flush()
@@ -172,7 +173,7 @@ async def _serve_endpoint(chosen: argparse.Namespace, controller: LineEndpoint, 
             return await listen_udp(controller, place.host, place.port)
         if TCP_PORT in controller.port_names:
             return await listen_tcp(controller, place.host, place.port)
-        return await listen_bridge(controller, clock, place.host, place.port, chosen.baud, chosen.frame)
+        return await listen_bridge(controller, clock, place, chosen.baud, chosen.frame)
     except (PortRefused, OSError) as error:
         raise CannotStart(f"--listen: {error}") from None
 

@@ -38,7 +38,7 @@ class _TcpHandle(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         if self._far is not None:
-            self._far.receive(data)
+            self._far.receive_bytes(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         del exc

@@ -36,7 +36,7 @@ class UdpServer(asyncio.DatagramProtocol):
                 )
             except PortRefused:
                 return
-        handle.receive(data)
+        handle.receive_bytes(data)
 
     def restore_link(self) -> None:
         """Do nothing: after a power cycle the controller has no handles; the next datagram makes one."""

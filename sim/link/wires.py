@@ -12,7 +12,7 @@ from sim.link.arguments import WireFields
 def follow_outputs(controller: SimulatedController, wires: Sequence[WireFields], clock: Clock) -> None:
     """Make each wire's far end follow its output from now on. An absent receiver misses the change."""
 
-    def forward_change(output: int, on: bool) -> None:
+    def forward_change(output: int, *, on: bool) -> None:
         for wire in wires:
             if wire.output == output:
                 line = json.dumps({"input": [wire.input, on == wire.level_when_on]}).encode() + b"\n"
@@ -21,7 +21,7 @@ def follow_outputs(controller: SimulatedController, wires: Sequence[WireFields],
                 )
 
     if wires:
-        controller.on_output(forward_change)
+        controller.on_output(lambda output, on: forward_change(output, on=on))
 
 
 def _send_change(wire: WireFields, line: bytes) -> None:

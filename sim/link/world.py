@@ -4,10 +4,11 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from orchestrator.model.errors import TuttiError
 from sim.core.controller import LimitSwitch, SimulatedController
 
 
-class EnvironmentRefused(ValueError):
+class EnvironmentRefused(TuttiError, ValueError):
     """A line that cannot be carried out; the message states the reason."""
 
 
@@ -48,12 +49,14 @@ def change_environment(controller: SimulatedController, line: str) -> None:
 
 def _apply_change(controller: SimulatedController, change: EnvironmentChange) -> None:
     if change.power is not None:
-        controller.set_power(change.power)
+        controller.set_power(on=change.power)
     if change.input is not None:
-        controller.set_input(*change.input)
+        number, level = change.input
+        controller.set_input(number, level=level)
     if change.limit is not None:
         controller.set_limit(*change.limit)
     if change.stall is not None:
-        controller.set_stalled(*change.stall)
+        axis, stalled = change.stall
+        controller.set_stalled(axis, stalled=stalled)
     if change.push is not None:
         controller.push_axis(*change.push)

@@ -1,18 +1,18 @@
-"""The state of one axis."""
+"""The state of one axis, its running motion, and its activity."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from orchestrator.clock.base import NS_PER_S, ClockTimer
+from sim.core.controller import CommandedMotion
 from sim.ppsmc.encoder import IncrementalEncoder
 from sim.ppsmc.grammar import round_nearest
-from sim.ppsmc.sensors import TravelSwitches
+from sim.ppsmc.legs import MotionEnd, TaskKind
+from sim.ppsmc.path import SpeedProfile, StepPath
+from sim.ppsmc.sensors import TravelSwitches, UntilSwitch
 from sim.ppsmc.settings import AxisSettings
-
-if TYPE_CHECKING:
-    from sim.ppsmc.drive import MotionRun
-    from sim.ppsmc.task import AxisTask
 
 STEP_LIMIT = 2**23 - 1
 """Largest distance of a target from zero (L2022)."""
@@ -20,6 +20,21 @@ STEP_LIMIT = 2**23 - 1
 LIMIT_ERROR = (1500, "limit switch error")
 POSITIONING_ERROR = (1501, "positioning error")
 NO_ERROR = (0, "")
+
+
+class AxisActivity(Protocol):
+    """A sequence of motions and pauses that keeps an axis busy."""
+
+    @property
+    def kind(self) -> TaskKind: ...
+
+    def stop_task(self) -> None:
+        """Stop as by q: decelerate, and discard the rest."""
+        ...
+
+    def abort_task(self) -> None:
+        """Stop dead without notification."""
+        ...
 
 
 @dataclass(slots=True, eq=False)
@@ -42,7 +57,7 @@ class StepperAxis:
     oscillation_error: bool = False
     error: tuple[int, str] = NO_ERROR
     run: "MotionRun | None" = None
-    task: "AxisTask | None" = None
+    task: AxisActivity | None = None
     queued: Callable[[], None] | None = None
     """The one target that waits for the end of the motion (decision 13)."""
     target: tuple[bool, Fraction] | None = None
@@ -87,3 +102,30 @@ class StepperAxis:
         factor = self.settings.cf if self.settings.ecl else Fraction(1)
         content = round_nearest(position * factor / self.settings.eres)
         self.encoder.load_counter(-content if self.settings.edir else content, self.steps - self.origin)
+
+
+Ended = Callable[[MotionEnd], None]
+
+
+@dataclass(slots=True, eq=False)
+class MotionRun:
+    """A running motion of one axis. Path displacements count from `base`."""
+
+    axis: StepperAxis
+    path: StepPath
+    profile: SpeedProfile
+    start_ns: int
+    """Device time at the path's time 0; slightly ahead of now at a skewed start."""
+    base: int
+    until: UntilSwitch | None
+    ended: Ended
+    motion: CommandedMotion
+    soft: bool = False
+    """At its `UntilSwitch` it decelerates instead of stopping dead."""
+    found: bool = False
+    stopping: bool = False
+    quit: bool = False
+    timer: ClockTimer | None = None
+
+    def path_seconds(self, now_ns: int) -> float:
+        return (now_ns - self.start_ns) / NS_PER_S

@@ -50,10 +50,15 @@ class PpsmcBench:
     def apply_given(self, state: Mapping[str, object]) -> None:
         """Set up the state of a vector's `given` or of a `setup` step."""
         stated = _GivenState.model_validate(dict(state))
-        controller, machine = self._controller, self._controller.machine
         if stated.power is not None:
-            controller.set_power(False)
-            controller.set_power(True)
+            self._controller.set_power(on=False)
+            self._controller.set_power(on=True)
+        self._apply_positions(stated)
+        self._apply_signals(stated)
+        self._apply_conditions(stated)
+
+    def _apply_positions(self, stated: _GivenState) -> None:
+        controller = self._controller
         for name, position in stated.position.items():
             axis = controller.find_axis(name)
             axis.set_counter(round(position * float(axis.settings.steps_per_unit)))
@@ -62,8 +67,11 @@ class PpsmcBench:
             if axis.encoder is None:
                 raise ValueError("encoder: the axes have none; set option 'encoder'")
             axis.encoder.load_counter(increments, axis.steps - axis.origin)
+
+    def _apply_signals(self, stated: _GivenState) -> None:
+        controller, machine = self._controller, self._controller.machine
         for number, level in stated.inputs.items():
-            controller.set_input(number, level)
+            controller.set_input(number, level=level)
         for number, level in stated.outputs.items():
             machine.output_byte = machine.output_byte & ~(1 << number) | level << number
         for name, which in stated.limits.items():
@@ -72,12 +80,15 @@ class PpsmcBench:
             axis = controller.find_axis(name)
             axis.switches.held[TravelSwitch.ORG] = on
             machine.rearm_axis(axis)
+
+    def _apply_conditions(self, stated: _GivenState) -> None:
+        controller = self._controller
         for name, on in stated.referenced.items():
             controller.find_axis(name).referenced = on
         for name in stated.stalled:
-            controller.set_stalled(name, True)
+            controller.set_stalled(name, stalled=True)
         if stated.error.get("oscillation"):
-            for axis in machine.axes:
+            for axis in controller.machine.axes:
                 axis.oscillation_error = True
 
     def is_refusal(self, reply: bytes) -> bool:

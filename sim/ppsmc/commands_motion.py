@@ -15,7 +15,9 @@ from sim.ppsmc.grammar import (
     text_after_colon,
 )
 from sim.ppsmc.homing import homing_steps, read_homing
+from sim.ppsmc.legs import Steps, TaskKind
 from sim.ppsmc.moves import (
+    PositioningStart,
     clock_check,
     full_step,
     jogging_steps,
@@ -27,7 +29,6 @@ from sim.ppsmc.moves import (
 from sim.ppsmc.path import SpeedProfile
 from sim.ppsmc.registry import CommandEntry, Commands, CommandUsage
 from sim.ppsmc.sensors import TravelSwitch
-from sim.ppsmc.task import Steps, TaskKind
 from sim.ppsmc.unit import CommandClient, ControlProgram
 
 _SPIN_MOST_HZ = 2_457_000
@@ -70,22 +71,24 @@ def _parse_distance(unit: ControlProgram, axis: StepperAxis, text: str) -> tuple
 
 
 def _start_positioning(
-    unit: ControlProgram, client: CommandClient, axis: StepperAxis, text: str, absolute: bool, counting: bool = False
+    unit: ControlProgram, client: CommandClient, rest: str, *, absolute: bool, counting: bool = False
 ) -> None:
     """goto, move and movec; for a moving axis the target waits, one at most (decision 13)."""
-    distance, own = _parse_distance(unit, axis, text)
+    axis, rest = _parse_addressed(unit, rest)
+    if counting and unit.counter.is_counting:
+        raise InputRefused("the counter is busy")
+    distance, own = _parse_distance(unit, axis, text_after_colon(rest))
     steps = axis.count_steps(distance)
     machine = unit.machine
 
-    def finish_count(by_itself: bool) -> None:
-        del by_itself
+    def finish_count() -> None:
         client.send_reply(str(unit.counter.stop_count()))
 
     def begin_positioning() -> None:
         target = steps if absolute else axis.steps + steps
         machine.check_target(target)
         unit.send_messages_to(axis, client)
-        task = positioning_steps(machine, axis, target, own or axis.settings.speed_profile)
+        task = positioning_steps(machine, axis, target, PositioningStart(own or axis.settings.speed_profile))
         if counting:
             machine.check_input(axis)
             unit.counter.begin_count()
@@ -107,20 +110,15 @@ def _start_positioning(
 
 
 def _execute_goto(unit: ControlProgram, client: CommandClient, rest: str) -> None:
-    axis, rest = _parse_addressed(unit, rest)
-    _start_positioning(unit, client, axis, text_after_colon(rest), absolute=True)
+    _start_positioning(unit, client, rest, absolute=True)
 
 
 def _execute_move(unit: ControlProgram, client: CommandClient, rest: str) -> None:
-    axis, rest = _parse_addressed(unit, rest)
-    _start_positioning(unit, client, axis, text_after_colon(rest), absolute=False)
+    _start_positioning(unit, client, rest, absolute=False)
 
 
 def _execute_movec(unit: ControlProgram, client: CommandClient, rest: str) -> None:
-    axis, rest = _parse_addressed(unit, rest)
-    if unit.counter.is_counting:
-        raise InputRefused("the counter is busy")
-    _start_positioning(unit, client, axis, text_after_colon(rest), absolute=False, counting=True)
+    _start_positioning(unit, client, rest, absolute=False, counting=True)
 
 
 # Continuous motion
@@ -200,7 +198,7 @@ def _execute_home(unit: ControlProgram, client: CommandClient, rest: str) -> Non
 
 
 def _search_switch(
-    unit: ControlProgram, client: CommandClient, rest: str, switch: TravelSwitch, directed: bool
+    unit: ControlProgram, client: CommandClient, rest: str, switch: TravelSwitch, *, directed: bool
 ) -> None:
     axis, rest = _parse_addressed(unit, rest)
     if not directed:
@@ -308,7 +306,7 @@ def _execute_tbg(unit: ControlProgram, client: CommandClient, rest: str) -> None
     refused: list[str] = []
     for axis, target in targets:
         start_ns = machine.group_start_ns() if len(targets) > 1 else None
-        steps = positioning_steps(machine, axis, target, axis.settings.speed_profile, at_ns=start_ns)
+        steps = positioning_steps(machine, axis, target, PositioningStart(axis.settings.speed_profile, start_ns))
         try:
             _launch_task(unit, client, axis, TaskKind.POSITIONING, steps)
         except InputRefused as why:

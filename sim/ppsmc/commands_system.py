@@ -40,7 +40,7 @@ def _flag_handler(name: str, low: int, high: int) -> Handler:
     return set_flag
 
 
-def _switch_handler(name: str, value: bool) -> Handler:
+def _switch_handler(name: str, *, value: bool) -> Handler:
     def set_switch(unit: ControlProgram, client: CommandClient, rest: str) -> None:
         del client
         require_end(rest)
@@ -351,7 +351,7 @@ def _execute_cc_read(unit: ControlProgram, client: CommandClient, rest: str) -> 
 # File based write filter
 
 
-def _filter_handler(on: bool) -> Handler:
+def _filter_handler(*, on: bool) -> Handler:
     def set_filter(unit: ControlProgram, client: CommandClient, rest: str) -> None:
         del client
         require_end(rest)
@@ -388,16 +388,16 @@ SYSTEM: Commands = {
     "dfi": CommandEntry(_execute_dfi, CommandUsage.IDLE, "set filter", needs="filter", names=("dfl",)),
     "dhs": CommandEntry(_execute_dhs, CommandUsage.IDLE, "set half screen", needs="half_screen"),
     "doff": CommandEntry(
-        _switch_handler("display", False), CommandUsage.ALWAYS, "deactivate position display", names=("lcdoff",)
+        _switch_handler("display", value=False), CommandUsage.ALWAYS, "deactivate position display", names=("lcdoff",)
     ),
     "don": CommandEntry(
-        _switch_handler("display", True), CommandUsage.ALWAYS, "activate position display", names=("lcdon",)
+        _switch_handler("display", value=True), CommandUsage.ALWAYS, "activate position display", names=("lcdon",)
     ),
     "dout": CommandEntry(_execute_dout, CommandUsage.ALWAYS, "set i/o-port output", needs="io_port", names=("io",)),
     "echo": CommandEntry(_flag_handler("echo", 0, 2), CommandUsage.ALWAYS, "set status message level"),
     "fbwf_configure": CommandEntry(_execute_fbwf_configure, CommandUsage.IDLE, "configure FBWF", needs="fbwf"),
-    "fbwf_disable": CommandEntry(_filter_handler(False), CommandUsage.IDLE, "disable FBWF", needs="fbwf"),
-    "fbwf_enable": CommandEntry(_filter_handler(True), CommandUsage.IDLE, "enable FBWF", needs="fbwf"),
+    "fbwf_disable": CommandEntry(_filter_handler(on=False), CommandUsage.IDLE, "disable FBWF", needs="fbwf"),
+    "fbwf_enable": CommandEntry(_filter_handler(on=True), CommandUsage.IDLE, "enable FBWF", needs="fbwf"),
     "fbwf_status": CommandEntry(_execute_fbwf_status, CommandUsage.IDLE, "query FBWF status", needs="fbwf"),
     "fdelete": CommandEntry(_execute_fdelete, CommandUsage.IDLE, "delete file"),
     "fget": CommandEntry(_execute_fget, CommandUsage.IDLE, "transfer file"),
@@ -405,7 +405,9 @@ SYSTEM: Commands = {
     "iel": CommandEntry(_execute_iel, CommandUsage.IDLE, "ignore active limit switch"),
     "list": CommandEntry(_execute_list, CommandUsage.IDLE, "returns a list of available user programs"),
     "load": CommandEntry(_execute_load, CommandUsage.IDLE, "load program from harddisk"),
-    "local": CommandEntry(_switch_handler("local", True), CommandUsage.ALWAYS, "activate LOCAL mode", names=("loc",)),
+    "local": CommandEntry(
+        _switch_handler("local", value=True), CommandUsage.ALWAYS, "activate LOCAL mode", names=("loc",)
+    ),
     "passwd": CommandEntry(_execute_passwd, CommandUsage.NOT_PROGRAM, "set administrator password"),
     "pg": CommandEntry(_execute_page, CommandUsage.ALWAYS, "switch to position display of axes 9-16"),
     "priority": CommandEntry(
@@ -413,7 +415,7 @@ SYSTEM: Commands = {
     ),
     "reboot": CommandEntry(_restart_handler(RestartKind.REBOOT), CommandUsage.ALWAYS, "restart controller"),
     "remote": CommandEntry(
-        _switch_handler("local", False), CommandUsage.ALWAYS, "activate REMOTE mode", names=("rem",)
+        _switch_handler("local", value=False), CommandUsage.ALWAYS, "activate REMOTE mode", names=("rem",)
     ),
     "reset": CommandEntry(
         _restart_handler(RestartKind.RESET), CommandUsage.ALWAYS, "reset controller to power-on state", names=("clear",)
@@ -431,7 +433,11 @@ SYSTEM: Commands = {
     "txdel": CommandEntry(_flag_handler("txdel", 0, 3), CommandUsage.IDLE, "set delimiter for data transmission"),
     "txp": CommandEntry(_flag_handler("stx", 0, 1), CommandUsage.IDLE, "enable communication with STX/ETX"),
     "unblock": CommandEntry(
-        _switch_handler("blocked", False), CommandUsage.ALWAYS, "resume communication", names=("unlock",), blocked=True
+        _switch_handler("blocked", value=False),
+        CommandUsage.ALWAYS,
+        "resume communication",
+        names=("unlock",),
+        blocked=True,
     ),
     "us": CommandEntry(_execute_us, CommandUsage.ALWAYS, "set user status"),
 }

@@ -3,8 +3,8 @@
 import random
 from collections.abc import Callable, Sequence
 
-from orchestrator.clock.base import NS_PER_S, Clock, Timer
-from orchestrator.link.supply import Supply
+from orchestrator.clock.base import NS_PER_S, Clock, ClockTimer
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
@@ -41,8 +41,8 @@ class PpsmcController:
         self.unit = ControlProgram(self.machine, options)
         self._ports: list[ClientConnection] = []
         self._on = True
-        self.supply = Supply()
-        self._boot: Timer | None = None
+        self.supply = PowerSupply()
+        self._boot: ClockTimer | None = None
         self._deaf = False
         """Reset or restarting: received bytes are ignored."""
         self._refusing = False
@@ -70,7 +70,7 @@ class PpsmcController:
             and sum(other.is_open and not other.is_serial for other in self._ports) >= self._options.max_clients
         ):
             raise PortRefused(f"{self._options.max_clients} clients are connected already; close one first")
-        opened = ClientConnection(self, send, closed, serial, self._options.line_limit)
+        opened = ClientConnection(self, send, closed, serial=serial, limit=self._options.line_limit)
         self._ports.append(opened)
         if not serial and self._options.greeting:
             opened.send_reply(self.unit.firmware_version)
@@ -84,8 +84,8 @@ class PpsmcController:
         timing = self._timing
         return timing.decode_ns + (self._generator.randint(0, timing.spread_ns) if timing.spread_ns else 0)
 
-    def frame_reply(self, text: str, serial: bool) -> bytes:
-        return self.unit.frame_reply(text, serial)
+    def frame_reply(self, text: str, *, serial: bool) -> bytes:
+        return self.unit.frame_reply(text, serial=serial)
 
     def handle_disconnect(self, port: ClientConnection) -> None:
         self.unit.forget_client(port)
@@ -94,7 +94,7 @@ class PpsmcController:
 
     def execute_line(self, port: ClientConnection, line: ClientLine) -> None:
         unit = self.unit
-        execute_line(unit, port, line.text, line.whole)
+        execute_line(unit, port, line.text, whole=line.whole)
         if unit.buffers_due:
             unit.buffers_due = False
             for other in self._ports:
@@ -106,7 +106,7 @@ class PpsmcController:
 
     # Power
 
-    def _discard_traffic(self, hang_up: bool) -> None:
+    def _discard_traffic(self, *, hang_up: bool) -> None:
         for port in list(self._ports):
             port.discard_commands()
             if hang_up and not port.is_serial:
@@ -117,7 +117,7 @@ class PpsmcController:
         if restart is RestartKind.SHUTDOWN:
             self.unit.disk.positions = [self.machine.drive.step_counter(axis) for axis in self.machine.axes]
         self.unit.halt_all()
-        self._discard_traffic(restart is not RestartKind.RESET)
+        self._discard_traffic(hang_up=restart is not RestartKind.RESET)
         self._deaf = True
         self._refusing = restart is not RestartKind.RESET
         if restart is not RestartKind.SHUTDOWN:
@@ -129,12 +129,12 @@ class PpsmcController:
         self._boot = None
         self._deaf = self._refusing = False
 
-    def set_power(self, on: bool) -> None:
+    def set_power(self, *, on: bool) -> None:
         """Switch the power. Off: motion stops dead and connections drop. On: the power-on state, at once."""
         if on == self._on:
             return
         self._on = on
-        self.supply.switched(on, self.time.clock.now_ns())
+        self.supply.set_power(on=on, at_ns=self.time.clock.now_ns())
         if self._boot is not None:
             self._boot.cancel()
             self._boot = None
@@ -142,7 +142,7 @@ class PpsmcController:
             self.unit.power_up()
         else:
             self.unit.halt_all()
-            self._discard_traffic(True)
+            self._discard_traffic(hang_up=True)
         self._deaf = self._refusing = not on
 
     # Environment
@@ -154,14 +154,14 @@ class PpsmcController:
                 return axis
         raise ValueError(f"no axis {name!r}; there are {', '.join(self.axis_names)}")
 
-    def set_input(self, number: int, level: bool) -> None:
-        self.machine.set_input(_bit_mask(number), level)
+    def set_input(self, number: int, *, level: bool) -> None:
+        self.machine.set_input(_bit_mask(number), level=level)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         self.machine.set_limit(self.find_axis(axis), which)
 
-    def set_stalled(self, axis: str, stalled: bool) -> None:
-        self.machine.set_stalled(self.find_axis(axis), stalled)
+    def set_stalled(self, axis: str, *, stalled: bool) -> None:
+        self.machine.set_stalled(self.find_axis(axis), stalled=stalled)
 
     def push_axis(self, axis: str, counts: int) -> None:
         """Push an axis at rest, by motor steps: its encoder detects it, its step counter does not."""

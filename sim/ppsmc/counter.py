@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from orchestrator.clock.base import NS_PER_S, Timer
+from orchestrator.clock.base import NS_PER_S, ClockTimer
 from sim.core.devicetime import DeviceTime
 
 
@@ -16,7 +16,7 @@ class PulseCounter:
     memory: list[int] = field(default_factory=list[int])
     last: int = 0
     _since_ns: int | None = None
-    _timer: Timer | None = None
+    _timer: ClockTimer | None = None
 
     @property
     def is_counting(self) -> bool:

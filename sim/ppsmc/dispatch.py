@@ -58,7 +58,7 @@ def _known_commands(unit: ControlProgram) -> Commands:
     return COMMANDS if unit.is_modern else _MANUAL
 
 
-def execute_line(unit: ControlProgram, client: CommandClient, line: str, whole: bool = True) -> None:
+def execute_line(unit: ControlProgram, client: CommandClient, line: str, *, whole: bool = True) -> None:
     """Execute one command line. Errors are reported with echo 1 and 2 only (decisions 4 and 5)."""
     line = line.strip()
     if not line or line.startswith("#"):

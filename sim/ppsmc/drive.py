@@ -3,53 +3,14 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum, auto
 
-from orchestrator.clock.base import NS_PER_S, Timer
+from orchestrator.clock.base import NS_PER_S
 from sim.core.controller import CommandedMotion
 from sim.core.devicetime import DeviceTime
-from sim.ppsmc.axis import StepperAxis
+from sim.ppsmc.axis import Ended, MotionRun, StepperAxis
+from sim.ppsmc.legs import MotionEnd, MotionLeg
 from sim.ppsmc.path import SpeedProfile, StepPath, deceleration_path, speed_change_path
 from sim.ppsmc.sensors import UntilSwitch, limit_switch
-
-
-class MotionEnd(Enum):
-    """Reason for the end of a motion."""
-
-    DONE = auto()
-    STOPPED = auto()
-    """By q, with its ramp."""
-    LIMIT = auto()
-    """By a limit switch, dead (L2546)."""
-    SWITCH = auto()
-    """At the requested switch: its `UntilSwitch`."""
-
-
-Ended = Callable[[MotionEnd], None]
-
-
-@dataclass(slots=True, eq=False)
-class MotionRun:
-    """A running motion of one axis. Path displacements count from `base`."""
-
-    axis: StepperAxis
-    path: StepPath
-    profile: SpeedProfile
-    start_ns: int
-    """Device time at the path's time 0; slightly ahead of now at a skewed start."""
-    base: int
-    until: UntilSwitch | None
-    ended: Ended
-    motion: CommandedMotion
-    soft: bool = False
-    """At its `UntilSwitch` it decelerates instead of stopping dead."""
-    found: bool = False
-    stopping: bool = False
-    quit: bool = False
-    timer: Timer | None = None
-
-    def path_seconds(self, now_ns: int) -> float:
-        return (now_ns - self.start_ns) / NS_PER_S
 
 
 @dataclass(slots=True)
@@ -57,25 +18,17 @@ class PulseGenerator:
     """Moves axes along paths, until the end, a stop, or a switch."""
 
     time: DeviceTime
+    limit_clears_reference: bool = False
+    """A limit switch that stops a motion clears the reference of its axis."""
     motions: list[CommandedMotion] = field(default_factory=list[CommandedMotion])
 
-    def start_run(
-        self,
-        axis: StepperAxis,
-        path: StepPath,
-        profile: SpeedProfile,
-        ended: Ended,
-        *,
-        until: UntilSwitch | None = None,
-        soft: bool = False,
-        at_ns: int | None = None,
-    ) -> None:
-        """Run `path` from the axis's counter, now or at device time `at_ns`, slightly ahead."""
+    def start_run(self, axis: StepperAxis, leg: MotionLeg, ended: Ended) -> None:
+        """Run `leg` from the axis's counter, now or at its device time, slightly ahead."""
         now_ns = self.time.now_ns()
-        start_ns = now_ns if at_ns is None else max(now_ns, at_ns)
+        start_ns = now_ns if leg.at_ns is None else max(now_ns, leg.at_ns)
         true_ns = self.time.clock.now_ns() if start_ns == now_ns else self.time.true_ns(start_ns)
         motion = CommandedMotion(axis.name, true_ns, self.to_coordinate(axis, axis.steps))
-        run = MotionRun(axis, path, profile, start_ns, axis.steps, until, ended, motion, soft)
+        run = MotionRun(axis, leg.path, leg.profile, start_ns, axis.steps, leg.until, ended, motion, leg.soft)
         axis.run = run
         self.motions.append(motion)
         self.arm_run(run)
@@ -104,7 +57,10 @@ class PulseGenerator:
         reason = MotionEnd.STOPPED if run.stopping else MotionEnd.DONE
         due, bound = run.path.duration, None
         for sign in (1, -1):
-            for until, end in ((UntilSwitch(limit_switch(sign), True), MotionEnd.LIMIT), (run.until, MotionEnd.SWITCH)):
+            for until, end in (
+                (UntilSwitch(limit_switch(sign), on=True), MotionEnd.LIMIT),
+                (run.until, MotionEnd.SWITCH),
+            ):
                 found = None if until is None else self._find_switch(run, until, sign, seconds)
                 if found is not None and found[0] < due:
                     (due, bound), reason = found, end

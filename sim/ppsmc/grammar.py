@@ -3,6 +3,8 @@
 import re
 from fractions import Fraction
 
+from orchestrator.model.errors import TuttiError
+
 _DECIMAL = re.compile(r"[+-]?(?:\d{1,20}\.?\d{0,20}|\.\d{1,20})")
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 _NAME = re.compile(r"(\?|\*)?([a-z_]*)(.*)", re.IGNORECASE | re.DOTALL)
@@ -10,7 +12,7 @@ _AXIS = re.compile(r"(\d{1,3})")
 _COLON = re.compile(r"[ \t]*:[ \t]*")
 
 
-class InputRefused(Exception):
+class InputRefused(TuttiError):
     """A command that is not carried out, with the reason; the client receives it with echo 1 and 2 only."""
 
 
@@ -78,7 +80,7 @@ def _divide_rounded(over: int, under: int) -> int:
     return whole if over >= 0 else -whole
 
 
-def format_decimal(value: Fraction, decimals: int = 12, zeros: bool = False) -> str:
+def format_decimal(value: Fraction, decimals: int = 12, *, zeros: bool = False) -> str:
     """Format with at most `decimals` decimals, and trailing zeros removed unless `zeros` (decision 6)."""
     scaled = _divide_rounded(value.numerator * 10**decimals, value.denominator)
     digits = str(abs(scaled)).rjust(decimals + 1, "0")

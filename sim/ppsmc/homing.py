@@ -5,10 +5,10 @@ from fractions import Fraction
 
 from sim.ppsmc.axis import StepperAxis
 from sim.ppsmc.grammar import InputRefused, parse_decimal, parse_integer
+from sim.ppsmc.legs import MotionLeg, Steps
 from sim.ppsmc.moves import search_profile
 from sim.ppsmc.path import jog_path
 from sim.ppsmc.sensors import TravelSwitch, UntilSwitch, limit_switch
-from sim.ppsmc.task import MotionLeg, Steps
 
 _MOST_HZ = 2_457_000
 _SWITCHES = {"hs": TravelSwitch.ORG, "hsd": TravelSwitch.SD, "he": TravelSwitch.INDEX}
@@ -68,13 +68,13 @@ def homing_steps(axis: StepperAxis, homing: HomingProcedure) -> Steps:
     if sign:
         fast = base if homing.seek_hz is None else replace(profile, slew=float(homing.seek_hz))
         yield MotionLeg(jog_path(sign, fast), fast, seeks_limit=True)
-        yield MotionLeg(jog_path(-sign, slow), slow, until=UntilSwitch(limit_switch(sign), False))
+        yield MotionLeg(jog_path(-sign, slow), slow, until=UntilSwitch(limit_switch(sign), on=False))
     if homing.switch is not None:
         search = search_profile(axis, base)
         direction = -sign or -homing.free or -1
-        yield MotionLeg(jog_path(direction, search), search, until=UntilSwitch(homing.switch, True))
+        yield MotionLeg(jog_path(direction, search), search, until=UntilSwitch(homing.switch, on=True))
         if homing.free and homing.switch is not TravelSwitch.INDEX:
-            yield MotionLeg(jog_path(homing.free, slow), slow, until=UntilSwitch(homing.switch, False))
+            yield MotionLeg(jog_path(homing.free, slow), slow, until=UntilSwitch(homing.switch, on=False))
         axis.index_found = axis.index_found or homing.switch is TravelSwitch.INDEX
     position = axis.settings.rofs
     if homing.position is not None and homing.switch is not TravelSwitch.INDEX:

@@ -11,12 +11,13 @@ from sim.ppsmc.axis import NO_ERROR, STEP_LIMIT, StepperAxis
 from sim.ppsmc.drive import PulseGenerator
 from sim.ppsmc.encoder import IncrementalEncoder
 from sim.ppsmc.grammar import InputRefused
+from sim.ppsmc.legs import Steps, TaskKind
 from sim.ppsmc.options import PpsmcOptions
 from sim.ppsmc.sensors import TravelSwitch, TravelSwitches
 from sim.ppsmc.settings import AxisSettings
-from sim.ppsmc.task import AxisTask, Steps, TaskKind
+from sim.ppsmc.task import AxisTask
 
-Finished = Callable[[bool], None]
+Finished = Callable[[], None]
 
 
 class StepperHardware:
@@ -25,7 +26,7 @@ class StepperHardware:
     def __init__(self, time: DeviceTime, options: PpsmcOptions, generator: random.Random) -> None:
         self.time = time
         self.options = options
-        self.drive = PulseGenerator(time)
+        self.drive = PulseGenerator(time, options.limit_clears_reference)
         self.axes = [_build_axis(number, options) for number in range(1, options.axes + 1)]
         self.inputs = 0
         self.on_input: Callable[[], None] | None = None
@@ -54,7 +55,7 @@ class StepperHardware:
                 for listener in self.listeners:
                     listener(bit, bool(value >> bit & 1))
 
-    def set_input(self, bit: int, level: bool) -> None:
+    def set_input(self, bit: int, *, level: bool) -> None:
         self.inputs = self.inputs & ~(1 << bit) | level << bit
         if self.on_input is not None:
             self.on_input()
@@ -119,16 +120,22 @@ class StepperHardware:
         """Begin a task of an idle axis. Raises `InputRefused` when the input port forbids it."""
         self.check_input(axis)
 
-        def handle_task_end(task: AxisTask, by_itself: bool) -> None:
+        def handle_task_end(task: AxisTask, *, by_itself: bool) -> None:
             queued, task.axis.queued = task.axis.queued, None
             if finished is not None:
-                finished(by_itself)
+                finished()
             if self.on_ended is not None:
                 self.on_ended(task.axis)
             if queued is not None and by_itself:
                 queued()
 
-        AxisTask(self.drive, axis, kind, steps, handle_task_end, self.options.limit_clears_reference).begin_task()
+        AxisTask(
+            self.drive,
+            axis,
+            kind,
+            steps,
+            lambda task, by_itself: handle_task_end(task, by_itself=by_itself),
+        ).begin_task()
 
     def stop_axis(self, axis: StepperAxis) -> None:
         """q of one axis: stop with deceleration and discard a waiting target."""
@@ -171,7 +178,7 @@ class StepperHardware:
         if axis.run is not None:
             self.drive.arm_run(axis.run)
 
-    def set_stalled(self, axis: StepperAxis, stalled: bool) -> None:
+    def set_stalled(self, axis: StepperAxis, *, stalled: bool) -> None:
         """Stall or free a stage. A stalled stage does not follow its motor; only its encoder detects it."""
         if axis.encoder is not None:
             place = self.drive.exact_state(axis)[0] - axis.origin

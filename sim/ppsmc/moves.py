@@ -1,34 +1,43 @@
 """Motions of one axis: positioning with its closed loop, jogging, oscillation."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from orchestrator.clock.base import NS_PER_S
 from sim.ppsmc.axis import POSITIONING_ERROR, StepperAxis
+from sim.ppsmc.legs import MotionLeg, PauseStep, Steps
 from sim.ppsmc.machine import StepperHardware
 from sim.ppsmc.path import SpeedProfile, constant_path, jog_path, trapezoid_path
 from sim.ppsmc.sensors import TravelSwitch, UntilSwitch
-from sim.ppsmc.task import MotionLeg, PauseStep, Steps
 
 _SYSCLK_STEPS = 100
 _FIXED_RAMP_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class PositioningStart:
+    """Speeds and start of a positioning."""
+
+    profile: SpeedProfile
+    at_ns: int | None = None
+    """Device time of the start; None: now."""
+    ramps: bool = True
+    """Without ramps the whole distance is run at the start-stop speed (L3284)."""
 
 
 def positioning_steps(
     machine: StepperHardware,
     axis: StepperAxis,
     target: int,
-    profile: SpeedProfile,
-    ramps: bool = True,
-    at_ns: int | None = None,
+    start: PositioningStart,
 ) -> Steps:
     """Move to `target` steps; then, in closed loop, correct by the encoder (L476-L507, L1058-L1174).
 
-    Without `ramps` the whole distance is run at the start-stop speed (L3284). Before each correction the counter
-    takes the encoder's position, so that a correction appears as motion to the target.
+    Before each correction the counter takes the encoder's position, so that a correction appears as motion to the
+    target.
     """
-    distance = target - axis.steps
-    path = trapezoid_path(distance, profile) if ramps else constant_path(distance, profile.start)
-    yield MotionLeg(path, profile, at_ns=at_ns)
+    distance, profile = target - axis.steps, start.profile
+    path = trapezoid_path(distance, profile) if start.ramps else constant_path(distance, profile.start)
+    yield MotionLeg(path, profile, at_ns=start.at_ns)
     settings = axis.settings
     if not settings.ecl or axis.encoder is None:
         return
@@ -94,10 +103,10 @@ def reference_steps(axis: StepperAxis, sign: int, switch: TravelSwitch) -> Steps
     settings = axis.settings
     fast = search_profile(axis, settings.speed_profile)
     slow = replace(settings.speed_profile, slew=settings.speed_profile.ramp_speed)
-    yield MotionLeg(jog_path(sign, fast), fast, until=UntilSwitch(switch, True), soft=True)
-    yield MotionLeg(jog_path(-sign, slow), slow, until=UntilSwitch(switch, True))
+    yield MotionLeg(jog_path(sign, fast), fast, until=UntilSwitch(switch, on=True), soft=True)
+    yield MotionLeg(jog_path(-sign, slow), slow, until=UntilSwitch(switch, on=True))
     if switch is TravelSwitch.ORG:
-        yield MotionLeg(jog_path(-sign, slow), slow, until=UntilSwitch(switch, False))
+        yield MotionLeg(jog_path(-sign, slow), slow, until=UntilSwitch(switch, on=False))
     axis.set_counter(axis.count_steps(settings.rofs))
     axis.referenced = axis.homed = True
     if switch is TravelSwitch.INDEX:

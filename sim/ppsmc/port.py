@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from orchestrator.clock.base import Timer
-from orchestrator.link.supply import Supply
+from orchestrator.clock.base import ClockTimer
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import SendBytes
 from sim.core.devicetime import DeviceTime
 from sim.ppsmc.line import ClientLine, ClientLineReader
@@ -18,7 +18,7 @@ class PortFirmware(Protocol):
     def time(self) -> DeviceTime: ...
 
     @property
-    def supply(self) -> Supply: ...
+    def supply(self) -> PowerSupply: ...
 
     @property
     def is_listening(self) -> bool:
@@ -31,7 +31,7 @@ class PortFirmware(Protocol):
 
     def execute_line(self, port: "ClientConnection", line: ClientLine) -> None: ...
 
-    def frame_reply(self, text: str, serial: bool) -> bytes: ...
+    def frame_reply(self, text: str, *, serial: bool) -> bytes: ...
 
     def handle_disconnect(self, port: "ClientConnection") -> None:
         """Handle a disconnection; commands of the port may still wait."""
@@ -42,7 +42,7 @@ class ClientConnection:
     """One open connection. Commands of one connection are executed in order, one at a time."""
 
     def __init__(
-        self, firmware: PortFirmware, send: SendBytes, closed: Callable[[], None], serial: bool, limit: int
+        self, firmware: PortFirmware, send: SendBytes, closed: Callable[[], None], limit: int, *, serial: bool
     ) -> None:
         self._firmware = firmware
         self._send = send
@@ -51,14 +51,14 @@ class ClientConnection:
         self._reader = ClientLineReader(limit)
         self._buffer: deque[ClientLine] = deque()
         self._open = True
-        self._timer: Timer | None = None
+        self._timer: ClockTimer | None = None
         self._asleep_ns = 0
         """Device time until which a sleep delays the next command."""
         self._working = False
 
     # From outside
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         if not self._open or not self._firmware.is_listening:
             return
         self._buffer += self._reader.read_lines(data)
@@ -77,7 +77,7 @@ class ClientConnection:
         return self._serial
 
     @property
-    def supply(self) -> Supply:
+    def supply(self) -> PowerSupply:
         return self._firmware.supply
 
     @property
@@ -92,7 +92,7 @@ class ClientConnection:
     def send_reply(self, text: str) -> None:
         """Send one reply."""
         if self._open:
-            self._send(self._firmware.frame_reply(text, self._serial))
+            self._send(self._firmware.frame_reply(text, serial=self._serial))
 
     def delay_next(self, duration_ns: int) -> None:
         self._asleep_ns = self._firmware.time.now_ns() + duration_ns

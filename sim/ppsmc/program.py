@@ -1,6 +1,7 @@
 """Program memory: program lines as they were sent, and their parsed form (section 13)."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -124,6 +125,10 @@ def _parse_interval(text: str) -> Fraction:
     return value
 
 
+PartParser = Callable[[JobLine, str], None]
+"""Adds a part job to a line, from the text after its name."""
+
+
 class ProgramMemory:
     """The program memory: closed lines, and the line being written."""
 
@@ -194,45 +199,17 @@ class ProgramMemory:
         if name in ("end", "ret"):
             self._close_line()
 
+    def _add_part(self, line: JobLine, name: str, rest: str) -> None:
+        if name == "msg":
+            if not rest.startswith(":"):
+                raise InputRefused("':' missing")
+            line.messages.append(rest[1:].translate(_MESSAGE).replace(",", self._comma))
+        else:
+            _PARTS[name](line, rest)
+
     def _close_line(self) -> None:
         self.lines.append(self._open)
         self._open = JobLine()
-
-    def _add_part(self, line: JobLine, name: str, rest: str) -> None:
-        match name:
-            case "msg":
-                if not rest.startswith(":"):
-                    raise InputRefused("':' missing")
-                line.messages.append(rest[1:].translate(_MESSAGE).replace(",", self._comma))
-            case "out":
-                line.ports.append(PortJob(name, parse_integer(rest, 0, 255)))
-            case "set" | "res":
-                line.ports.append(PortJob(name, parse_integer(rest, 0, 7)))
-            case "in":
-                line.ports.append(_parse_in(rest))
-            case "fi":
-                line.filter = parse_integer(rest, 1, 6)
-            case "hs":
-                line.screen = parse_integer(rest, 0, 4)
-            case "cnt":
-                line.count_s = _parse_interval(rest)
-            case "cntc" | "cnts":
-                require_end(rest)
-                line.counting = name == "cntc"
-            case "delay":
-                line.delay_s = _parse_interval(rest)
-            case "jump":
-                line.jump = parse_integer(rest, 0, _MOST_LINE)
-            case "gosub":
-                number, _, times = rest.partition("*")
-                line.subroutine = (
-                    parse_integer(number, 0, _MOST_LINE),
-                    parse_integer(times, 1, _MOST_LINE) if times else 1,
-                )
-            case _:
-                require_end(rest)
-                line.returns = line.returns or name == "ret"
-                line.ends = line.ends or name == "end"
 
 
 def _parse_in(rest: str) -> PortJob:
@@ -242,3 +219,78 @@ def _parse_in(rest: str) -> PortJob:
     if match is None:
         raise InputRefused("not a bit of the input port")
     return PortJob("in", int(match[1]), None if match[2] is None else match[2] == "1")
+
+
+def _add_port(name: str, largest: int) -> PartParser:
+    def add_job(line: JobLine, rest: str) -> None:
+        line.ports.append(PortJob(name, parse_integer(rest, 0, largest)))
+
+    return add_job
+
+
+def _add_input(line: JobLine, rest: str) -> None:
+    line.ports.append(_parse_in(rest))
+
+
+def _set_filter(line: JobLine, rest: str) -> None:
+    line.filter = parse_integer(rest, 1, 6)
+
+
+def _set_screen(line: JobLine, rest: str) -> None:
+    line.screen = parse_integer(rest, 0, 4)
+
+
+def _set_count(line: JobLine, rest: str) -> None:
+    line.count_s = _parse_interval(rest)
+
+
+def _start_counting(line: JobLine, rest: str) -> None:
+    require_end(rest)
+    line.counting = True
+
+
+def _stop_counting(line: JobLine, rest: str) -> None:
+    require_end(rest)
+    line.counting = False
+
+
+def _set_delay(line: JobLine, rest: str) -> None:
+    line.delay_s = _parse_interval(rest)
+
+
+def _set_jump(line: JobLine, rest: str) -> None:
+    line.jump = parse_integer(rest, 0, _MOST_LINE)
+
+
+def _set_subroutine(line: JobLine, rest: str) -> None:
+    number, _, times = rest.partition("*")
+    line.subroutine = (parse_integer(number, 0, _MOST_LINE), parse_integer(times, 1, _MOST_LINE) if times else 1)
+
+
+def _set_return(line: JobLine, rest: str) -> None:
+    require_end(rest)
+    line.returns = True
+
+
+def _set_end(line: JobLine, rest: str) -> None:
+    require_end(rest)
+    line.ends = True
+
+
+_PARTS: dict[str, PartParser] = {
+    "out": _add_port("out", 255),
+    "set": _add_port("set", 7),
+    "res": _add_port("res", 7),
+    "in": _add_input,
+    "fi": _set_filter,
+    "hs": _set_screen,
+    "cnt": _set_count,
+    "cntc": _start_counting,
+    "cnts": _stop_counting,
+    "delay": _set_delay,
+    "jump": _set_jump,
+    "gosub": _set_subroutine,
+    "ret": _set_return,
+    "end": _set_end,
+}
+"""Part jobs of a line by their names; `msg` is apart, because the option of the comma changes it."""

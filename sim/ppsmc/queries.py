@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 from sim.ppsmc.axis import StepperAxis
 from sim.ppsmc.grammar import format_decimal, parse_integer, require_end, split_axis
+from sim.ppsmc.legs import TaskKind
 from sim.ppsmc.registry import CommandEntry, Commands, CommandUsage
 from sim.ppsmc.sensors import TravelSwitch
 from sim.ppsmc.settings import NAMES
-from sim.ppsmc.task import TaskKind
 from sim.ppsmc.unit import CommandClient, ControlProgram, Handler
 
 _DLL = "smc.dll 1.1.165"
@@ -28,11 +28,11 @@ def _format_position(unit: ControlProgram, axis: StepperAxis) -> str:
     if _is_oscillating(axis):
         return "osc"
     distance = axis.steps_to_distance(unit.machine.drive.step_counter(axis))
-    return format_decimal(distance, axis.settings.dcpl, unit.options.trailing_zeros)
+    return format_decimal(distance, axis.settings.dcpl, zeros=unit.options.trailing_zeros)
 
 
 def _format_encoder(unit: ControlProgram, axis: StepperAxis) -> str:
-    return format_decimal(unit.machine.measured_position(axis), axis.settings.dcpl, unit.options.trailing_zeros)
+    return format_decimal(unit.machine.measured_position(axis), axis.settings.dcpl, zeros=unit.options.trailing_zeros)
 
 
 def _status_bits(unit: ControlProgram, axis: StepperAxis) -> int:

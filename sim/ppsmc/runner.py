@@ -3,14 +3,14 @@
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Timer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, ClockTimer
 from sim.ppsmc.counter import PulseCounter
 from sim.ppsmc.grammar import InputRefused
+from sim.ppsmc.legs import TaskKind
 from sim.ppsmc.machine import StepperHardware
-from sim.ppsmc.moves import positioning_steps
+from sim.ppsmc.moves import PositioningStart, positioning_steps
 from sim.ppsmc.path import SpeedProfile
 from sim.ppsmc.program import JobLine, PortJob, PositioningCommand, ProgramMemory
-from sim.ppsmc.task import TaskKind
 
 Say = Callable[[str], None]
 _YIELD_LINES = 1000
@@ -38,7 +38,7 @@ class ProgramRunner:
         self._memory = memory
         self._counter = counter
         self._job: Job | None = None
-        self._timer: Timer | None = None
+        self._timer: ClockTimer | None = None
         self._waiting: tuple[PortJob, int, Callable[[], None]] | None = None
         self._only: int | None = None
         self._send: Say = _discard_text
@@ -228,8 +228,7 @@ class ProgramRunner:
         machine = self._machine
         left = len(positions)
 
-        def handle_axis_end(by_itself: bool) -> None:
-            del by_itself
+        def handle_axis_end() -> None:
             nonlocal left
             left -= 1
             if not left:
@@ -254,11 +253,11 @@ class ProgramRunner:
                 machine.launch_task(
                     axis,
                     TaskKind.POSITIONING,
-                    positioning_steps(machine, axis, target, profile, ramps, start_ns),
+                    positioning_steps(machine, axis, target, PositioningStart(profile, start_ns, ramps)),
                     handle_axis_end,
                 )
             except InputRefused:
-                handle_axis_end(False)
+                handle_axis_end()
 
 
 @dataclass(slots=True)

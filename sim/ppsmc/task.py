@@ -1,48 +1,12 @@
 """Activity of one axis: a sequence of motions and pauses, written as a generator."""
 
-from collections.abc import Callable, Generator
-from dataclasses import dataclass
-from enum import Enum, auto
+from collections.abc import Callable
 
-from orchestrator.clock.base import Timer
+from orchestrator.clock.base import ClockTimer
 from sim.ppsmc.axis import LIMIT_ERROR, StepperAxis
-from sim.ppsmc.drive import MotionEnd, PulseGenerator
-from sim.ppsmc.path import SpeedProfile, StepPath
-from sim.ppsmc.sensors import UntilSwitch, limit_switch
-
-
-class TaskKind(Enum):
-    """Kinds of task."""
-
-    POSITIONING = auto()
-    JOG = auto()
-    SPIN = auto()
-    OSCILLATION = auto()
-    HOMING = auto()
-
-
-@dataclass(frozen=True, slots=True)
-class MotionLeg:
-    """One motion. With `seeks_limit` a limit switch ends it without an error."""
-
-    path: StepPath
-    profile: SpeedProfile
-    until: UntilSwitch | None = None
-    seeks_limit: bool = False
-    soft: bool = False
-    """At its `UntilSwitch` it decelerates instead of stopping dead."""
-    at_ns: int | None = None
-    """Device time of the start; None: now."""
-
-
-@dataclass(frozen=True, slots=True)
-class PauseStep:
-    """Standstill, device ns."""
-
-    duration_ns: int
-
-
-Steps = Generator[MotionLeg | PauseStep, MotionEnd, None]
+from sim.ppsmc.drive import PulseGenerator
+from sim.ppsmc.legs import MotionEnd, MotionLeg, PauseStep, Steps, TaskKind
+from sim.ppsmc.sensors import limit_switch
 
 
 class AxisTask:
@@ -55,7 +19,6 @@ class AxisTask:
         kind: TaskKind,
         steps: Steps,
         finished: Callable[["AxisTask", bool], None],
-        limit_clears_reference: bool,
     ) -> None:
         self.axis = axis
         self.kind = kind
@@ -63,8 +26,7 @@ class AxisTask:
         self._drive = drive
         self._steps = steps
         self._finished = finished
-        self._limit_clears_reference = limit_clears_reference
-        self._timer: Timer | None = None
+        self._timer: ClockTimer | None = None
 
     def begin_task(self) -> None:
         """Make the first step; it can end at once."""
@@ -76,7 +38,7 @@ class AxisTask:
         if self.axis.run is not None:
             self._drive.quit_run(self.axis.run)
         else:
-            self._finish_task(False)
+            self._finish_task(by_itself=False)
 
     def abort_task(self) -> None:
         """Stop dead without notification."""
@@ -93,7 +55,7 @@ class AxisTask:
             try:
                 step = next(self._steps) if end is None else self._steps.send(end)
             except StopIteration:
-                self._finish_task(True)
+                self._finish_task(by_itself=True)
                 return
             if isinstance(step, PauseStep):
                 self.leg = None
@@ -106,19 +68,11 @@ class AxisTask:
             elif self._is_blocked(sign):
                 if not step.seeks_limit:
                     self.axis.error = LIMIT_ERROR
-                    self._finish_task(False)
+                    self._finish_task(by_itself=False)
                     return
                 end = MotionEnd.LIMIT
             else:
-                self._drive.start_run(
-                    self.axis,
-                    step.path,
-                    step.profile,
-                    self._handle_run_end,
-                    until=step.until,
-                    soft=step.soft,
-                    at_ns=step.at_ns,
-                )
+                self._drive.start_run(self.axis, step, self._handle_run_end)
                 return
 
     def _is_blocked(self, sign: int) -> bool:
@@ -129,16 +83,16 @@ class AxisTask:
     def _handle_run_end(self, end: MotionEnd) -> None:
         leg = self.leg
         if end is MotionEnd.STOPPED:
-            self._finish_task(False)
+            self._finish_task(by_itself=False)
         elif end is MotionEnd.LIMIT and leg is not None and not leg.seeks_limit:
             self.axis.error = LIMIT_ERROR
-            if self._limit_clears_reference:
+            if self._drive.limit_clears_reference:
                 self.axis.referenced = False
-            self._finish_task(False)
+            self._finish_task(by_itself=False)
         else:
             self._next_step(end)
 
-    def _finish_task(self, by_itself: bool) -> None:
+    def _finish_task(self, *, by_itself: bool) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

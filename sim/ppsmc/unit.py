@@ -101,7 +101,7 @@ class ControlProgram:
         """Return whether no positioning, no program and no count runs."""
         return self.machine.is_still and not self.runner.is_running and not self.counter.is_counting
 
-    def frame_reply(self, text: str, serial: bool) -> bytes:
+    def frame_reply(self, text: str, *, serial: bool) -> bytes:
         """Encode a reply for transmission (L3108-L3112, L4720-L4723)."""
         if serial and self.stx:
             text = f"\x02{text}\x03"

@@ -1,18 +1,14 @@
-"""The state of one axis."""
+"""The state of one axis, and its run: the operation that moves it, alone or with other axes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
-from sim.core.controller import LimitSwitch
-from sim.shrc203.path import SpeedTriple
-
-if TYPE_CHECKING:
-    from orchestrator.clock.base import Timer
-    from sim.shrc203.drive import PathRun
-    from sim.shrc203.entries import Entry
-    from sim.shrc203.line import Reply
+from orchestrator.clock.base import ClockTimer
+from sim.core.controller import CommandedMotion, LimitSwitch
+from sim.shrc203.line import Reply
+from sim.shrc203.path import AxisPath, SpeedTriple
 
 
 class AxisPhase(Enum):
@@ -26,6 +22,29 @@ class AxisPhase(Enum):
     """WT: or WI: is being executed (Busy by decision 13)."""
     AWAITING = auto()
     """The next operation has migrated and is about to start, or waits for its other axes."""
+
+
+class EndCause(Enum):
+    """Reason for the end of a motion."""
+
+    END = auto()
+    STOPPED = auto()
+    """By L: or BEC:."""
+    LIMIT = auto()
+    SOFT_LIMIT = auto()
+    ERROR = auto()
+
+
+class RunKind(Enum):
+    """Kind of a run, as far as status bits and stops distinguish it."""
+
+    MOVE = auto()
+    JOG = auto()
+    INTERPOLATION = auto()
+    ORIGIN = auto()
+    """Mechanical origin return."""
+    ZERO = auto()
+    """Logical origin return."""
 
 
 @dataclass(slots=True, eq=False)
@@ -78,15 +97,9 @@ class StageAxis:
 
     phase: AxisPhase = AxisPhase.IDLE
     run: "PathRun | None" = None
-    execution: "Entry | None" = None
-    executed: bool = False
-    """The execution buffer's value has been run; it stays readable (decision 20)."""
-    pre: "Entry | None" = None
-    operation: "Entry | None" = None
-    """The operation being executed from the buffers."""
-    timer: "Timer | None" = None
+    timer: ClockTimer | None = None
     """Timer of a timed standby or a hand-over."""
-    reply: "Reply | None" = None
+    reply: Reply | None = None
     """Destination of completion characters: the port that started the operation (decision 47)."""
 
     @property
@@ -123,3 +136,50 @@ class StageAxis:
         if self.travel is None:
             return False
         return position >= self.travel[1] if sign > 0 else position <= self.travel[0]
+
+
+@dataclass(slots=True, eq=False)
+class RunTrack:
+    """The share of one axis in a run."""
+
+    axis: StageAxis
+    path: AxisPath
+    start: int
+    """Position at the start, pls."""
+    motion: CommandedMotion | None
+
+
+@dataclass(slots=True, eq=False)
+class PathRun:
+    """One operation: one axis, or the axes of an interpolation together."""
+
+    tracks: list[RunTrack]
+    kind: RunKind
+    triple: SpeedTriple
+    """Defines the slope of a stop."""
+    t0_ns: int
+    """Device instant of the paths' origin."""
+    ready: "Ready"
+    """Called with the device instant at which the axes are positioned, settled and the W: time is over."""
+    end_cause: EndCause = EndCause.END
+    end_sign: int = 0
+    """Direction of the software limit at which the run is planned to end."""
+    timer: ClockTimer | None = None
+    cause: EndCause = EndCause.END
+    stopping: bool = False
+    held: bool = False
+    """Closed loop, and the stage does not reach its position."""
+
+
+Ready = Callable[[PathRun, int, EndCause], None]
+"""Called with the device instant at which the axes are positioned, settled and the W: time is over."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOrder:
+    """Order for a run. `at_ns`: device instant of its start."""
+
+    triple: SpeedTriple
+    kind: RunKind
+    at_ns: int
+    ready: Ready

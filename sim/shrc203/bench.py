@@ -47,18 +47,25 @@ class Shrc203Bench:
     def apply_given(self, state: Mapping[str, object]) -> None:
         """Set up the state of a vector's `given` or of a `setup` step."""
         stated = _GivenState.model_validate(dict(state))
-        controller, unit = self._controller, self._controller.unit
         if stated.power is not None:
-            controller.set_power(False)
-            controller.set_power(True)
+            self._controller.set_power(on=False)
+            self._controller.set_power(on=True)
+        self._apply_positions(stated)
+        self._apply_signals(stated)
+        self._apply_conditions(stated)
+
+    def _apply_positions(self, stated: _GivenState) -> None:
         for name, coordinate in stated.position.items():
             axis = self._find_axis(name)
             axis.position = coordinate - axis.offset
         for name, coordinate in stated.encoder.items():
             axis = self._find_axis(name)
             axis.scale_deviation = axis.position + axis.offset - coordinate
+
+    def _apply_signals(self, stated: _GivenState) -> None:
+        controller, unit = self._controller, self._controller.unit
         for number, level in stated.inputs.items():
-            controller.set_input(number, level)
+            controller.set_input(number, level=level)
         for number, level in stated.outputs.items():
             value = unit.outputs.value
             unit.outputs.set_levels(value | bit_mask(number) if level else value & ~bit_mask(number))
@@ -66,10 +73,12 @@ class Shrc203Bench:
             controller.set_limit(name, which)
         for name, on in stated.home.items():
             self._find_axis(name).home_sensor = on
+
+    def _apply_conditions(self, stated: _GivenState) -> None:
         for name in stated.motor_off:
             self._find_axis(name).excited = False
         for name in stated.stalled:
-            controller.set_stalled(name, True)
+            self._controller.set_stalled(name, stalled=True)
         for error, names in stated.error.items():
             if error not in ERRORS:
                 raise ValueError(f"no error {error!r}; there are {', '.join(sorted(ERRORS))}")

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from sim.core.devicetime import DeviceTime
-from sim.shrc203.axis import AxisPhase, StageAxis
-from sim.shrc203.drive import EndCause, PathGenerator
-from sim.shrc203.entries import ArcMove, Entry, InputStandby, TimedStandby
+from sim.shrc203.axis import AxisPhase, EndCause, StageAxis
+from sim.shrc203.drive import PathGenerator
+from sim.shrc203.entries import ArcMove, AxisBuffers, Entry, InputStandby, TimedStandby
 from sim.shrc203.inputs import InputScanner
 from sim.shrc203.launch import start_entry
 from sim.shrc203.line import Reply
@@ -35,6 +35,7 @@ class DoubleBuffer:
         self._drive = drive
         self._inputs = inputs
         self._options = options
+        self.buffers = {axis: AxisBuffers() for axis in axes}
 
     # Setting
 
@@ -42,14 +43,16 @@ class DoubleBuffer:
         """Write the execution buffer (M, A, E, K, J); the last value wins (decision 22)."""
         for axis in entry.axes:
             self.clear_execution(axis)
-            axis.execution, axis.executed = entry, False
+            buffers = self.buffers[axis]
+            buffers.execution, buffers.executed = entry, False
 
     def set_pre(self, entry: Entry) -> None:
         """Write or overwrite the prebuffer (L201-L203); never refused, never reported (decision 23)."""
         for axis in entry.axes:
-            if axis.pre is not None:
-                self._forget_entry(axis.pre)
-            axis.pre = entry
+            buffers = self.buffers[axis]
+            if buffers.pre is not None:
+                self._forget_entry(buffers.pre)
+            buffers.pre = entry
         # An interpolation that has just lost an axis may have blocked another one.
         for axis in self._axes:
             if axis.phase is AxisPhase.AWAITING and axis.timer is None:
@@ -57,14 +60,15 @@ class DoubleBuffer:
 
     def clear_execution(self, axis: StageAxis) -> None:
         """Delete the execution buffer's value (GC:); an interpolation is deleted on all its axes."""
-        if axis.execution is not None:
-            self._forget_entry(axis.execution)
+        entry = self.buffers[axis].execution
+        if entry is not None:
+            self._forget_entry(entry)
 
     def is_deferred(self, axes: Sequence[StageAxis]) -> bool:
         """Return whether an operation started from the double buffer is running: prebuffer replies are OK_D (L235)."""
         return any(
-            axis.phase is AxisPhase.AWAITING or (axis.operation is not None and axis.operation.from_pre)
-            for axis in axes
+            axis.phase is AxisPhase.AWAITING or (operation is not None and operation.from_pre)
+            for axis, operation in ((axis, self.buffers[axis].operation) for axis in axes)
         )
 
     # Starting
@@ -73,8 +77,9 @@ class DoubleBuffer:
         """G: execute the buffered operations of the addressed axes. False when there are none (decision 21)."""
         chosen: list[StageAxis] = []
         for axis in axes:
-            if self._options.repeat_executed and axis.execution is not None and axis.pre is None:
-                axis.executed = False
+            buffers = self.buffers[axis]
+            if self._options.repeat_executed and buffers.execution is not None and buffers.pre is None:
+                buffers.executed = False
             entry = self._next_entry(axis)
             if entry is None:
                 continue
@@ -91,11 +96,13 @@ class DoubleBuffer:
 
     def _next_entry(self, axis: StageAxis) -> Entry | None:
         """Return the operation that would run next: the execution buffer first, then the prebuffer (decision 19)."""
-        return axis.execution if axis.execution is not None and not axis.executed else axis.pre
+        buffers = self.buffers[axis]
+        return buffers.execution if buffers.execution is not None and not buffers.executed else buffers.pre
 
     def _migrate_entry(self, axis: StageAxis) -> None:
-        if axis.pre is not None and (axis.execution is None or axis.executed):
-            axis.execution, axis.executed, axis.pre = axis.pre, False, None
+        buffers = self.buffers[axis]
+        if buffers.pre is not None and (buffers.execution is None or buffers.executed):
+            buffers.execution, buffers.executed, buffers.pre = buffers.pre, False, None
 
     def _try_start(self, axis: StageAxis, at_ns: int) -> None:
         if axis.phase is not AxisPhase.AWAITING:
@@ -110,14 +117,15 @@ class DoubleBuffer:
                 return
         for member in entry.axes:
             self._migrate_entry(member)
-            member.executed, member.operation = True, entry
+            buffers = self.buffers[member]
+            buffers.executed, buffers.operation = True, entry
             member.reply = member.reply or axis.reply
         if isinstance(entry, TimedStandby | InputStandby):
             self._stand_by(entry, at_ns)
             return
         if not all(member.excited for member in entry.axes):
             for member in entry.axes:
-                member.phase, member.operation = AxisPhase.IDLE, None
+                member.phase, self.buffers[member].operation = AxisPhase.IDLE, None
                 self._discard_entries(member)
             return
         start_entry(
@@ -127,7 +135,7 @@ class DoubleBuffer:
     def _handle_completion(self, entry: Entry, at_ns: int, cause: EndCause) -> None:
         ended = cause is EndCause.END
         for axis in entry.axes:
-            axis.operation = None
+            self.buffers[axis].operation = None
             if not ended:
                 self._discard_entries(axis)
         speaks = entry.from_pre and (
@@ -136,7 +144,7 @@ class DoubleBuffer:
                 self._options.completion_after_stop and cause in (EndCause.STOPPED, EndCause.LIMIT, EndCause.SOFT_LIMIT)
             )
         )
-        going_on = [axis for axis in entry.axes if self._migrate_and_notify(axis, speaks, ended)]
+        going_on = [axis for axis in entry.axes if self._migrate_and_notify(axis, speaks=speaks, ended=ended)]
         handover_ns = round(self._options.handover_ms * NS_PER_MS)
         for axis in (axis for axis in going_on if axis.phase is AxisPhase.AWAITING):
             self._start_later(axis, at_ns + handover_ns)
@@ -145,10 +153,10 @@ class DoubleBuffer:
         else:
             self._free_orphans()
 
-    def _migrate_and_notify(self, axis: StageAxis, speaks: bool, ended: bool) -> bool:
+    def _migrate_and_notify(self, axis: StageAxis, *, speaks: bool, ended: bool) -> bool:
         """Migrate, empty the prebuffer, send the character (L177); return whether an operation is to start."""
         # After a stop no operation starts by itself, even if the prebuffer survives (decision 17).
-        going_on = ended and axis.pre is not None
+        going_on = ended and self.buffers[axis].pre is not None
         if going_on:
             self._migrate_entry(axis)
             axis.phase = AxisPhase.AWAITING
@@ -200,13 +208,13 @@ class DoubleBuffer:
     def cancel_standby(self, axis: StageAxis, kind: type[TimedStandby] | type[InputStandby]) -> None:
         """Execute WT:a,0, WT:a,C, WI:a,C: end the standby; the content of the prebuffer is executed at once (L215,
         L219)."""
-        if axis.phase is AxisPhase.STANDBY and isinstance(axis.execution, kind):
+        if axis.phase is AxisPhase.STANDBY and isinstance(self.buffers[axis].execution, kind):
             self._cancel_waits(axis)
             self._finish_standby(axis, self._time.now_ns())
 
     def _finish_standby(self, axis: StageAxis, at_ns: int) -> None:
-        axis.phase, axis.operation = AxisPhase.IDLE, None
-        if self._migrate_and_notify(axis, self._options.standby_completion, True):
+        axis.phase, self.buffers[axis].operation = AxisPhase.IDLE, None
+        if self._migrate_and_notify(axis, speaks=self._options.standby_completion, ended=True):
             self._try_start(axis, at_ns)
         self._wake_waiting(at_ns)
 
@@ -218,7 +226,7 @@ class DoubleBuffer:
             self._drive.stop_run(axis.run)
         elif axis.is_busy:
             self._cancel_waits(axis)
-            axis.phase, axis.operation = AxisPhase.IDLE, None
+            axis.phase, self.buffers[axis].operation = AxisPhase.IDLE, None
             self._discard_entries(axis)
             self._free_orphans()
 
@@ -227,7 +235,7 @@ class DoubleBuffer:
         self._cancel_waits(axis)
         if axis.run is not None:
             self._drive.halt_run(axis.run, cause)
-        axis.phase, axis.operation = AxisPhase.IDLE, None
+        axis.phase, self.buffers[axis].operation = AxisPhase.IDLE, None
         self._discard_entries(axis)
 
     def clear_axis(self, axis: StageAxis) -> None:
@@ -236,8 +244,7 @@ class DoubleBuffer:
         if axis.run is not None:
             self._drive.discard_run(axis.run)
         axis.phase = AxisPhase.IDLE
-        axis.execution, axis.executed, axis.pre = None, False, None
-        axis.operation, axis.reply = None, None
+        self.buffers[axis], axis.reply = AxisBuffers(), None
 
     def _cancel_waits(self, axis: StageAxis) -> None:
         self._inputs.cancel_wait(axis)
@@ -247,12 +254,14 @@ class DoubleBuffer:
 
     def _discard_entries(self, axis: StageAxis) -> None:
         self.clear_execution(axis)
-        if axis.pre is not None and not self._options.stop_keeps_prebuffer:
-            self._forget_entry(axis.pre)
+        entry = self.buffers[axis].pre
+        if entry is not None and not self._options.stop_keeps_prebuffer:
+            self._forget_entry(entry)
 
     def _forget_entry(self, entry: Entry) -> None:
         for axis in entry.axes:
-            if axis.execution is entry and not axis.run:
-                axis.execution, axis.executed = None, False
-            if axis.pre is entry:
-                axis.pre = None
+            buffers = self.buffers[axis]
+            if buffers.execution is entry and not axis.run:
+                buffers.execution, buffers.executed = None, False
+            if buffers.pre is entry:
+                buffers.pre = None

@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, Timer
-from orchestrator.link.supply import Supply
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, ClockTimer
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
@@ -31,7 +31,7 @@ class SerialSession:
         self.reader = reader
         self.supply = controller.supply
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         if self._open:
             self._controller.handle_bytes(self, data)
 
@@ -56,7 +56,10 @@ class _PendingLine:
 
 
 class Shrc203Controller:
-    """One controller, from its clock, options, oscillator, firmware timing, and random generator."""
+    """One controller, from its clock, options, oscillator, firmware timing, and seed.
+
+    Without a seed its input scan is in step with the clock.
+    """
 
     def __init__(
         self,
@@ -64,9 +67,10 @@ class Shrc203Controller:
         options: Shrc203Options,
         oscillator: Oscillator,
         timing: FirmwareTiming,
-        generator: random.Random,
-        scan_phase_ns: int,
+        seed: int | None,
     ) -> None:
+        generator = random.Random(seed or 0)
+        scan_phase_ns = 0 if seed is None else generator.randrange(NS_PER_MS)
         self._clock = clock
         self._options = options
         self._timing = timing
@@ -78,10 +82,10 @@ class Shrc203Controller:
         self._busy_until_ns = 0
         self._sent_until_ns = 0
         self._on = True
-        self.supply = Supply()
-        self._boot: Timer | None = None
-        self._emissions: deque[Timer] = deque()
-        self._decoding: deque[Timer] = deque()
+        self.supply = PowerSupply()
+        self._boot: ClockTimer | None = None
+        self._emissions: deque[ClockTimer] = deque()
+        self._decoding: deque[ClockTimer] = deque()
         self._replying = False
         self._after_reply: list[tuple[SerialSession, str]] = []
         """Lines caused by the command being executed: its own reply comes first."""
@@ -186,11 +190,11 @@ class Shrc203Controller:
     def _finish_boot(self) -> None:
         self._boot = None
 
-    def set_power(self, on: bool) -> None:
+    def set_power(self, *, on: bool) -> None:
         if on == self._on:
             return
         self._on = on
-        self.supply.switched(on, self._clock.now_ns())
+        self.supply.set_power(on=on, at_ns=self._clock.now_ns())
         if self._boot is not None:
             self._boot.cancel()
             self._boot = None
@@ -208,8 +212,8 @@ class Shrc203Controller:
                 return axis
         raise ValueError(f"no axis {name!r}; there are {', '.join(self.axis_names)}")
 
-    def set_input(self, number: int, level: bool) -> None:
-        self.unit.inputs.set_level(number, level)
+    def set_input(self, number: int, *, level: bool) -> None:
+        self.unit.inputs.set_level(number, level=level)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         pressed = self._find_axis(axis)
@@ -217,7 +221,7 @@ class Shrc203Controller:
         pressed.check_limits()
         self._rearm_axis(pressed)
 
-    def set_stalled(self, axis: str, stalled: bool) -> None:
+    def set_stalled(self, axis: str, *, stalled: bool) -> None:
         stuck = self._find_axis(axis)
         now_ns = self._time.now_ns()
         if stalled and stuck.stalled_at is None:
@@ -290,8 +294,4 @@ def build_controller(
     seed: int | None,
 ) -> Shrc203Controller:
     """Build a powered-up controller; without a seed its input scan is in step with the clock."""
-    generator = random.Random(seed or 0)
-    scan_phase_ns = 0 if seed is None else generator.randrange(NS_PER_MS)
-    return Shrc203Controller(
-        clock, options, oscillator or Oscillator(), timing or FirmwareTiming(), generator, scan_phase_ns
-    )
+    return Shrc203Controller(clock, options, oscillator or Oscillator(), timing or FirmwareTiming(), seed)

@@ -3,73 +3,16 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import Enum, auto
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Timer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from sim.core.controller import CommandedMotion
 from sim.core.devicetime import DeviceTime
-from sim.shrc203.axis import AxisPhase, StageAxis
+from sim.shrc203.axis import AxisPhase, EndCause, PathRun, RunKind, RunOrder, RunTrack, StageAxis
 from sim.shrc203.grammar import MAX_PULSES
 from sim.shrc203.options import Shrc203Options
-from sim.shrc203.path import AxisPath, SpeedTriple, deceleration_path, endless_path
+from sim.shrc203.path import AxisPath, deceleration_path, endless_path
 
 _TENTH_NS = NS_PER_S // 10
-
-
-class EndCause(Enum):
-    """Reason for the end of a motion."""
-
-    END = auto()
-    STOPPED = auto()
-    """By L: or BEC:."""
-    LIMIT = auto()
-    SOFT_LIMIT = auto()
-    ERROR = auto()
-
-
-class RunKind(Enum):
-    """Kind of a run, as far as status bits and stops distinguish it."""
-
-    MOVE = auto()
-    JOG = auto()
-    INTERPOLATION = auto()
-    ORIGIN = auto()
-    """Mechanical origin return."""
-    ZERO = auto()
-    """Logical origin return."""
-
-
-@dataclass(slots=True, eq=False)
-class RunTrack:
-    """The share of one axis in a run."""
-
-    axis: StageAxis
-    path: AxisPath
-    start: int
-    """Position at the start, pls."""
-    motion: CommandedMotion | None
-
-
-@dataclass(slots=True, eq=False)
-class PathRun:
-    """One operation: one axis, or the axes of an interpolation together."""
-
-    tracks: list[RunTrack]
-    kind: RunKind
-    triple: SpeedTriple
-    """Defines the slope of a stop."""
-    t0_ns: int
-    """Device instant of the paths' origin."""
-    ready: Callable[["PathRun", int, EndCause], None]
-    """Called with the device instant at which the axes are positioned, settled and the W: time is over."""
-    end_cause: EndCause = EndCause.END
-    end_sign: int = 0
-    """Direction of the software limit at which the run is planned to end."""
-    timer: Timer | None = None
-    cause: EndCause = EndCause.END
-    stopping: bool = False
-    held: bool = False
-    """Closed loop, and the stage does not reach its position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,17 +40,14 @@ class PathGenerator:
     def start_run(
         self,
         paths: Sequence[tuple[StageAxis, AxisPath]],
-        triple: SpeedTriple,
-        kind: RunKind,
-        at_ns: int,
-        ready: Callable[[PathRun, int, EndCause], None],
+        order: RunOrder,
         soft_sign: int = 0,
     ) -> PathRun:
-        """Begin to move the axes along their paths at device instant `at_ns`.
+        """Begin to move the axes along their paths at the device instant of `order`.
 
         soft_sign: the path ends early, at the software limit in this direction.
         """
-        start_ns = self._time.true_ns(at_ns)
+        start_ns = self._time.true_ns(order.at_ns)
         tracks: list[RunTrack] = []
         for axis, path in paths:
             motion = None
@@ -115,7 +55,8 @@ class PathGenerator:
                 motion = CommandedMotion(axis.name, start_ns, float(axis.position + axis.offset))
                 self.motions.append(motion)
             tracks.append(RunTrack(axis, path, axis.position, motion))
-        run = PathRun(tracks, kind, triple, at_ns, ready, EndCause.SOFT_LIMIT if soft_sign else EndCause.END, soft_sign)
+        end_cause = EndCause.SOFT_LIMIT if soft_sign else EndCause.END
+        run = PathRun(tracks, order.kind, order.triple, order.at_ns, order.ready, end_cause, soft_sign)
         for axis, _ in paths:
             axis.run, axis.phase = run, AxisPhase.MOVING
             axis.limit_stop, axis.soft_stop = False, 0

@@ -101,3 +101,15 @@ class InputStandby:
 Interpolation = LinearMove | ArcMove
 Standby = TimedStandby | InputStandby
 Entry = TravelMove | JogMove | LinearMove | ArcMove | TimedStandby | InputStandby
+
+
+@dataclass(slots=True, eq=False)
+class AxisBuffers:
+    """Buffers of one axis."""
+
+    execution: Entry | None = None
+    executed: bool = False
+    """The execution buffer's value has been run; it stays readable (decision 20)."""
+    pre: Entry | None = None
+    operation: Entry | None = None
+    """The operation being executed from the buffers."""

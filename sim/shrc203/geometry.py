@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
+from orchestrator.model.errors import TuttiError
 from sim.shrc203.axis import StageAxis
 from sim.shrc203.entries import ArcMove, LinearMove
 from sim.shrc203.grammar import round_nearest
@@ -16,7 +17,7 @@ from sim.shrc203.path import ArcPath, AxisPath, constant_path
 _TURN = 2.0 * math.pi
 
 
-class CollinearPoints(Exception):
+class CollinearPoints(TuttiError):
     """Start, passing point and end point lie on one line (L3581)."""
 
 

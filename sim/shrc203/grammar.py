@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from fractions import Fraction
 
+from orchestrator.model.errors import TuttiError
 from sim.shrc203.axis import StageAxis
 from sim.shrc203.options import DIVISIONS
 
@@ -30,7 +31,7 @@ TRIPLE = re.compile(rf"S({NUMBER})F({NUMBER})R(\d+)")
 _NM_PER_UNIT = {"N": 1, "U": 1_000, "M": 1_000_000}
 
 
-class CommandRefused(Exception):
+class CommandRefused(TuttiError):
     """The command is answered NG."""
 
 

@@ -7,7 +7,7 @@ scheduled only while an awaited pattern is present: only then can the next scan 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from orchestrator.clock.base import NS_PER_MS, Timer
+from orchestrator.clock.base import NS_PER_MS, ClockTimer
 from sim.core.devicetime import DeviceTime
 
 LINES = 6
@@ -33,9 +33,9 @@ class InputScanner:
     _waits: dict[object, tuple[int, Callable[[int], None]]] = field(
         default_factory=dict[object, tuple[int, Callable[[int], None]]]
     )
-    _timer: Timer | None = None
+    _timer: ClockTimer | None = None
 
-    def set_level(self, number: int, level: bool) -> None:
+    def set_level(self, number: int, *, level: bool) -> None:
         mask = bit_mask(number)
         self.value = self.value | mask if level else self.value & ~mask
         self._arm_scan()
@@ -56,7 +56,7 @@ class InputScanner:
 
     def _run_scan(self, at_ns: int) -> None:
         self._timer = None
-        seen = [(who, released) for who, (pattern, released) in self._waits.items() if pattern == self.value]
+        seen = [(waiter, released) for waiter, (pattern, released) in self._waits.items() if pattern == self.value]
         for owner, _ in seen:
             del self._waits[owner]
         for _, released in seen:

@@ -1,19 +1,13 @@
 """Start of a motion from a buffered operation."""
 
-from collections.abc import Callable
-
-from sim.shrc203.axis import StageAxis
-from sim.shrc203.drive import EndCause, PathGenerator, PathRun, RunKind
+from sim.shrc203.axis import PathRun, Ready, RunKind, RunOrder, StageAxis
+from sim.shrc203.drive import PathGenerator
 from sim.shrc203.entries import ArcMove, JogMove, LinearMove, TravelMove
 from sim.shrc203.geometry import arc_paths, line_paths
 from sim.shrc203.path import SpeedTriple, endless_path, trapezoid_path
 
-Ready = Callable[[PathRun, int, EndCause], None]
 
-
-def start_travel(
-    drive: PathGenerator, axis: StageAxis, distance: int, triple: SpeedTriple, kind: RunKind, at_ns: int, ready: Ready
-) -> PathRun:
+def start_travel(drive: PathGenerator, axis: StageAxis, distance: int, order: RunOrder) -> PathRun:
     """Move one axis by `distance` pls, as far as the software limits allow (decision 29)."""
     soft_sign = 0
     if axis.soft_limits is not None and distance:
@@ -23,7 +17,7 @@ def start_travel(
         if allowed != distance:
             soft_sign = 1 if distance > 0 else -1
             distance = allowed
-    return drive.start_run([(axis, trapezoid_path(distance, triple))], triple, kind, at_ns, ready, soft_sign)
+    return drive.start_run([(axis, trapezoid_path(distance, order.triple))], order, soft_sign)
 
 
 def start_interpolation(
@@ -32,7 +26,7 @@ def start_interpolation(
     """Run a line or an arc at the minimum speed S of `triple` (L4585)."""
     speed = triple.s
     paths = line_paths(entry, speed) if isinstance(entry, LinearMove) else arc_paths(entry, speed)
-    return drive.start_run(paths, triple, RunKind.INTERPOLATION, at_ns, ready)
+    return drive.start_run(paths, RunOrder(triple, RunKind.INTERPOLATION, at_ns, ready))
 
 
 def start_entry(
@@ -44,8 +38,8 @@ def start_entry(
         first.triple = entry.triple
     if isinstance(entry, TravelMove):
         distance = entry.pulses - (first.position + first.offset) if entry.absolute else entry.pulses
-        return start_travel(drive, first, distance, first.triple, RunKind.MOVE, at_ns, ready)
+        return start_travel(drive, first, distance, RunOrder(first.triple, RunKind.MOVE, at_ns, ready))
     if isinstance(entry, JogMove):
         path = endless_path(float(entry.sign * first.triple.s))
-        return drive.start_run([(first, path)], first.triple, RunKind.JOG, at_ns, ready)
+        return drive.start_run([(first, path)], RunOrder(first.triple, RunKind.JOG, at_ns, ready))
     return start_interpolation(drive, entry, first.triple, at_ns, ready)

@@ -4,12 +4,11 @@ import re
 from collections.abc import Sequence
 from fractions import Fraction
 
-from sim.shrc203.axis import StageAxis
-from sim.shrc203.drive import EndCause, PathRun, RunKind
+from sim.shrc203.axis import EndCause, PathRun, Ready, RunKind, RunOrder, StageAxis
 from sim.shrc203.entries import ArcMove, Entry, InputStandby, JogMove, LinearMove, TimedStandby, TravelMove
 from sim.shrc203.geometry import CollinearPoints, find_circumcentre
 from sim.shrc203.grammar import NUMBER, TRIPLE, CommandRefused, parse_integer, parse_pulses, split_repeated
-from sim.shrc203.launch import Ready, start_travel
+from sim.shrc203.launch import start_travel
 from sim.shrc203.line import Reply
 from sim.shrc203.origin import METHODS, find_origin, go_to_zero, set_zero, undo_zero
 from sim.shrc203.path import SpeedTriple
@@ -32,7 +31,7 @@ def _apply_sign(sign: str, value: int) -> int:
     return -value if sign == "-" else value
 
 
-def _split_speeds(text: str, pre: bool) -> tuple[str, str | None]:
+def _split_speeds(text: str, *, pre: bool) -> tuple[str, str | None]:
     """A prebuffer command may carry speeds after a comma."""
     body, comma, speeds = text.partition(",")
     if comma and not (pre and speeds):
@@ -40,7 +39,7 @@ def _split_speeds(text: str, pre: bool) -> tuple[str, str | None]:
     return body, speeds if comma else None
 
 
-def _write_buffers(unit: StageSystem, axes: Sequence[StageAxis], entries: Sequence[Entry], pre: bool) -> str:
+def _write_buffers(unit: StageSystem, axes: Sequence[StageAxis], entries: Sequence[Entry], *, pre: bool) -> str:
     """Write the buffers; reply OK, or OK_D for the prebuffer of a running operation (L235)."""
     if not pre:
         for entry in entries:
@@ -52,8 +51,8 @@ def _write_buffers(unit: StageSystem, axes: Sequence[StageAxis], entries: Sequen
     return "OK_D" if deferred else "OK"
 
 
-def _set_travel(unit: StageSystem, text: str, absolute: bool, pre: bool) -> str:
-    body, speeds = _split_speeds(text, pre)
+def _set_travel(unit: StageSystem, text: str, *, absolute: bool, pre: bool) -> str:
+    body, speeds = _split_speeds(text, pre=pre)
     axes = unit.resolve_axes(body[:1] or "?")
     if not pre:
         unit.require_ready(axes)
@@ -68,7 +67,7 @@ def _set_travel(unit: StageSystem, text: str, absolute: bool, pre: bool) -> str:
         TravelMove(axis, absolute, _apply_sign(sign, parse_pulses(axis, letter, number)), triple, pre)
         for axis, (sign, letter, number), triple in zip(axes, groups, triples, strict=True)
     ]
-    return _write_buffers(unit, axes, entries, pre)
+    return _write_buffers(unit, axes, entries, pre=pre)
 
 
 def set_relative(unit: StageSystem, text: str, reply: Reply) -> str:
@@ -95,7 +94,7 @@ def set_absolute_pre(unit: StageSystem, text: str, reply: Reply) -> str:
     return _set_travel(unit, text, absolute=True, pre=True)
 
 
-def _check_interpolation(unit: StageSystem, axes: Sequence[StageAxis], pre: bool) -> None:
+def _check_interpolation(unit: StageSystem, axes: Sequence[StageAxis], *, pre: bool) -> None:
     if not pre:
         unit.require_ready(axes)
     unit.require_error_free(axes)
@@ -109,19 +108,19 @@ def _first_triple(axis: StageAxis, letter: str, speeds: str | None) -> SpeedTrip
     return read_triple(axis, letter, split_repeated(TRIPLE, speeds, 1)[0].groups())
 
 
-def _set_line(unit: StageSystem, text: str, pre: bool) -> str:
-    body, speeds = _split_speeds(text, pre)
+def _set_line(unit: StageSystem, text: str, *, pre: bool) -> str:
+    body, speeds = _split_speeds(text, pre=pre)
     if body[:1] not in tuple("ABCD"):
         raise CommandRefused
     axes = unit.resolve_axes(body[:1])
-    _check_interpolation(unit, axes, pre)
+    _check_interpolation(unit, axes, pre=pre)
     pattern = _LINE_AMOUNT_PRE if pre else _LINE_AMOUNT
     groups = [match.groups() for match in split_repeated(pattern, body[1:], len(axes))]
     amounts = tuple(
         _apply_sign(sign, parse_pulses(axis, letter, n)) for axis, (sign, letter, n) in zip(axes, groups, strict=True)
     )
     triple = _first_triple(axes[0], groups[0][1], speeds)
-    return _write_buffers(unit, axes, [LinearMove(tuple(axes), amounts, triple, pre)], pre)
+    return _write_buffers(unit, axes, [LinearMove(tuple(axes), amounts, triple, pre)], pre=pre)
 
 
 def set_line(unit: StageSystem, text: str, reply: Reply) -> str:
@@ -173,8 +172,8 @@ class _ArcFields:
             raise CommandRefused
 
 
-def _set_arc(unit: StageSystem, text: str, pre: bool) -> str:
-    body, speeds = _split_speeds(text, pre)
+def _set_arc(unit: StageSystem, text: str, *, pre: bool) -> str:
+    body, speeds = _split_speeds(text, pre=pre)
     match = _ARC.fullmatch(body)
     if match is None:
         raise CommandRefused
@@ -184,7 +183,7 @@ def _set_arc(unit: StageSystem, text: str, pre: bool) -> str:
         raise CommandRefused
     plane = unit.resolve_axes(letter)
     axes = unit.resolve_axes("D") if helix else plane
-    _check_interpolation(unit, axes, pre)
+    _check_interpolation(unit, axes, pre=pre)
     texts = _ArcFields(unit, rest)
     values = tuple(texts.read_amount(plane[at % 2]) for at in range(_VALUES[form]))
     if form in (2, 5):
@@ -207,7 +206,7 @@ def _set_arc(unit: StageSystem, text: str, pre: bool) -> str:
         triple=_first_triple(plane[0], texts.first_letter, speeds),
         from_pre=pre,
     )
-    return _write_buffers(unit, axes, [arc], pre)
+    return _write_buffers(unit, axes, [arc], pre=pre)
 
 
 def set_arc(unit: StageSystem, text: str, reply: Reply) -> str:
@@ -291,7 +290,7 @@ def delete_entries(unit: StageSystem, text: str, reply: Reply) -> str:
     unit.require_ready(axes)
     unit.require_power(axes)
     for axis in axes:
-        if not isinstance(axis.execution, JogMove):
+        if not isinstance(unit.chain.buffers[axis].execution, JogMove):
             unit.chain.clear_execution(axis)
     return "OK"
 
@@ -382,4 +381,5 @@ def move_to_coordinates(unit: StageSystem, targets: Sequence[int], reply: Reply 
     at_ns = unit.time.now_ns()
     for axis in axes:
         distance = targets[axis.index] - axis.position - axis.offset
-        start_travel(unit.drive, axis, distance, axis.triple, RunKind.MOVE, at_ns, _arrival_callback(unit, reply))
+        order = RunOrder(axis.triple, RunKind.MOVE, at_ns, _arrival_callback(unit, reply))
+        start_travel(unit.drive, axis, distance, order)

@@ -6,9 +6,9 @@ B: speeds, return across it, and creep onto it with the minimum speed S.
 
 import math
 
-from sim.shrc203.axis import StageAxis
-from sim.shrc203.drive import EndCause, PathGenerator, PathRun, RunKind
-from sim.shrc203.launch import Ready, start_travel
+from sim.shrc203.axis import EndCause, PathRun, Ready, RunKind, RunOrder, StageAxis
+from sim.shrc203.drive import PathGenerator
+from sim.shrc203.launch import start_travel
 from sim.shrc203.path import SpeedTriple, joined_path
 
 METHODS = ("MARK", "MINI", "MIDDLE", "ORGS", "NORMAL")
@@ -38,12 +38,12 @@ def find_origin(drive: PathGenerator, axis: StageAxis, at_ns: int, ready: Ready)
             axis.errors.discard("S6")
         ready(run, ready_ns, cause)
 
-    return drive.start_run([(axis, path)], triple, RunKind.ORIGIN, at_ns, set_origin)
+    return drive.start_run([(axis, path)], RunOrder(triple, RunKind.ORIGIN, at_ns, set_origin))
 
 
 def go_to_zero(drive: PathGenerator, axis: StageAxis, triple: SpeedTriple, at_ns: int, ready: Ready) -> PathRun:
     """Start the logical origin return: move to coordinate 0 (L2802)."""
-    return start_travel(drive, axis, -(axis.position + axis.offset), triple, RunKind.ZERO, at_ns, ready)
+    return start_travel(drive, axis, -(axis.position + axis.offset), RunOrder(triple, RunKind.ZERO, at_ns, ready))
 
 
 def set_zero(axis: StageAxis) -> None:

@@ -1,85 +1,33 @@
 """Running a stored program (section 13.3)."""
 
-from collections.abc import Callable, Sequence
-from enum import IntEnum
-from typing import Protocol
+from collections.abc import Callable
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Timer
-from sim.core.devicetime import DeviceTime
-from sim.shrc203.axis import StageAxis
-from sim.shrc203.continuous import CONTINUOUS_LINES, ContinuousLeg, continuous_path
-from sim.shrc203.drive import EndCause, PathGenerator, PathRun, RunKind
-from sim.shrc203.entries import ArcMove, LinearMove
-from sim.shrc203.geometry import CollinearPoints
-from sim.shrc203.grammar import MAX_PULSES
-from sim.shrc203.inputs import InputScanner, OutputLevels
-from sim.shrc203.launch import start_interpolation, start_travel
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, ClockTimer
+from sim.shrc203.axis import EndCause, PathRun, RunKind, RunOrder, StageAxis
+from sim.shrc203.continuous import CONTINUOUS_LINES, continuous_path
 from sim.shrc203.line import Reply
-from sim.shrc203.origin import find_origin, go_to_zero, set_zero
-from sim.shrc203.path import SpeedTriple
-from sim.shrc203.program_lines import KEEP_TRIGGER, LINES, NESTS, NONE, ONE_SHOT, Program, ProgramLine, StoredPrograms
-from sim.shrc203.registration import PositionRecords
-from sim.shrc203.switches import MemorySwitches
-from sim.shrc203.trigger import TIMER, TriggerOutput, TriggerSetting
+from sim.shrc203.line_motions import LineMotions, LineStart, ProgramHost, ProgramState, ProgramStop
+from sim.shrc203.origin import set_zero
+from sim.shrc203.program_lines import LINES, NESTS, NONE, ONE_SHOT, Program, ProgramLine
 
 _LINE_NS = NS_PER_MS
 _TENTH_NS = NS_PER_S // 10
 
 
-class ProgramState(IntEnum):
-    """Field pr of ?:L (L2106)."""
-
-    NOT_EXECUTED = 0
-    RUNNING = 1
-    PAUSED = 2
-    ONE_LINE = 3
-    AXES_DIFFER = 4
-    ERROR = 5
-    UNEXPECTED_PATTERN = 6
-    MOTOR_OFF = 7
-    AXIS_BUSY = 8
-
-
-class ProgramHost(Protocol):
-    """Parts of the controller that a program uses in addition to its axes."""
-
-    switches: MemorySwitches
-    programs: StoredPrograms
-    registrations: PositionRecords
-
-    def ready_to_run(self, axis: StageAxis) -> bool: ...
-
-
-class _ProgramStop(Exception):
-    """Stops the program with this state."""
-
-    def __init__(self, state: ProgramState) -> None:
-        super().__init__(state.name)
-        self.state = state
-
-
 class ProgramRun:
     """The running program, if any."""
 
-    def __init__(
-        self,
-        axes: Sequence[StageAxis],
-        time: DeviceTime,
-        drive: PathGenerator,
-        inputs: InputScanner,
-        outputs: OutputLevels,
-        trigger: TriggerOutput,
-        unit: ProgramHost,
-    ) -> None:
-        self._axes = axes
-        self._time = time
-        self._drive = drive
-        self._inputs = inputs
-        self._outputs = outputs
-        self._trigger = trigger
+    def __init__(self, unit: ProgramHost) -> None:
+        self._axes = unit.axes
+        self._time = unit.time
+        self._drive = unit.drive
+        self._inputs = unit.inputs
+        self._outputs = unit.outputs
+        self._trigger = unit.trigger
         self._unit = unit
+        self._motions = LineMotions(unit)
         self._program: Program = {}
-        self._timers: list[Timer] = []
+        self._timers: list[ClockTimer] = []
         self._pending: set[StageAxis] = set()
         """Axes that the present line still waits for."""
         self._pausing = False
@@ -185,7 +133,7 @@ class ProgramRun:
             return
         try:
             self._run_line(self._program[self.line], at_ns)
-        except _ProgramStop as stop:
+        except ProgramStop as stop:
             self._end_run(stop.state)
 
     def _complete_line(self) -> None:
@@ -220,7 +168,7 @@ class ProgramRun:
                     self, fields["i"], lambda seen_ns: self._handle_input_match(epoch, seen_ns)
                 )
             case "R":
-                for axis in self._enabled_axes(line):
+                for axis in self._motions.enabled_axes(line):
                     set_zero(axis)
                 self._next_line(at_ns, self.line + 1)
             case "CM" | "CA":
@@ -234,7 +182,7 @@ class ProgramRun:
 
     def _loop_end(self, nest: int, at_ns: int) -> None:
         if not self._loop_lines[nest]:
-            raise _ProgramStop(ProgramState.UNEXPECTED_PATTERN)
+            raise ProgramStop(ProgramState.UNEXPECTED_PATTERN)
         self.loops[nest] -= 1
         if self.loops[nest] > 0:
             self._next_line(at_ns, self._loop_lines[nest] + 1)
@@ -242,37 +190,11 @@ class ProgramRun:
             self._loop_lines[nest] = 0
             self._next_line(at_ns, self.line + 1)
 
-    def _enabled_axes(self, line: ProgramLine) -> list[StageAxis]:
-        """Return the enabled axes, checked as ?:L states (L2110-L2119)."""
-        axes = [self._axes[index] for index in line.axes]
-        if line.pattern == "EH":
-            axes += [axis for axis in self._axes if axis not in axes]
-        if not all(axis.controllable for axis in axes):
-            raise _ProgramStop(ProgramState.AXES_DIFFER)
-        if not all(axis.excited for axis in axes):
-            raise _ProgramStop(ProgramState.MOTOR_OFF)
-        if any(axis.is_busy for axis in axes):
-            raise _ProgramStop(ProgramState.AXIS_BUSY)
-        if not all(self._unit.ready_to_run(axis) for axis in axes):
-            raise _ProgramStop(ProgramState.ERROR)
-        return axes
-
-    def _speed_triple(self, axis: StageAxis, number: int) -> SpeedTriple:
-        return self._unit.switches.speed_triple(axis.index, number)
-
-    def _set_trigger(self, fields: dict[str, int]) -> None:
-        mode = fields["tm"]
-        if mode <= TIMER or "ta" in fields:
-            axis = None if mode == TIMER else self._axes[fields["ta"] - 1]
-            self._trigger.set_trigger(TriggerSetting(mode, axis, abs(fields["tv"])))
-        elif mode != KEEP_TRIGGER:
-            self._trigger.set_trigger(None)
-
     def _start_move(self, line: ProgramLine, at_ns: int) -> None:
-        axes, fields = self._enabled_axes(line), line.fields
-        targets = self._move_targets(line, axes)
+        axes, fields = self._motions.enabled_axes(line), line.fields
+        targets = self._motions.move_targets(line, axes)
         self._outputs.set_levels(fields["o"])
-        self._set_trigger(fields)
+        self._motions.set_trigger(fields)
         epoch = self._epoch
         self._pending = set(axes)
 
@@ -280,67 +202,7 @@ class ProgramRun:
             if epoch == self._epoch:
                 self._handle_positioned(run, ready_ns, cause, line)
 
-        if line.pattern == "H":
-            for axis in axes:
-                find_origin(self._drive, axis, at_ns, handle_move_end)
-            return
-        number = fields["s"]
-        if line.pattern in ("K", "E", "EH"):
-            entry = self._build_interpolation(line, axes, targets)
-            try:
-                start_interpolation(
-                    self._drive, entry, self._speed_triple(entry.axes[0], number), at_ns, handle_move_end
-                )
-            except CollinearPoints:
-                raise _ProgramStop(ProgramState.ERROR) from None
-            return
-        for axis, target in zip(axes, targets, strict=True):
-            triple = self._speed_triple(axis, number)
-            if line.pattern == "Z":
-                go_to_zero(self._drive, axis, triple, at_ns, handle_move_end)
-            else:
-                start_travel(self._drive, axis, target, triple, RunKind.MOVE, at_ns, handle_move_end)
-
-    def _move_targets(self, line: ProgramLine, axes: Sequence[StageAxis]) -> list[int]:
-        """Return the distance of each enabled axis, pls; empty for patterns that define it otherwise."""
-        fields = line.fields
-        if line.pattern in ("M", "K"):
-            return [fields[f"ap{axis.index + 1}"] for axis in axes]
-        if line.pattern == "A":
-            return [fields[f"ap{axis.index + 1}"] - axis.position - axis.offset for axis in axes]
-        if line.pattern != "PAV":
-            return [0] * len(axes)
-        targets: list[int] = []
-        for axis in axes:
-            record = self._unit.registrations.coordinates.get(fields[f"m{axis.index + 1}"])
-            if record is None:
-                raise _ProgramStop(ProgramState.ERROR)
-            targets.append(record[axis.index] - axis.position - axis.offset)
-        return targets
-
-    def _build_interpolation(
-        self, line: ProgramLine, axes: list[StageAxis], targets: list[int]
-    ) -> LinearMove | ArcMove:
-        if any(axis.limit_on(sign, axis.position) for axis in axes for sign in (1, -1)):
-            raise _ProgramStop(ProgramState.ERROR)
-        if line.pattern == "K":
-            return LinearMove(tuple(axes), tuple(targets), None, False)
-        fields, mode = line.fields, line.fields["cm"]
-        helix = line.pattern == "EH"
-        form = mode // 2 + (3 if helix else 0)
-        names = ("p1", "p2", "e1", "e2") if mode >= 4 else ("c1", "c2")
-        return ArcMove(
-            form=form,
-            plane=(axes[0], axes[1]),
-            linear=axes[2] if helix else None,
-            ccw=bool(mode % 2),
-            values=tuple(fields[name] for name in names),
-            angle=line.angle if form in (1, 4) else None,
-            rotations=fields.get("r", 1),
-            rise=fields.get("hl", 0),
-            triple=None,
-            from_pre=False,
-        )
+        self._motions.start_motion(line, axes, targets, LineStart(at_ns, handle_move_end))
 
     def _handle_positioned(self, run: PathRun, at_ns: int, cause: EndCause, line: ProgramLine) -> None:
         if cause is not EndCause.END:
@@ -365,7 +227,7 @@ class ProgramRun:
 
     def _run_continuous(self, first: ProgramLine, at_ns: int) -> None:
         """Run the CM and CA lines from here on as one motion through their points (L5792)."""
-        axis = self._enabled_axes(first)[0]
+        axis = self._motions.enabled_axes(first)[0]
         batch: list[tuple[int, ProgramLine]] = []
         number = self.line
         while len(batch) < (1 if self.state is ProgramState.ONE_LINE else CONTINUOUS_LINES):
@@ -374,15 +236,7 @@ class ProgramRun:
                 break
             batch.append((number, line))
             number += 1
-        legs: list[ContinuousLeg] = []
-        here = axis.position + axis.offset
-        for _, line in batch:
-            value = line.fields[f"ap{axis.index + 1}"]
-            target = here + value if line.pattern == "CM" else value
-            if abs(target) > MAX_PULSES:
-                raise _ProgramStop(ProgramState.ERROR)
-            legs.append(ContinuousLeg(target - here, self._speed_triple(axis, line.fields["s"])))
-            here = target
+        legs = self._motions.continuous_legs(axis, [line for _, line in batch])
         path, passings = continuous_path(legs)
         epoch, last = self._epoch, batch[-1][1]
         self._trigger.set_trigger(None)
@@ -401,7 +255,7 @@ class ProgramRun:
             self._timers.clear()
             self._wait_and_continue(last, ready_ns, batch[-1][0] + 1)
 
-        self._drive.start_run([(axis, path)], legs[-1].triple, RunKind.MOVE, at_ns, handle_path_end)
+        self._drive.start_run([(axis, path)], RunOrder(legs[-1].triple, RunKind.MOVE, at_ns, handle_path_end))
 
     def _pass_point(self, following: tuple[int, ProgramLine]) -> None:
         """Handle a passing point: trigger, then the next line's number and outputs."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sim.shrc203.axis import StageAxis
-from sim.shrc203.entries import ArcMove, Entry, InputStandby, JogMove, LinearMove, TimedStandby, TravelMove
+from sim.shrc203.entries import ArcMove, InputStandby, JogMove, LinearMove, TimedStandby, TravelMove
 from sim.shrc203.grammar import GROUPS, CommandRefused, axis_letter, format_decimal, format_in_unit
 from sim.shrc203.switches import AXIS_CODES
 from sim.shrc203.unit import MODEL, CommandArea, StageSystem
@@ -20,25 +20,35 @@ def answer_identity(unit: StageSystem) -> str:
     return f"SIGMAKOKI,{MODEL},{unit.options.serial},{unit.options.firmware}"
 
 
-def _format_travel(entry: Entry | None, absolute: bool, axis: StageAxis, letter: str) -> str:
-    if isinstance(entry, TravelMove) and entry.absolute is absolute:
-        return format_in_unit(axis, letter, entry.pulses)
-    return _NOT_SET
+def _travel_query(*, absolute: bool, pre: bool) -> AxisQuery:
+    """Make the query of the amount or target in the execution buffer, or in the prebuffer."""
+
+    def format_travel(unit: StageSystem, axis: StageAxis, letter: str) -> str:
+        buffers = unit.chain.buffers[axis]
+        entry = buffers.pre if pre else buffers.execution
+        if isinstance(entry, TravelMove) and entry.absolute is absolute:
+            return format_in_unit(axis, letter, entry.pulses)
+        return _NOT_SET
+
+    return format_travel
 
 
 def _format_jog(unit: StageSystem, axis: StageAxis, letter: str) -> str:
-    del unit, letter
-    return ("+" if axis.execution.sign > 0 else "-") if isinstance(axis.execution, JogMove) else _NOT_SET
+    del letter
+    entry = unit.chain.buffers[axis].execution
+    return ("+" if entry.sign > 0 else "-") if isinstance(entry, JogMove) else _NOT_SET
 
 
 def _format_wait_time(unit: StageSystem, axis: StageAxis, letter: str) -> str:
-    del unit, letter
-    return str(axis.pre.tenths) if isinstance(axis.pre, TimedStandby) else _NOT_SET
+    del letter
+    entry = unit.chain.buffers[axis].pre
+    return str(entry.tenths) if isinstance(entry, TimedStandby) else _NOT_SET
 
 
 def _format_wait_input(unit: StageSystem, axis: StageAxis, letter: str) -> str:
-    del unit, letter
-    return str(axis.pre.pattern) if isinstance(axis.pre, InputStandby) else _NOT_SET
+    del letter
+    entry = unit.chain.buffers[axis].pre
+    return str(entry.pattern) if isinstance(entry, InputStandby) else _NOT_SET
 
 
 _BY_AXIS: dict[str, tuple[str, AxisQuery]] = {
@@ -51,10 +61,10 @@ _BY_AXIS: dict[str, tuple[str, AxisQuery]] = {
     "DF": ("FNUMD", lambda _, axis, letter: format_in_unit(axis, letter, axis.triple.f)),
     "DR": ("", lambda _, axis, _u: str(axis.triple.r)),
     "B": ("", lambda _, axis, _u: str(axis.origin_triple)),
-    "M": ("PNUMD", lambda _, axis, letter: _format_travel(axis.execution, False, axis, letter)),
-    "MP": ("PNUMD", lambda _, axis, letter: _format_travel(axis.pre, False, axis, letter)),
-    "A": ("PNUMD", lambda _, axis, letter: _format_travel(axis.execution, True, axis, letter)),
-    "AP": ("PNUMD", lambda _, axis, letter: _format_travel(axis.pre, True, axis, letter)),
+    "M": ("PNUMD", _travel_query(absolute=False, pre=False)),
+    "MP": ("PNUMD", _travel_query(absolute=False, pre=True)),
+    "A": ("PNUMD", _travel_query(absolute=True, pre=False)),
+    "AP": ("PNUMD", _travel_query(absolute=True, pre=True)),
     "WT": ("", _format_wait_time),
     "WI": ("", _format_wait_input),
     "J": ("", _format_jog),
@@ -65,9 +75,10 @@ _BY_AXIS: dict[str, tuple[str, AxisQuery]] = {
 """Queries with an axis letter: the unit letters they accept (the first is the default), and one axis's reply."""
 
 
-def _format_arc(unit: StageSystem, letter: str, pre: bool) -> str:
+def _format_arc(unit: StageSystem, letter: str, *, pre: bool) -> str:
     for axis in unit.axes:
-        entry = axis.pre if pre else axis.execution
+        buffers = unit.chain.buffers[axis]
+        entry = buffers.pre if pre else buffers.execution
         if isinstance(entry, ArcMove):
             return _arc_text(entry, letter)
     return _NOT_SET
@@ -86,9 +97,10 @@ def _arc_text(arc: ArcMove, letter: str) -> str:
     return ",".join(fields)
 
 
-def _format_line(unit: StageSystem, letter: str, pre: bool) -> str:
+def _format_line(unit: StageSystem, letter: str, *, pre: bool) -> str:
     for axis in unit.axes:
-        entry = axis.pre if pre else axis.execution
+        buffers = unit.chain.buffers[axis]
+        entry = buffers.pre if pre else buffers.execution
         if isinstance(entry, LinearMove):
             amounts = zip(entry.axes, entry.pulses, strict=True)
             return ",".join([axis_letter(entry.axes), *(format_in_unit(of, letter, value) for of, value in amounts)])
@@ -114,10 +126,10 @@ _BY_UNIT: dict[str, tuple[str, UnitQuery]] = {
     "N": ("", lambda _unit, _: MODEL),
     "SN": ("", lambda unit, _: unit.options.serial),
     "AXIS": ("", lambda unit, _: str(AXIS_CODES.index(tuple(axis.index + 1 for axis in unit.controllable)))),
-    "E": ("PNUMD", lambda unit, letter: _format_arc(unit, letter, False)),
-    "EP": ("PNUMD", lambda unit, letter: _format_arc(unit, letter, True)),
-    "K": ("PNUMD", lambda unit, letter: _format_line(unit, letter, False)),
-    "KP": ("PNUMD", lambda unit, letter: _format_line(unit, letter, True)),
+    "E": ("PNUMD", lambda unit, letter: _format_arc(unit, letter, pre=False)),
+    "EP": ("PNUMD", lambda unit, letter: _format_arc(unit, letter, pre=True)),
+    "K": ("PNUMD", lambda unit, letter: _format_line(unit, letter, pre=False)),
+    "KP": ("PNUMD", lambda unit, letter: _format_line(unit, letter, pre=True)),
     "O": ("", lambda unit, _: str(unit.outputs.value)),
     "W": ("", lambda unit, _: str(unit.drive.wait_tenths)),
     "SLEEP": ("", lambda unit, _: str(int(unit.sleeping))),

@@ -3,8 +3,7 @@
 import re
 from collections.abc import Callable, Sequence
 
-from sim.shrc203.axis import StageAxis
-from sim.shrc203.drive import RunKind
+from sim.shrc203.axis import RunKind, StageAxis
 from sim.shrc203.grammar import (
     MAX_RAMP_MS,
     NUMBER,

@@ -3,8 +3,7 @@
 import re
 from fractions import Fraction
 
-from sim.shrc203.axis import AxisPhase, StageAxis
-from sim.shrc203.drive import RunKind
+from sim.shrc203.axis import AxisPhase, RunKind, StageAxis
 from sim.shrc203.grammar import GROUPS, CommandRefused, format_decimal, pulse_size
 from sim.shrc203.unit import StageSystem
 
@@ -39,6 +38,7 @@ _LIMIT_LETTERS: dict[tuple[int, ...], str] = {
     (0, 1, 2): "W",
 }
 """Field s of Q: by the axes stopped by a limit sensor (L432-L446)."""
+_RETURN_BITS = {RunKind.ORIGIN: _ORIGIN_RETURN, RunKind.ZERO: _ZERO_RETURN}
 _DETAILED = re.compile(r"S([NUMDP]?)([EC]?)")
 
 
@@ -46,34 +46,36 @@ def status_word(unit: StageSystem, axis: StageAxis, at_ns: int) -> int:
     """Return the 25-bit status word of an axis (L519-L567); 0 for an invalid one. Forward is CW."""
     if not axis.controllable:
         return 0
-    bits = _COMMAND_ERROR if axis.command_error else 0
-    if axis.errors:
-        for error in axis.errors:
-            bits |= _ERROR_BITS[error]
-    elif not bits:
-        bits = _NORMAL
-    run = axis.run
-    if run is not None:
-        if run.kind is RunKind.ORIGIN:
-            bits |= _ORIGIN_RETURN
-        elif run.kind is RunKind.ZERO:
-            bits |= _ZERO_RETURN
     position = unit.drive.output_position(axis, at_ns)
+    bits = _error_bits(axis) | _sensor_bits(axis, position)
+    if axis.run is not None:
+        bits |= _RETURN_BITS.get(axis.run.kind, 0)
     if axis.closed_loop:
         away = unit.drive.scale_position(axis, at_ns) != position
         settling = axis.phase is AxisPhase.SETTLING and unit.options.settle_ms > 0
         if away or settling:
             bits |= _OUT_BUSY if axis.is_busy else _OUT_READY
-    if axis.limit_on(1, position):
-        bits |= _CW
+    if unit.options.near_pls and abs(position - axis.origin) <= unit.options.near_pls:
+        bits |= _NEAR
+    return bits
+
+
+def _error_bits(axis: StageAxis) -> int:
+    """Return the bits of the errors; without one, the bit of the normal state."""
+    bits = _COMMAND_ERROR if axis.command_error else 0
+    for error in axis.errors:
+        bits |= _ERROR_BITS[error]
+    return bits or _NORMAL
+
+
+def _sensor_bits(axis: StageAxis, position: int) -> int:
+    """Return the bits of limit sensors, software limits and the ORG sensor."""
+    bits = _CW if axis.limit_on(1, position) else 0
     if axis.limit_on(-1, position):
         bits |= _CCW
     if axis.soft_stop:
         bits |= _SOFT_CW if axis.soft_stop > 0 else _SOFT_CCW
-    away_pls = abs(position - axis.origin)
-    if unit.options.near_pls and away_pls <= unit.options.near_pls:
-        bits |= _NEAR
-    if axis.home_sensor if axis.home_sensor is not None else away_pls == 0:
+    if axis.home_sensor if axis.home_sensor is not None else position == axis.origin:
         bits |= _ORG
     return bits
 
@@ -136,12 +138,14 @@ def answer_coordinates(unit: StageSystem, text: str) -> str:
     if match is None:
         raise CommandRefused
     letter, counter = match.groups()
-    values = [_format_in_unit(unit, axis, letter or axis.stage_unit, counter == "E", at_ns) for axis in unit.axes]
+    values = [
+        _format_in_unit(unit, axis, letter or axis.stage_unit, scale=counter == "E", at_ns=at_ns) for axis in unit.axes
+    ]
     words = [f"{status_word(unit, axis, at_ns):X}" for axis in unit.axes]
     return ",".join([*values, *words, *(_axis_state(axis) for axis in unit.axes)])
 
 
-def _format_in_unit(unit: StageSystem, axis: StageAxis, letter: str, scale: bool, at_ns: int) -> str:
+def _format_in_unit(unit: StageSystem, axis: StageAxis, letter: str, at_ns: int, *, scale: bool) -> str:
     """Format unit letter, sign and value of a coordinate (decision 15); 0 for an invalid axis (L511)."""
     if not axis.controllable:
         return "0"

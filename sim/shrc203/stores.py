@@ -143,9 +143,11 @@ def execute_position_record(unit: StageSystem, text: str, reply: Reply) -> str:
         records[number] = _build_record([axis.position for axis in unit.axes])
         return "OK"
     if number in records:
+        if verb == "DEL":
+            return _delete_record(unit, records, number)
         offsets = [axis.offset for axis in unit.axes]
         here = _build_record([place + offset for place, offset in zip(records[number], offsets, strict=True)])
-        return _recall_record(unit, verb, number, records, here, reply)
+        return _recall_record(unit, verb, here, reply)
     return _answer_without_record(unit, verb)
 
 
@@ -158,7 +160,9 @@ def execute_coordinate_record(unit: StageSystem, text: str, reply: Reply) -> str
         records[number] = _build_record([axis.position + axis.offset for axis in unit.axes])
         return "OK"
     if number in records:
-        return _recall_record(unit, verb, number, records, records[number], reply)
+        if verb == "DEL":
+            return _delete_record(unit, records, number)
+        return _recall_record(unit, verb, records[number], reply)
     return _answer_without_record(unit, verb)
 
 
@@ -176,15 +180,16 @@ def _build_record(values: list[int]) -> Record:
     return values[0], values[1], values[2]
 
 
-def _recall_record(
-    unit: StageSystem, verb: str, number: int, records: dict[int, Record], here: Record, reply: Reply
-) -> str:
+def _delete_record(unit: StageSystem, records: dict[int, Record], number: int) -> str:
+    unit.require_ready()
+    del records[number]
+    return "OK"
+
+
+def _recall_record(unit: StageSystem, verb: str, here: Record, reply: Reply) -> str:
     if verb == "GET":
         return ",".join(str(value) for value in here)
-    if verb == "DEL":
-        unit.require_ready()
-        del records[number]
-    elif verb in ("G", "GRT"):
+    if verb in ("G", "GRT"):
         move_to_coordinates(unit, here, reply if verb == "GRT" else None)
     else:
         raise CommandRefused

@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from orchestrator.clock.base import Timer
+from orchestrator.clock.base import ClockTimer
 from sim.core.devicetime import DeviceTime
-from sim.shrc203.axis import StageAxis
-from sim.shrc203.drive import PathGenerator, PathRun
+from sim.shrc203.axis import PathRun, StageAxis
+from sim.shrc203.drive import PathGenerator
 
 PULSE, TIMER, SCALE_PLUS, SCALE_MINUS = range(4)
 """Trigger modes as ?:T and program lines number them (L2157)."""
@@ -36,7 +36,7 @@ class TriggerOutput:
         self._resolution_nm = scale_resolution_nm
         self._time = time
         self._drive = drive
-        self._timer: Timer | None = None
+        self._timer: ClockTimer | None = None
         self._last: float = 0.0
         """Position of the last trigger, pls."""
         self.setting: TriggerSetting | None = None

@@ -5,9 +5,9 @@ from enum import Enum, auto
 from fractions import Fraction
 
 from sim.core.devicetime import DeviceTime
-from sim.shrc203.axis import StageAxis
+from sim.shrc203.axis import EndCause, StageAxis
 from sim.shrc203.chain import DoubleBuffer
-from sim.shrc203.drive import EndCause, PathGenerator
+from sim.shrc203.drive import PathGenerator
 from sim.shrc203.grammar import GROUPS, CommandRefused
 from sim.shrc203.inputs import InputScanner, OutputLevels
 from sim.shrc203.line import Reply
@@ -60,7 +60,7 @@ class StageSystem:
         self.registrations = PositionRecords()
         self.programs = StoredPrograms()
         self.trigger = TriggerOutput(time, self.drive, options.scale_resolution_nm)
-        self.program = ProgramRun(self.axes, time, self.drive, self.inputs, self.outputs, self.trigger, self)
+        self.program = ProgramRun(self)
         self.controllable: list[StageAxis] = []
         self.mode = "HOST"
         self.area = CommandArea.HOST

@@ -1,6 +1,8 @@
 """Execution of the commands that are not program flow, in a program and directly."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import singledispatchmethod
 
 from sim.smc30.expressions import OperandValues
 from sim.smc30.memory import PermanentMemory
@@ -40,6 +42,17 @@ _PC = 255
 _NS_PER_S = 1_000_000_000
 
 
+@dataclass(frozen=True, slots=True)
+class StatementTargets:
+    """Parts of the device that statements act on."""
+
+    values: OperandValues
+    motor: MotorCommands
+    outputs: UserOutputs
+    permanent: PermanentMemory
+    modules: ExternalModules
+
+
 class StatementExecutor:
     """Executes one statement at a time."""
 
@@ -48,60 +61,77 @@ class StatementExecutor:
         options: IndexerOptions,
         tempo: PausableTimer,
         store_tempo: PausableTimer,
-        values: OperandValues,
-        motor: MotorCommands,
-        outputs: UserOutputs,
-        permanent: PermanentMemory,
-        modules: ExternalModules,
+        targets: StatementTargets,
         send: Callable[[str], None],
     ) -> None:
         self._options = options
         self._tempo = tempo
         self._store_tempo = store_tempo
-        self._values = values
-        self._motor = motor
-        self._outputs = outputs
-        self._permanent = permanent
-        self._modules = modules
+        self._values = targets.values
+        self._targets = targets
         self._send_reply = send
 
+    @singledispatchmethod
     def execute_statement(self, statement: Act) -> Activity | None:
         """Execute it, or return the activity that takes time. `StatementRefused` when it cannot be done."""
-        values = self._values
-        match statement:
-            case MoveSteps() | MoveAnalogue() | RunOn() | SearchHome():
-                return self._motor.prepare_motion(statement)
-            case DelayTicks(ticks):
-                return self._begin_delay(ticks)
-            case DelayAnalogue(ticks):
-                return self._begin_delay(values.inputs.scale_level(ticks))
-            case AssignRegister():
-                return self._assign_value(statement.target, values.assigned_value(statement))
-            case InitializeState(what):
-                return self._initialize_state(what)
-            case PrintText():
-                return self._print_statement(statement)
-            case ReadInput():
-                return self._assign_value(statement.target, self._modules.read_input(statement))
-            case BlankLine():
-                pass
-            case ForceCounter(position):
-                values.drive.set_counter(position)
-            case ArmMove():
-                self._motor.armed = statement
-            case SetCurrent(which, milliamps):
-                values.parameters.currents_ma[which] = milliamps
-            case SetRate(rate, value):
-                values.parameters.set_rate(rate, value)
-            case RateFromAnalogue(rate, input_, scale):
-                values.parameters.set_from_analogue(rate, values.inputs.analogue_level(input_), scale)
-            case SetOutput(number, on):
-                self._outputs.set_output(number, on)
-            case SetConversion(factor):
-                self._motor.conversion.factor = factor
-            case SetFlag():
-                self._modules.set_flag(statement)
+        raise TypeError(f"{type(statement).__name__} is not a statement that is executed here")
+
+    @execute_statement.register
+    def _move_motor(self, statement: MoveSteps | MoveAnalogue | RunOn | SearchHome) -> Activity | None:
+        return self._targets.motor.prepare_motion(statement)
+
+    @execute_statement.register
+    def _delay_ticks(self, statement: DelayTicks) -> Activity | None:
+        return self._begin_delay(statement.ticks)
+
+    @execute_statement.register
+    def _delay_analogue(self, statement: DelayAnalogue) -> Activity | None:
+        return self._begin_delay(self._values.inputs.scale_level(statement.ticks))
+
+    @execute_statement.register
+    def _assign_register(self, statement: AssignRegister) -> Activity | None:
+        return self._assign_value(statement.target, self._values.assigned_value(statement))
+
+    @execute_statement.register
+    def _read_input(self, statement: ReadInput) -> Activity | None:
+        return self._assign_value(statement.target, self._targets.modules.read_input(statement))
+
+    @execute_statement.register
+    def _skip_blank(self, statement: BlankLine) -> Activity | None:
         return None
+
+    @execute_statement.register
+    def _force_counter(self, statement: ForceCounter) -> Activity | None:
+        self._values.drive.set_counter(statement.position)
+
+    @execute_statement.register
+    def _arm_move(self, statement: ArmMove) -> Activity | None:
+        self._targets.motor.armed = statement
+
+    @execute_statement.register
+    def _set_current(self, statement: SetCurrent) -> Activity | None:
+        self._values.parameters.currents_ma[statement.which] = statement.milliamps
+
+    @execute_statement.register
+    def _set_rate(self, statement: SetRate) -> Activity | None:
+        self._values.parameters.set_rate(statement.rate, statement.value)
+
+    @execute_statement.register
+    def _rate_from_analogue(self, statement: RateFromAnalogue) -> Activity | None:
+        level = self._values.inputs.analogue_level(statement.input)
+        self._values.parameters.set_from_analogue(statement.rate, level, statement.scale)
+
+    @execute_statement.register
+    def _set_output(self, statement: SetOutput) -> Activity | None:
+        self._targets.outputs.set_output(statement.number, on=statement.on)
+
+    @execute_statement.register
+    def _set_conversion(self, statement: SetConversion) -> Activity | None:
+        self._targets.motor.conversion.factor = statement.factor
+
+    @execute_statement.register
+    def _set_flag(self, statement: SetFlag) -> Activity | None:
+        self._targets.modules.set_flag(statement)
 
     def _begin_delay(self, ticks: int) -> Activity:
         if ticks > _LAST_DELAY:
@@ -124,12 +154,13 @@ class StatementExecutor:
                 raise StatementRefused("E4")
         return None
 
-    def _initialize_state(self, what: int) -> Activity | None:
-        values = self._values
+    @execute_statement.register
+    def _initialize_state(self, statement: InitializeState) -> Activity | None:
+        values, what = self._values, statement.what
         if what in (1, 3):
             values.drive.set_counter(0)
         if what in (2, 3):
-            self._outputs.clear_outputs()
+            self._targets.outputs.clear_outputs()
         if what == 5:
             values.registers.values.clear()
         if what == 6:
@@ -156,19 +187,20 @@ class StatementExecutor:
         return begin_access
 
     def _save_registers(self) -> None:
-        self._permanent.registers = dict(self._values.registers.values)
+        self._targets.permanent.registers = dict(self._values.registers.values)
 
     def _recall_registers(self) -> None:
-        self._values.registers.values = dict(self._permanent.registers)
+        self._values.registers.values = dict(self._targets.permanent.registers)
 
-    def _print_statement(self, statement: PrintText) -> Activity:
+    @execute_statement.register
+    def _print_text(self, statement: PrintText) -> Activity:
         text = self._format_operand(statement.what)
 
         def begin_print(done: Done) -> None:
             if statement.module == _PC:
                 self._send_reply(text)
             else:
-                self._modules.show_text(statement, text)
+                self._targets.modules.show_text(statement, text)
             done()
 
         return begin_print

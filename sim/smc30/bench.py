@@ -42,20 +42,20 @@ class Smc30Bench:
         stated = _GivenState.model_validate(dict(state))
         controller = self._controller
         if stated.power is not None:
-            controller.set_power(False)
-            controller.set_power(True)
+            controller.set_power(on=False)
+            controller.set_power(on=True)
         for axis, counter in stated.position.items():
             controller.find_indexer(axis).drive.set_counter(counter)
         for number, level in stated.inputs.items():
-            controller.set_input(number, level)
+            controller.set_input(number, level=level)
         for number, volts in stated.analog.items():
             controller.set_volts(number, volts)
         for number, level in stated.outputs.items():
-            controller.set_output(number, level)
+            controller.set_output(number, level=level)
         for axis, which in stated.limits.items():
             controller.set_limit(axis, which)
         for axis in stated.stalled:
-            controller.set_stalled(axis, True)
+            controller.set_stalled(axis, stalled=True)
 
     def is_refusal(self, reply: bytes) -> bool:
         """Return whether one of the answers is an error, or B (not accepted)."""

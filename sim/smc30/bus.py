@@ -36,14 +36,14 @@ class BusDevice:
 
     # Environment
 
-    def set_power(self, on: bool) -> None:
-        self._station.set_power(on)
+    def set_power(self, *, on: bool) -> None:
+        self._station.set_power(on=on)
 
-    def set_input(self, number: int, level: bool) -> None:
+    def set_input(self, number: int, *, level: bool) -> None:
         if number == STOP_INPUT:
-            self._unit.set_stop_input(level)
+            self._unit.set_stop_input(held=level)
         elif 1 <= number <= USER_INPUTS:
-            self._unit.inputs.set_user(number, level)
+            self._unit.inputs.set_user(number, level=level)
         else:
             raise ValueError(f"no input {number}; there are 1-{USER_INPUTS} and the Stop input {STOP_INPUT}")
 
@@ -51,7 +51,7 @@ class BusDevice:
         self._require_axis(axis)
         self._unit.drive.set_limits(which)
 
-    def set_stalled(self, axis: str, stalled: bool) -> None:
+    def set_stalled(self, axis: str, *, stalled: bool) -> None:
         """Ignored by the device: it is open loop and counts the steps it commands."""
         del stalled
         self._require_axis(axis)

@@ -5,11 +5,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_S, Clock, Timer
-from orchestrator.link.supply import Supply
+from orchestrator.clock.base import NS_PER_S, Clock, ClockTimer
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
+from sim.smc30.drive import StepGenerator
 from sim.smc30.framing import ReceivedString, StringReader, compute_checksum, odd_parity
 from sim.smc30.inputs import ANALOGUE_INPUTS, USER_INPUTS
 from sim.smc30.options import IndexerOptions, Smc30Options
@@ -28,7 +29,7 @@ class _PendingString:
     """A received string being decoded."""
 
     received: ReceivedString
-    timer: Timer
+    timer: ClockTimer
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +71,12 @@ class BusStation:
         self._reader = StringReader(options.address, options.checksum, options.line_limit, bus.options.parity)
         self._pending: deque[_PendingString] = deque()
         self._busy_until_ns = 0
-        self._supply = Supply()
+        self._supply = PowerSupply()
         self.record = place.record
         time = DeviceTime(clock, place.oscillator)
         poll_phase = self._generator.random() if options.input_poll_ms else 0.0
-        self.unit = StepIndexer(time, options, place.axis, place.record, self._send_reply, poll_phase)
+        drive = StepGenerator(time, place.axis, place.record, options.travel_steps)
+        self.unit = StepIndexer(time, options, drive, self._send_reply, poll_phase)
 
     @property
     def is_decoding(self) -> bool:
@@ -85,7 +87,7 @@ class BusStation:
         if not self.unit.on:
             return
         for received in self._reader.read_strings(
-            self._supply.heard(data, self._clock.now_ns(), self._bus.character_ns)
+            self._supply.cut_received(data, self._clock.now_ns(), self._bus.character_ns)
         ):
             delay_ns = self._timing.decode_ns
             if self._timing.spread_ns:
@@ -106,11 +108,11 @@ class BusStation:
             data += bytes((compute_checksum(data),))
         self._bus.transmit_reply(self, data + b"\r")
 
-    def set_power(self, on: bool) -> None:
+    def set_power(self, *, on: bool) -> None:
         if on == self.unit.on:
             return
         if on:
-            self._supply.switched(on, self._clock.now_ns())
+            self._supply.set_power(on=on, at_ns=self._clock.now_ns())
             self.unit.power_up()
             return
         for pending in self._pending:
@@ -128,9 +130,9 @@ class HostLineEnd:
     def __init__(self, bus: "Smc30Controller", send: SendBytes) -> None:
         self._bus = bus
         self.send = send
-        self.supply = Supply()
+        self.supply = PowerSupply()
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         self._bus.handle_bytes(self, data)
 
     def close(self) -> None:
@@ -215,7 +217,7 @@ class Smc30Controller:
     def stop_transmission(self, station: BusStation) -> None:
         """Handle a power loss of a device, possibly while it was sending."""
         if self._port is not None and self._spoke is station:
-            self._port.supply.switched(False, self._clock.now_ns())
+            self._port.supply.set_power(on=False, at_ns=self._clock.now_ns())
 
     def _mix_colliding(self, station: BusStation, data: bytes) -> bytes:
         now_ns, last = self._clock.now_ns(), self._last
@@ -230,22 +232,22 @@ class Smc30Controller:
 
     # Environment
 
-    def set_power(self, on: bool) -> None:
+    def set_power(self, *, on: bool) -> None:
         """Switch the power of all devices; the line stays connected."""
         for station in self._stations:
-            station.set_power(on)
+            station.set_power(on=on)
 
-    def set_unit_power(self, axis: str, on: bool) -> None:
+    def set_unit_power(self, axis: str, *, on: bool) -> None:
         """Switch the power of one device of the bus."""
-        self._find_station(axis).set_power(on)
+        self._find_station(axis).set_power(on=on)
 
-    def set_input(self, number: int, level: bool) -> None:
+    def set_input(self, number: int, *, level: bool) -> None:
         place, own = self._split_number(number)
         unit = self._stations[place - 1].unit
         if own == STOP_INPUT:
-            unit.set_stop_input(level)
+            unit.set_stop_input(held=level)
         elif 1 <= own <= USER_INPUTS:
-            unit.inputs.set_user(own, level)
+            unit.inputs.set_user(own, level=level)
         else:
             raise ValueError(
                 f"no input {number}; a device has user inputs 1-{USER_INPUTS} and the Stop input {STOP_INPUT}"
@@ -261,7 +263,7 @@ class Smc30Controller:
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         self._find_station(axis).unit.drive.set_limits(which)
 
-    def set_stalled(self, axis: str, stalled: bool) -> None:
+    def set_stalled(self, axis: str, *, stalled: bool) -> None:
         """Ignored by the device: it is open loop and counts the steps it commands."""
         del stalled
         self._find_station(axis)
@@ -276,10 +278,10 @@ class Smc30Controller:
             raise ValueError(f"no output {number}; a device has 1-{USER_OUTPUTS}")
         return self._stations[place - 1].unit.outputs.output_level(own)
 
-    def set_output(self, number: int, level: bool) -> None:
+    def set_output(self, number: int, *, level: bool) -> None:
         """Set an output to a level, as a test's initial state."""
         place, own = self._split_number(number)
-        self._stations[place - 1].unit.outputs.set_output(own, level)
+        self._stations[place - 1].unit.outputs.set_output(own, on=level)
 
     def on_output(self, listener: Callable[[int, bool], None]) -> None:
         """Subscribe to output changes. Outputs of a bus are reported as 10 * place + 1-3, of a single device as 1-3."""
@@ -329,11 +331,11 @@ class Smc30Controller:
     def _output_relay(self, place: int) -> Callable[[int, bool], None]:
         base = place * _PLACE if self._numbers_by_place else 0
 
-        def relay_output(number: int, level: bool) -> None:
+        def relay_output(number: int, *, level: bool) -> None:
             for listener in self._listeners:
                 listener(base + number, level)
 
-        return relay_output
+        return lambda number, level: relay_output(number, level=level)
 
 
 def _build_oscillator(options: IndexerOptions, seed: int) -> Oscillator:

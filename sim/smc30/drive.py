@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, auto
 
-from orchestrator.clock.base import NS_PER_S, Timer
+from orchestrator.clock.base import NS_PER_S, ClockTimer
 from sim.core.controller import CommandedMotion, LimitSwitch
 from sim.core.devicetime import DeviceTime
 from sim.smc30.profile import StepProfile, stop_profile
@@ -31,33 +31,29 @@ class RunEnd(Enum):
 Ended = Callable[[RunEnd], None]
 
 
-@dataclass(slots=True)
-class _StepRun:
-    """Steps in one direction. Steps of the profile are counted from where the counter was at the start of the run."""
+@dataclass(frozen=True, slots=True)
+class StepOrder:
+    """Steps (may be infinite) in one direction. `ended` is called once, perhaps before the start returns."""
 
     sign: int
-    profile: StepProfile
+    steps: float
     build_profile: Callable[[float], StepProfile]
     """Builds the profile of a given number of steps, for the part that the Stop input leaves."""
     start_rate: float
     slope: float
     ended: Ended
-    motion: CommandedMotion
-    origin_ns: int
-    """Device instant that the profile's time counts from."""
-    timer: Timer | None = None
 
 
 @dataclass(slots=True)
-class _FrozenRun:
-    """A run that the Stop input has interrupted."""
+class _StepRun:
+    """A running order. Steps of the profile are counted from where the counter was at the start of the run."""
 
-    sign: int
-    steps: float
-    build_profile: Callable[[float], StepProfile]
-    start_rate: float
-    slope: float
-    ended: Ended
+    order: StepOrder
+    profile: StepProfile
+    motion: CommandedMotion
+    origin_ns: int
+    """Device instant that the profile's time counts from."""
+    timer: ClockTimer | None = None
 
 
 class StepGenerator:
@@ -67,14 +63,14 @@ class StepGenerator:
         self, time: DeviceTime, axis: str, motions: list[CommandedMotion], travel: tuple[int, int] | None
     ) -> None:
         self._time = time
-        self._axis = axis
+        self.axis = axis
         self._motions = motions
         self._travel = travel
         self._limits: LimitSwitch | None = None
         self._counter = 0
         self._place = 0
         self._run: _StepRun | None = None
-        self._frozen: _FrozenRun | None = None
+        self._frozen: StepOrder | None = None
         self.held = False
         """The Stop input is active."""
         self.overflow = False
@@ -96,7 +92,7 @@ class StepGenerator:
         if self._run is None:
             return float(self._counter), 0.0
         steps, rate = self._run_progress(self._run)
-        return self._counter + self._run.sign * steps, self._run.sign * rate
+        return self._counter + self._run.order.sign * steps, self._run.order.sign * rate
 
     @property
     def position_counter(self) -> int:
@@ -114,38 +110,30 @@ class StepGenerator:
 
     def _steps_made(self) -> int:
         run = self._run
-        return 0 if run is None else run.sign * math.floor(self._run_progress(run)[0] + _WHOLE)
+        return 0 if run is None else run.order.sign * math.floor(self._run_progress(run)[0] + _WHOLE)
 
     def _run_progress(self, run: _StepRun) -> tuple[float, float]:
         return run.profile.state_at((self._time.now_ns() - run.origin_ns) / NS_PER_S)
 
     # Runs
 
-    def start_run(
-        self,
-        sign: int,
-        steps: float,
-        again: Callable[[float], StepProfile],
-        start_rate: float,
-        slope: float,
-        ended: Ended,
-    ) -> None:
-        """Run `steps` (may be infinite) in a direction; `ended` is called once, perhaps before this returns."""
+    def start_run(self, order: StepOrder) -> None:
+        """Run an order."""
         if self.held:
-            self._frozen = _FrozenRun(sign, steps, again, start_rate, slope, ended)
+            self._frozen = order
             return
-        if steps < 1:
-            ended(RunEnd.DONE)
-        elif self.is_limit_active(sign):
-            ended(RunEnd.SWITCH)
-        elif self._steps_to_limit(sign) < 1:
+        if order.steps < 1:
+            order.ended(RunEnd.DONE)
+        elif self.is_limit_active(order.sign):
+            order.ended(RunEnd.SWITCH)
+        elif self._steps_to_limit(order.sign) < 1:
             self.overflow = True
-            ended(RunEnd.OVERFLOW)
+            order.ended(RunEnd.OVERFLOW)
         else:
-            motion = CommandedMotion(self._axis, self._time.clock.now_ns(), float(self._counter))
+            motion = CommandedMotion(self.axis, self._time.clock.now_ns(), float(self._counter))
             self._motions.append(motion)
             now_ns = self._time.now_ns()
-            self._run = _StepRun(sign, again(steps), again, start_rate, slope, ended, motion, now_ns)
+            self._run = _StepRun(order, order.build_profile(order.steps), motion, now_ns)
             self._schedule_event(self._run)
 
     def _steps_to_limit(self, sign: int) -> int:
@@ -156,12 +144,12 @@ class StepGenerator:
         if run.timer is not None:
             run.timer.cancel()
         steps, end = run.profile.distance, RunEnd.DONE
-        room = self._steps_to_limit(run.sign)
+        room = self._steps_to_limit(run.order.sign)
         if room < steps:
             steps, end = float(room), RunEnd.OVERFLOW
         if self._travel is not None and self._limits is None:
             low, high = self._travel
-            distance = high - self._place if run.sign > 0 else self._place - low
+            distance = high - self._place if run.order.sign > 0 else self._place - low
             if distance < steps:
                 steps, end = float(distance), RunEnd.SWITCH
         due_ns = run.origin_ns + math.ceil(run.profile.reached_s(steps) * NS_PER_S)
@@ -170,13 +158,13 @@ class StepGenerator:
     def _finish_run(self, run: _StepRun, steps: int, end: RunEnd) -> None:
         self._record_end(run, steps)
         self.overflow = self.overflow or end is RunEnd.OVERFLOW
-        run.ended(end)
+        run.order.ended(end)
 
     def _record_end(self, run: _StepRun, steps: int) -> None:
         if run.timer is not None:
             run.timer.cancel()
-        self._counter += run.sign * steps
-        self._place += run.sign * steps
+        self._counter += run.order.sign * steps
+        self._place += run.order.sign * steps
         run.motion.end_ns = self._time.clock.now_ns()
         run.motion.end_counts = float(self._counter)
         self._run = None
@@ -192,9 +180,9 @@ class StepGenerator:
         """Stop immediately and notify the originator of the run."""
         frozen, self._frozen = self._frozen, None
         run = self._cut_run()
-        for over in (run, frozen):
-            if over is not None:
-                over.ended(end)
+        for order in (None if run is None else run.order, frozen):
+            if order is not None:
+                order.ended(end)
 
     def discard_run(self) -> None:
         """Stop immediately without notification."""
@@ -210,7 +198,7 @@ class StepGenerator:
         if run is None:
             return
         steps, rate = self._run_progress(run)
-        ramp = stop_profile(steps, rate, run.start_rate, run.slope, run.profile.distance)
+        ramp = stop_profile(steps, rate, run.order.start_rate, run.order.slope, run.profile.distance)
         if ramp is None:
             self.halt_run(RunEnd.DONE)
             return
@@ -227,7 +215,7 @@ class StepGenerator:
             raise ValueError("the motor keeps torque on the axis; push it at rest only")
         self._place += steps
 
-    def set_stop_input(self, held: bool) -> None:
+    def set_stop_input(self, *, held: bool) -> None:
         """Set the Stop input: freeze; on its release restart the remaining steps from the start rate (decision 20)."""
         self.held = held
         if held:
@@ -235,14 +223,10 @@ class StepGenerator:
                 distance = run.profile.distance
                 made = abs(self._steps_made())
                 self._cut_run()
-                self._frozen = _FrozenRun(
-                    run.sign, distance - made, run.build_profile, run.start_rate, run.slope, run.ended
-                )
+                self._frozen = replace(run.order, steps=distance - made)
         elif (frozen := self._frozen) is not None:
             self._frozen = None
-            self.start_run(
-                frozen.sign, frozen.steps, frozen.build_profile, frozen.start_rate, frozen.slope, frozen.ended
-            )
+            self.start_run(frozen)
 
     def is_limit_active(self, sign: int) -> bool:
         """Return whether the end-of-travel input of a direction is active."""
@@ -257,7 +241,7 @@ class StepGenerator:
         self._limits = None if limits == "none" else limits
         if (run := self._run) is None:
             return
-        if self.is_limit_active(run.sign):
+        if self.is_limit_active(run.order.sign):
             self.halt_run(RunEnd.SWITCH)
         else:
             self._schedule_event(run)

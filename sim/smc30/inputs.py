@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from orchestrator.clock.base import Timer
+from orchestrator.clock.base import ClockTimer
 from sim.core.devicetime import DeviceTime
 from sim.smc30.statements import AnalogueThreshold, InputContact, ScaledInput, StartCondition
 
@@ -29,13 +29,13 @@ class InputLevels:
         self._phase_ns = phase_ns
         self._changed = changed
         self._wire = [False] * (USER_INPUTS + 1)
-        self._pending: dict[int, Timer] = {}
+        self._pending: dict[int, ClockTimer] = {}
         self._user = [False] * (USER_INPUTS + 1)
         self._analogue = [0] * (ANALOGUE_INPUTS + 1)
         self.generation = 0
         """Number of changes."""
 
-    def set_user(self, number: int, level: bool) -> None:
+    def set_user(self, number: int, *, level: bool) -> None:
         """Set the wire of user input `number` to `level`; seen when it stays so for the filter's time."""
         if level == self._wire[number]:
             return

@@ -53,3 +53,11 @@ class PermanentMemory:
 
     program: list[StoredLine] = field(default_factory=list[StoredLine])
     registers: dict[int, int] = field(default_factory=dict[int, int])
+
+    def save_program(self, working: WorkingMemory) -> None:
+        """Store the program of the working memory."""
+        self.program = list(working.lines)
+
+    def recall_program(self, working: WorkingMemory) -> None:
+        """Load the stored program into the working memory."""
+        working.load_program(self.program)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.smc30.drive import RunEnd, StepGenerator
+from sim.smc30.drive import RunEnd, StepGenerator, StepOrder
 from sim.smc30.expressions import OperandValues
 from sim.smc30.inputs import InputLevels
 from sim.smc30.options import IndexerOptions
@@ -157,8 +157,9 @@ class MotorCommands:
             sign, steps = (-1 if way < 0 else 1), abs(way)
         self._stop = stop
         self._stop_was_high = isinstance(stop, FallingInput) and self._inputs.user_level(stop.input)
+        build_profile, start_rate, slope = order.build_profile, order.start_rate, order.slope
         self._drive.start_run(
-            sign, steps, order.build_profile, order.start_rate, order.slope, lambda end: self._handle_run_end(end, done)
+            StepOrder(sign, steps, build_profile, start_rate, slope, lambda end: self._handle_run_end(end, done))
         )
         self._check_stop()
 
@@ -181,7 +182,8 @@ class MotorCommands:
             self._handle_run_end(end, done)
 
         self._homing = True
-        self._drive.start_run(sign, math.inf, lambda steps: constant_profile(steps, rate), rate, 0.0, handle_home_end)
+        order = StepOrder(sign, math.inf, lambda steps: constant_profile(steps, rate), rate, 0.0, handle_home_end)
+        self._drive.start_run(order)
         self._check_home()
 
     def _check_home(self) -> None:

@@ -15,7 +15,7 @@ class UserOutputs:
     def output_level(self, number: int) -> bool:
         return self._levels[number]
 
-    def set_output(self, number: int, on: bool) -> None:
+    def set_output(self, number: int, *, on: bool) -> None:
         if self._levels[number] == on:
             return
         self._levels[number] = on
@@ -24,7 +24,7 @@ class UserOutputs:
 
     def clear_outputs(self) -> None:
         for number in range(1, USER_OUTPUTS + 1):
-            self.set_output(number, False)
+            self.set_output(number, on=False)
 
     def output_pattern(self) -> int:
         """Bit value 1 = output 1, 2 = output 2, 4 = output 3."""

@@ -122,7 +122,7 @@ def _build_arm(match: re.Match[str]) -> Statement:
     start, stop = parse_bounded(match[1], 1, 3), parse_bounded(match[2], 1, 3)
     start_level, stop_level = int(match[3]), int(match[4])
     begin = InputLevel(start, bool(start_level)) if start_level < _LOGIC_LEVELS else None
-    end = {0: FallingInput(stop), 1: InputLevel(stop, True)}.get(stop_level)
+    end = {0: FallingInput(stop), 1: InputLevel(stop, level=True)}.get(stop_level)
     return ArmMove(3, begin, end)
 
 

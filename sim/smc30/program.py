@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.core.devicetime import DeviceTime
 from sim.smc30.actions import StatementExecutor
 from sim.smc30.expressions import OperandValues
 from sim.smc30.motor import Activity
@@ -12,6 +11,7 @@ from sim.smc30.refusal import Code, StatementRefused
 from sim.smc30.statements import (
     AssignRegister,
     CallSubroutine,
+    Decision,
     IfComparison,
     InputContact,
     JumpLevel,
@@ -59,14 +59,13 @@ class ProgramInterpreter:
 
     def __init__(
         self,
-        time: DeviceTime,
         tempo: PausableTimer,
         line_ns: int,
         values: OperandValues,
         actions: StatementExecutor,
         stopped: Callable[[Code | None], None],
     ) -> None:
-        self._time = time
+        self._time = tempo.time
         self._tempo = tempo
         self._line_ns = line_ns
         self._values = values
@@ -190,49 +189,52 @@ class ProgramInterpreter:
     # Flow
 
     def _execute_flow(self, index: int, statement: Statement) -> Activity | None:
+        if isinstance(statement, Decision):
+            self._decide_next(index, statement)
+            return None
+        self._break_lap()
+        match statement:
+            case CallSubroutine(line):
+                self._call_subroutine(line)
+            case ReturnFromCall():
+                self._return_from_call()
+            case LoopSegment(count):
+                self._run_loop(index, count)
+            case AssignRegister(PredefinedRegister("L")):
+                self._run_loop(index, self._values.assigned_value(statement))
+            case ReadInput(PredefinedRegister("L")):
+                raise StatementRefused("E4")
+            case _:
+                return self._actions.execute_statement(statement)
+        return None
+
+    def _decide_next(self, index: int, statement: Decision) -> None:
+        """Execute a statement that only chooses the next line."""
         inputs = self._values.inputs
         match statement:
             case JumpToLine(line):
                 self._jump_to(index, line)
             case JumpPattern(pattern, line):
-                self._jump_if(inputs.user_pattern() == pattern, index, line)
+                self._jump_if(condition=inputs.user_pattern() == pattern, index=index, line=line)
             case JumpLevel(contact, level, line):
-                self._jump_if(inputs.is_closed(contact) == level, index, line)
+                self._jump_if(condition=inputs.is_closed(contact) == level, index=index, line=line)
             case JumpThreshold(threshold, line):
-                self._jump_if(inputs.is_beyond(threshold), index, line)
+                self._jump_if(condition=inputs.is_beyond(threshold), index=index, line=line)
             case IfComparison():
                 self._at += 0 if self._values.is_true(statement) else 1
                 self._at = min(self._at, len(self._lines))
             case RepeatUntil(contact):
-                self._jump_if(inputs.is_closed(contact), index, self._until_start(index))
+                self._jump_if(condition=inputs.is_closed(contact), index=index, line=self._until_start(index))
             case WaitFor(contact):
                 if not inputs.is_closed(contact):
                     self._awaited = contact
-            case CallSubroutine(line):
-                self._break_lap()
-                self._call_subroutine(line)
-            case ReturnFromCall():
-                self._break_lap()
-                self._return_from_call()
-            case LoopSegment(count):
-                self._break_lap()
-                self._run_loop(index, count)
-            case AssignRegister(PredefinedRegister("L")):
-                self._break_lap()
-                self._run_loop(index, self._values.assigned_value(statement))
-            case ReadInput(PredefinedRegister("L")):
-                raise StatementRefused("E4")
-            case _:
-                self._break_lap()
-                return self._actions.execute_statement(statement)
-        return None
 
     def _break_lap(self) -> None:
         """Break lap detection: a statement other than a decision makes the laps before and after it different."""
         self._lap = None
         self._path = []
 
-    def _jump_if(self, condition: bool, index: int, line: int) -> None:
+    def _jump_if(self, index: int, line: int, *, condition: bool) -> None:
         if condition:
             self._jump_to(index, line)
 

@@ -288,18 +288,8 @@ class SetFlag:
     on: bool
 
 
-Flow = (
-    RepeatUntil
-    | WaitFor
-    | JumpToLine
-    | JumpPattern
-    | JumpLevel
-    | JumpThreshold
-    | CallSubroutine
-    | ReturnFromCall
-    | LoopSegment
-    | IfComparison
-)
+Decision = RepeatUntil | WaitFor | JumpToLine | JumpPattern | JumpLevel | JumpThreshold | IfComparison
+Flow = Decision | CallSubroutine | ReturnFromCall | LoopSegment
 Motor = MoveSteps | MoveAnalogue | RunOn | SearchHome
 Act = (
     BlankLine

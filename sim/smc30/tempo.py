@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from orchestrator.clock.base import Timer
+from orchestrator.clock.base import ClockTimer
 from sim.core.devicetime import DeviceTime
 
 
@@ -10,8 +10,8 @@ class PausableTimer:
     """The single timer of a program: its next line, a delay, or a start latency. The Stop input pauses it."""
 
     def __init__(self, time: DeviceTime) -> None:
-        self._time = time
-        self._timer: Timer | None = None
+        self.time = time
+        self._timer: ClockTimer | None = None
         self._callback: Callable[[], None] | None = None
         self._due_ns = 0
         self._left_ns = 0
@@ -35,7 +35,7 @@ class PausableTimer:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-            self._left_ns = max(0, self._due_ns - self._time.now_ns())
+            self._left_ns = max(0, self._due_ns - self.time.now_ns())
 
     def resume_timer(self) -> None:
         self.halted = False
@@ -43,8 +43,8 @@ class PausableTimer:
             self._arm_timer()
 
     def _arm_timer(self) -> None:
-        self._due_ns = self._time.now_ns() + self._left_ns
-        self._timer = self._time.call_at(self._due_ns, self._handle_due)
+        self._due_ns = self.time.now_ns() + self._left_ns
+        self._timer = self.time.call_at(self._due_ns, self._handle_due)
 
     def _handle_due(self) -> None:
         self._timer = None

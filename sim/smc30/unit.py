@@ -3,30 +3,29 @@
 import re
 from collections.abc import Callable
 from enum import Enum, auto
-from typing import Literal
+from functools import partial
 
-from sim.core.controller import CommandedMotion
 from sim.core.devicetime import DeviceTime
-from sim.smc30.actions import StatementExecutor
+from sim.smc30.actions import StatementExecutor, StatementTargets
 from sim.smc30.drive import StepGenerator
 from sim.smc30.expressions import OperandValues
 from sim.smc30.framing import ReceivedString
-from sim.smc30.inputs import ANALOGUE_INPUTS, InputLevels
+from sim.smc30.inputs import InputLevels
 from sim.smc30.memory import PermanentMemory, WorkingMemory
 from sim.smc30.modules import ExternalModules
 from sim.smc30.motor import Activity, MotorCommands
-from sim.smc30.operands import LAST_REGISTER, PredefinedRegister, parse_bounded
+from sim.smc30.operands import PredefinedRegister
 from sim.smc30.options import IndexerOptions
 from sim.smc30.outputs import UserOutputs
 from sim.smc30.parameters import MotorParameters
 from sim.smc30.parser import read_statement, strip_blanks
 from sim.smc30.program import ProgramInterpreter
+from sim.smc30.queries import QueryAnswers
 from sim.smc30.refusal import Code, StatementRefused
 from sim.smc30.statements import (
     AssignRegister,
     Flow,
     InitializeState,
-    InputContact,
     MoveAnalogue,
     MoveSteps,
     RunOn,
@@ -62,12 +61,11 @@ class StepIndexer:
         self,
         time: DeviceTime,
         options: IndexerOptions,
-        axis: str,
-        motions: list[CommandedMotion],
+        drive: StepGenerator,
         emit: Callable[[str], None],
         poll_phase: float = 0.0,
     ) -> None:
-        self.axis = axis
+        self.axis = drive.axis
         self.time = time
         self.options = options
         self._emit = emit
@@ -83,7 +81,7 @@ class StepIndexer:
             self._inputs_changed,
         )
         self.outputs = UserOutputs()
-        self.drive = StepGenerator(time, axis, motions, options.travel_steps)
+        self.drive = drive
         self.modules = ExternalModules(options)
         self._values = OperandValues(MotorParameters(), self.inputs, self.drive, options.overflow_wraps)
         self._motor = MotorCommands(options, self._tempo, self.drive, self._values, self._abort_all)
@@ -92,17 +90,12 @@ class StepIndexer:
             options,
             self._tempo,
             self._store_tempo,
-            self._values,
-            self._motor,
-            self.outputs,
-            self._permanent,
-            self.modules,
+            StatementTargets(self._values, self._motor, self.outputs, self._permanent, self.modules),
             emit,
         )
         line_ns = round(options.line_ms * _NS_PER_MS)
-        self._program = ProgramInterpreter(
-            time, self._tempo, line_ns, self._values, self._actions, self._handle_program_end
-        )
+        self._program = ProgramInterpreter(self._tempo, line_ns, self._values, self._actions, self._handle_program_end)
+        self._queries = QueryAnswers(options, self._values, self.outputs)
         self._working = WorkingMemory()
         self._mode = IndexerMode.STANDBY
         self._direct = False
@@ -150,19 +143,19 @@ class StepIndexer:
         self.drive.set_counter(0)
         self.inputs.power_up()
         if self.options.rec and not self.options.e2prom_fault:
-            self._working.load_program(self._permanent.program)
+            self._permanent.recall_program(self._working)
             self._program.start_program(self._working.lines)
 
-    def set_stop_input(self, held: bool) -> None:
+    def set_stop_input(self, *, held: bool) -> None:
         """Set the Stop input: pulled to ground, or released (L830-L850)."""
         if held == self.drive.held:
             return
         if held:
             self._tempo.pause_timer()
-            self.drive.set_stop_input(True)
+            self.drive.set_stop_input(held=True)
         else:
             self._tempo.resume_timer()
-            self.drive.set_stop_input(False)
+            self.drive.set_stop_input(held=False)
             self._inputs_changed()
 
     def _inputs_changed(self) -> None:
@@ -239,15 +232,17 @@ class StepIndexer:
                 self._mode = IndexerMode.STANDBY
                 self._emit("Y")
             case "M":
-                self._access_memory(self._actions.access_memory(self.options.save_s, self._save_program))
+                save = partial(self._permanent.save_program, self._working)
+                self._access_memory(self._actions.access_memory(self.options.save_s, save))
             case "X":
-                self._access_memory(self._actions.access_memory(self.options.recall_s, self._recall_program))
+                recall = partial(self._permanent.recall_program, self._working)
+                self._access_memory(self._actions.access_memory(self.options.recall_s, recall))
             case "Q":
                 for line in self._working.lines:
                     self._emit(line.text)
                 self._emit("Y")
             case _:
-                self._emit(self._answer_query(name, argument))
+                self._emit(self._queries.answer_query(name, argument))
 
     def _format_status(self) -> str:
         if self.is_busy:
@@ -256,32 +251,6 @@ class StepIndexer:
             return "E5"
         fault, self._fault = self._fault, None
         return fault or "R"
-
-    def _answer_query(self, name: str, argument: str) -> str:
-        """Return the answer to a query (L1914-L1931, L2349-L2487, L3006-L3015; decisions 7-10)."""
-        parameters = self._values.parameters
-        match name:
-            case "V1":
-                return f"V{self.drive.position_counter:+d}"
-            case "V2":
-                return f"V{self.inputs.user_pattern()}{self.outputs.output_pattern()}"
-            case "VS":
-                return f"S{parameters.start}"
-            case "VT":
-                return f"T{parameters.top}"
-            case "VR" if not argument:
-                return f"R{parameters.ramp_steps}"
-            case "VR":
-                number = parse_bounded(argument, 0, LAST_REGISTER) if argument.isdigit() else _raise_refused("E4")
-                return f"R{number}={self._values.registers.read_register(number)}"
-            case "VA" if not argument:
-                contacts = (InputContact(number, analogue=True) for number in range(1, ANALOGUE_INPUTS + 1))
-                return "VA" + "".join("1" if self.inputs.is_closed(contact) else "0" for contact in contacts)
-            case "VA":
-                number = parse_bounded(argument, 1, ANALOGUE_INPUTS) if argument.isdigit() else _raise_refused("E4")
-                return f"VA{number}={self.inputs.analogue_level(number) * 2 / 100:.2f}"
-            case _:
-                return f"TP{self.options.temperature_c}"
 
     def _handle_statement(self, text: str, statement: Statement) -> None:
         if isinstance(statement, SetCurrent) and statement.milliamps > _MOST_MILLIAMPS[self.options.type]:
@@ -316,12 +285,6 @@ class StepIndexer:
     def _finish_direct(self) -> None:
         self._direct = False
 
-    def _save_program(self) -> None:
-        self._permanent.program = list(self._working.lines)
-
-    def _recall_program(self) -> None:
-        self._working.load_program(self._permanent.program)
-
     # End of programs and commands
 
     def _abort_all(self) -> None:
@@ -342,7 +305,3 @@ class StepIndexer:
 def _is_loop_assignment(statement: Statement) -> bool:
     """Return whether the statement is L=…, which is flow as well."""
     return isinstance(statement, AssignRegister) and statement.target == PredefinedRegister("L")
-
-
-def _raise_refused(code: Literal["E4"]) -> int:
-    raise StatementRefused(code)

@@ -8,13 +8,16 @@ from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
-from sim.yaskawa.base.model import BurnTimes, ControllerModel, MotionFigures
 from sim.yaskawa.base.options import Smc4000Options
-from sim.yaskawa.controller import YaskawaBench, YaskawaController
+from sim.yaskawa.base.timebase import ServoTimebase
+from sim.yaskawa.commands.dialect import COMMANDS, OPERANDS
 from sim.yaskawa.language import parameters
-from sim.yaskawa.language.dialect import COMMANDS, OPERANDS
 from sim.yaskawa.language.expressions import FUNCTIONS
-from sim.yaskawa.machine import ControllerCore
+from sim.yaskawa.language.properties import BurnTimes
+from sim.yaskawa.machine.controller import YaskawaBench, YaskawaController
+from sim.yaskawa.machine.core import ControllerCore
+from sim.yaskawa.machine.model import ControllerModel
+from sim.yaskawa.motion.figures import MotionFigures
 
 LOCK_ALL = 2
 """Level of LC at which only LC itself is accepted (L6735); TC still reports why (L6798)."""
@@ -92,7 +95,8 @@ class Smc4000Simulator:
     ) -> YaskawaController:
         """Build a powered-up controller. Options are the fields of `Smc4000Options`; `ValueError` names a wrong one."""
         chosen = Smc4000Options.model_validate(dict(options))
-        machine = ControllerCore(clock, MODEL, chosen, oscillator or Oscillator(), timing or FirmwareTiming(), seed)
+        timebase = ServoTimebase(clock, oscillator or Oscillator())
+        machine = ControllerCore(timebase, MODEL, chosen, timing or FirmwareTiming(), seed)
         usual = (chosen.link, *(port for port in MODEL.ports if port != chosen.link))
         machine.ports.first_handle = chosen.handle or ""
         machine.ports.strict_packets = chosen.strict_packets

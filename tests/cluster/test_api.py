@@ -16,7 +16,7 @@ LIFE = ["queued", "planning", "arming", "armed", "committed", "running"]
 
 def test_a_job_is_followed_by_each_change_of_its_state_once_and_by_its_progress() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await client.wait_for_job(await client.submit(PREPARE))
         submitted = await client.submit(MOVE)
         changes: list[JobTransition] = []
@@ -34,12 +34,12 @@ def test_a_job_is_followed_by_each_change_of_its_state_once_and_by_its_progress(
     run_fleet(main)
 
 
-def test_an_ended_job_is_told_from_the_journal_and_by_its_id_alone() -> None:
+def test_an_ended_job_is_read_from_the_journal_by_its_id_alone() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = (await client.submit(job("[{do: dwell, duration: 0.1 s}]"))).id
         await client.wait_for_job(job_id)
-        seen = [event.state async for event in fleet.client("later").job(job_id).events()]
+        seen = [event.state async for event in fleet.make_client("later").job(job_id).events()]
         assert seen[0] == "queued" and seen[-1] == "done"
 
     run_fleet(main)
@@ -47,7 +47,7 @@ def test_an_ended_job_is_told_from_the_journal_and_by_its_id_alone() -> None:
 
 def test_events_outlive_a_coordinator_and_lose_no_change() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await client.wait_for_job(await client.submit(PREPARE))
         submitted = await client.submit(MOVE)
 
@@ -69,7 +69,7 @@ def test_events_outlive_a_coordinator_and_lose_no_change() -> None:
 def test_a_job_that_does_not_exist_and_a_connection_that_is_not_open_are_named() -> None:
     async def main(fleet: VirtualFleet) -> None:
         with pytest.raises(Refusal) as refused:
-            async for _ in fleet.client().job("none").events():
+            async for _ in fleet.make_client().job("none").events():
                 pass
         assert refused.value.code == "unknown-job"
 

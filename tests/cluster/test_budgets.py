@@ -4,7 +4,7 @@ import pytest
 from cluster.test_chain import chain_fleet
 from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, refusal, run_fleet
 
-from orchestrator.bench.sync_fleets import ppsmc, shrc203, smc30, smc4000
+from orchestrator.bench.sync_fleets import make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Fleet
@@ -47,10 +47,10 @@ def test_a_budget_that_a_job_does_not_allow_refuses_the_step(what: str) -> None:
     run_fleet(main, chain_fleet())
 
 
-def test_every_controllers_clock_can_be_asked_for_and_its_bound_holds_the_rate() -> None:
+def test_every_controllers_clock_can_be_queried_and_its_bound_contains_the_rate() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        found = await query_clocks(fleet.client())
+        found = await query_clocks(fleet.make_client())
         assert list(found) == ["feeder", "gantry", "outlet", "turner"]
         for name, reply in found.items():
             mapping = reply.mapping
@@ -67,7 +67,7 @@ def test_every_controllers_clock_can_be_asked_for_and_its_bound_holds_the_rate()
 def test_a_vague_start_is_narrowed_by_the_promise_and_the_evidence_alone_holds_without_it(
     decode_us: int, kept: bool
 ) -> None:
-    """A serial adapter that holds answers back; and beside it a unit that decodes slower than its make promises."""
+    """A serial adapter that delays answers, and a controller that decodes slower than its make promises."""
     plain = demo_fleet().model_dump(by_alias=True, mode="json", exclude_none=True)
     plain["controllers"]["stage"]["simulate"] |= {"hold_ms": 16.0, "decode_us": decode_us}
 
@@ -89,10 +89,10 @@ def test_a_vague_start_is_narrowed_by_the_promise_and_the_evidence_alone_holds_w
     run_fleet(main, Fleet.model_validate(plain))
 
 
-def test_who_can_not_go_so_slowly_ends_early_as_far_as_the_job_allows_and_is_refused_beyond_that() -> None:
-    slow = {"stage": shrc203(0), "pulses": ppsmc(1), "steps": smc30(2, 1)}
-    plain = {"schema": "tutti.fleet/1", "fleet": "slow", "controllers": {"gantry": smc4000(3), **slow}}
-    # Of some tenths of a second at the lowest start rates, beside one of two seconds.
+def test_a_move_too_slow_for_its_controller_ends_early_as_far_as_the_job_allows() -> None:
+    slow = {"stage": make_shrc203(0), "pulses": make_ppsmc(1), "steps": make_smc30(2, 1)}
+    plain = {"schema": "tutti.fleet/1", "fleet": "slow", "controllers": {"gantry": make_smc4000(3), **slow}}
+    # Some tenths of a second at the lowest start rates, against one of two seconds.
     way = "{gantry.x: 100, stage.x: 0.004, pulses.x: 25, steps.x: 0.02}"
 
     async def main(fleet: VirtualFleet) -> None:

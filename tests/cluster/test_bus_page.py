@@ -1,4 +1,4 @@
-"""`docs/bus.md` against a fleet at work: each key that it names is there, and each request that it shows is understood.
+"""`docs/reference/bus.md` against a fleet at work: each key that it names is there, and each request that it shows is understood.
 
 Requests are made of the page's own words, without the client.
 """
@@ -15,12 +15,12 @@ import orchestrator.model.messages
 import orchestrator.model.report
 import orchestrator.model.service
 import orchestrator.model.state
-from orchestrator.bus.base import RequestRefused, Sample
+from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
 from orchestrator.runtime.virtual import VirtualFleet
 
-PAGE = (Path(__file__).parents[2] / "docs" / "bus.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "bus.md").read_text(encoding="utf-8")
 MODELS = {
     module.__name__.rpartition(".")[2]: module
     for module in (
@@ -112,7 +112,7 @@ def models_of(cell: str) -> list[type[Model]]:
 def test_the_page_names_every_verb_of_the_service_and_nothing_else() -> None:
     async def main(fleet: VirtualFleet) -> set[str]:
         with pytest.raises(RequestRefused, match="known verbs:") as refused:
-            await fleet.client().bus.request(f"{fleet.client().keys.prefix}/svc/no-such", b"{}", 1.0)
+            await fleet.make_client().bus.request(f"{fleet.make_client().keys.prefix}/svc/no-such", b"{}", 1.0)
         return set(str(refused.value).partition("known verbs: ")[2].split(", "))
 
     named = {key.removeprefix("svc/") for key, _, _ in requests() if key.startswith("svc/")}
@@ -124,7 +124,7 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
     assert len(rows) > 15
 
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         prefix = client.keys.prefix
         for number, (key, fields, answers) in enumerate(rows):
             request = {name: EXAMPLES[name] for name in fields if name != "request_id" and name in EXAMPLES}
@@ -146,14 +146,14 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
     run_fleet(main)
 
 
-def test_every_key_of_the_page_is_heard_while_a_job_runs_and_holds_what_it_names() -> None:
+def test_every_key_of_the_page_is_published_while_a_job_runs_and_contains_what_it_names() -> None:
     rows = [(key, cell) for keys, cell in section("To watch") for key in re.findall(r"`([^`]+)`", keys)]
     rows = [(key, cell) for key, cell in rows if not key.startswith("live/")]
     assert len(rows) >= 9
 
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
-        heard: dict[str, list[Sample]] = {key: [] for key, _ in rows}
+        client = fleet.make_client()
+        heard: dict[str, list[BusSample]] = {key: [] for key, _ in rows}
         for key, _ in rows:
             expression = re.sub(r"\{\w+\}", "*", f"{client.keys.prefix}/{key}")
             await client.bus.subscribe(expression, heard[key].append)
@@ -178,7 +178,7 @@ def test_every_key_of_the_page_is_heard_while_a_job_runs_and_holds_what_it_names
 
 def test_a_request_that_comes_twice_is_done_once() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         key = f"{client.keys.prefix}/svc/submit"
         request = {"actor": "reader", "job": json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())}
         first = request | {"request_id": "one", "client_key": "a"}

@@ -1,4 +1,5 @@
-"""Axes in people's hands: a jog lives while it is renewed and ends by itself, whoever of the others dies or hangs."""
+"""Axes under manual control: a jog lives while it is renewed and ends by itself, whichever other process dies or
+hangs."""
 
 import asyncio
 from collections.abc import Callable
@@ -53,7 +54,7 @@ class Jogged:
             await hand.renew_jog()
 
     async def rest(self) -> None:
-        """Wait until it rests."""
+        """Wait until it is at rest."""
         while self.moving:
             await asyncio.sleep(0.005)
 
@@ -62,7 +63,7 @@ class Jogged:
 def test_an_axis_moves_while_the_key_is_held_and_stops_when_it_is_let_go(axis: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        jogged, client = Jogged(fleet, axis), fleet.client("anna")
+        jogged, client = Jogged(fleet, axis), fleet.make_client("anna")
         async with client.manual_control([axis], what="alignment") as hand:
             before = jogged.position
             await jogged.hold(hand, 1.0)
@@ -77,7 +78,7 @@ def test_an_axis_moves_while_the_key_is_held_and_stops_when_it_is_let_go(axis: s
             await jogged.hold(hand, 0.5, -jogged.speed / 2)
             assert fleet.controllers[jogged.controller].velocity(jogged.motor) < 0
         await jogged.rest()
-        await fleet.until(lambda states: states[jogged.controller].mode == "idle")
+        await fleet.wait_until(lambda states: states[jogged.controller].mode == "idle")
         assert not (await client.status())[jogged.controller].leases
         report = await outcome(fleet, job(f"[{{do: move, to: {{{axis}: 5}}}}]"))
         assert report.state == "done", report.reason
@@ -90,7 +91,7 @@ def test_an_axis_moves_while_the_key_is_held_and_stops_when_it_is_let_go(axis: s
 def test_silence_stops_the_axis_in_its_adapter(axis: str, seed: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        jogged, client = Jogged(fleet, axis), fleet.client()
+        jogged, client = Jogged(fleet, axis), fleet.make_client()
         async with client.manual_control([axis]) as hand:
             await jogged.hold(hand, 0.6 + 0.07 * seed)
             silent_ns = fleet.clock.now_ns()
@@ -108,7 +109,7 @@ def test_silence_stops_the_axis_in_its_adapter(axis: str, seed: int) -> None:
 def test_an_axis_that_does_not_know_where_it_is_may_only_creep() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}]"))
-        jogged, client = Jogged(fleet, "gantry.x"), fleet.client()
+        jogged, client = Jogged(fleet, "gantry.x"), fleet.make_client()
         async with client.manual_control(["gantry.x"]) as hand:
             with pytest.raises(Refusal, match=r"may jog at 4 mm/s at most while it is not referenced") as caught:
                 await hand.jog({"gantry.x": 4.1})
@@ -134,7 +135,7 @@ def test_a_jog_ends_at_the_soft_limit_and_leads_back_from_it(axis: str) -> None:
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        jogged, client = Jogged(fleet, axis), fleet.client()
+        jogged, client = Jogged(fleet, axis), fleet.make_client()
         end = 12.345 if axis == "gantry.x" else 0.7
         async with client.manual_control([axis]) as hand:
             with pytest.raises(Refusal, match="soft limit") as caught:
@@ -153,7 +154,7 @@ def test_a_jog_ends_at_the_soft_limit_and_leads_back_from_it(axis: str) -> None:
 
 def test_limits_that_were_tightened_below_the_axis_let_it_only_back() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 3}}]"))
         tight = changed(demo_fleet(), gantry={"axes": {"x": {"soft_limits": {"min": -20, "max": -5}}}})
         await client.reload_fleet(tight)
@@ -165,7 +166,7 @@ def test_limits_that_were_tightened_below_the_axis_let_it_only_back() -> None:
             assert not jogged.moving
             await jogged.hold(hand, 0.5, -5)
             assert jogged.position < -1
-        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "idle")
         report = await outcome(fleet, job("[{do: move, to: {gantry.x: -10}}]"))
         assert report.state == "done", report.reason
 
@@ -174,13 +175,13 @@ def test_limits_that_were_tightened_below_the_axis_let_it_only_back() -> None:
 
 def test_an_axis_moved_by_hand_while_it_is_off_is_found_where_it_is() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 5, stage.u: 1}}]"))
         await outcome(fleet, job("[{do: disable, axes: [gantry, stage]}]"))
-        fleet.within("gantry", lambda gantry: gantry.push_axis("X", 2500))
-        fleet.within("stage", lambda stage: stage.push_axis("1", 300))
-        states = await fleet.until(lambda states: states["gantry"].axes["x"].raw_counts == 7500)
-        # The gantry's encoder has seen it; a stepper without one can not, and does not pretend to.
+        fleet.act_on_controller("gantry", lambda gantry: gantry.push_axis("X", 2500))
+        fleet.act_on_controller("stage", lambda stage: stage.push_axis("1", 300))
+        states = await fleet.wait_until(lambda states: states["gantry"].axes["x"].raw_counts == 7500)
+        # The gantry's encoder has measured it; a stepper without one cannot, and does not pretend to.
         assert states["gantry"].axes["x"].referenced
         assert not any(axis.referenced for axis in states["stage"].axes.values())
         await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}]"))
@@ -194,22 +195,22 @@ def test_an_axis_moved_by_hand_while_it_is_off_is_found_where_it_is() -> None:
     run_fleet(main)
 
 
-# Who may
+# Which clients may move it
 
 
-def test_two_hands_on_one_axis_and_a_job_beside_a_hand() -> None:
+def test_two_leases_on_one_axis_conflict_and_a_job_runs_next_to_a_lease() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        anna, ben = fleet.client("anna"), fleet.client("ben")
+        anna, ben = fleet.make_client("anna"), fleet.make_client("ben")
         async with anna.manual_control(["gantry.x"], what="jog panel") as hand:
             with pytest.raises(Refusal, match=r"gantry\.x is in use by anna \(jog panel\)") as caught:
                 await ben.manual_control(["gantry.x"]).acquire()
             assert caught.value.code == "leased"
-            # The gantry's axes can not be told apart: y is held too. The stage is free.
+            # The gantry's axes cannot be separated: the lease includes y, too. The stage is free.
             assert hand.axes == ["gantry.x", "gantry.y"]
             async with ben.manual_control(["stage.u"]) as other:
                 await other.jog({"stage.u": 0.5})
-                # Who comes later asks who holds what.
+                # A client that comes later queries the leases.
                 leases = (await ben.bus.request_all(ben.keys.leases, b"", timeout_s=1.0)).values()
                 found = {each.controller: each.actor for each in map(LeaseState.model_validate_json, leases)}
                 assert found == {"gantry": "anna", "stage": "ben"}
@@ -223,7 +224,7 @@ def test_two_hands_on_one_axis_and_a_job_beside_a_hand() -> None:
                 await jog_anyhow(ben, "gantry", {"x": 5.0}, "manual-ben", 1)
         assert (await ben.wait_for_job(waiting)).state == "done"
         moving = await anna.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         with pytest.raises(Refusal, match=r"gantry\.x is in use by anna \(job 'test'\)"):
             await ben.manual_control(["gantry.x"]).acquire()
         with pytest.raises(Refusal, match="is leased to anna"):
@@ -243,7 +244,7 @@ async def jog_anyhow(client: Tutti, controller: str, velocities: dict[str, float
 def test_a_request_that_was_overtaken_moves_nothing() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client, jogged = fleet.client(), Jogged(fleet, "gantry.x")
+        client, jogged = fleet.make_client(), Jogged(fleet, "gantry.x")
         async with client.manual_control(["gantry.x"]) as hand:
             await jog_anyhow(client, "gantry", {"x": 5.0}, hand.holder, 7)
             await jog_anyhow(client, "gantry", {"x": 0.0}, hand.holder, 9)
@@ -256,20 +257,20 @@ def test_a_request_that_was_overtaken_moves_nothing() -> None:
     run_fleet(main)
 
 
-def test_a_hand_that_vanishes_is_forgotten() -> None:
+def test_the_lease_of_a_client_that_vanishes_expires() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client, jogged = fleet.client("anna"), Jogged(fleet, "gantry.x")
+        client, jogged = fleet.make_client("anna"), Jogged(fleet, "gantry.x")
         hand = client.manual_control(["gantry.x"])
         await hand.acquire()
         await jogged.hold(hand, 0.3)
-        fleet.net.kill(client.bus.name)  # type: ignore[attr-defined]
+        fleet.net.kill_process(client.bus.name)  # type: ignore[attr-defined]
         killed_ns = fleet.clock.now_ns()
         await jogged.rest()
         assert jogged.end_ns - killed_ns < RESTS_NS
-        await fleet.until(lambda states: not states["gantry"].leases, limit_s=10)
+        await fleet.wait_until(lambda states: not states["gantry"].leases, limit_s=10)
         assert fleet.clock.now_ns() - killed_ns < 6 * NS_PER_S
-        async with fleet.client("ben").manual_control(["gantry.x"]) as other:
+        async with fleet.make_client("ben").manual_control(["gantry.x"]) as other:
             await other.jog({"gantry.x": 5.0})
 
     run_fleet(main)
@@ -281,19 +282,19 @@ Act = Callable[[VirtualFleet, Tutti], None]
 
 
 async def stop_all(fleet: VirtualFleet) -> None:
-    await fleet.client("carl").stop()
+    await fleet.make_client("carl").stop()
 
 
 async def estop(fleet: VirtualFleet) -> None:
-    await fleet.client("carl").estop()
+    await fleet.make_client("carl").estop()
 
 
 async def open_door(fleet: VirtualFleet) -> None:
-    fleet.within("gantry", lambda gantry: gantry.set_input(1, False))
+    fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
 
 
 async def limit(fleet: VirtualFleet) -> None:
-    fleet.within("gantry", lambda gantry: gantry.set_limit("X", "forward"))
+    fleet.act_on_controller("gantry", lambda gantry: gantry.set_limit("X", "forward"))
 
 
 async def kill_host(fleet: VirtualFleet) -> None:
@@ -326,17 +327,17 @@ async def hang_coordinator(fleet: VirtualFleet) -> None:
         (hang_coordinator, 0.8, ["not-leased"]),
     ],
 )
-def test_what_ends_a_jog_although_the_key_is_held(
+def test_a_jog_ends_although_the_key_is_held(
     act: Callable[[VirtualFleet], object], rests_s: float, codes: list[str]
 ) -> None:
     closed = Permit(input="gantry.door", value=False)
     guarded = demo_fleet().model_copy(update={"permits": {"door-closed": closed}})
 
     async def main(fleet: VirtualFleet) -> None:
-        fleet.within("gantry", lambda gantry: gantry.set_input(1, True))
-        await fleet.until(lambda states: not states["gantry"].inputs["door"])
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=True))
+        await fleet.wait_until(lambda states: not states["gantry"].inputs["door"])
         assert (await outcome(fleet, PREPARE)).state == "done"
-        jogged, client = Jogged(fleet, "gantry.x"), fleet.client("anna")
+        jogged, client = Jogged(fleet, "gantry.x"), fleet.make_client("anna")
         hand = client.manual_control(["gantry.x"])
         await hand.acquire()
         await jogged.hold(hand, 0.5)
@@ -366,14 +367,14 @@ def test_what_ends_a_jog_although_the_key_is_held(
 def test_a_controller_that_loses_power_in_a_jog() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        jogged, client = Jogged(fleet, "stage.u"), fleet.client()
+        jogged, client = Jogged(fleet, "stage.u"), fleet.make_client()
         async with client.manual_control(["stage.u"]) as hand:
             await jogged.hold(hand, 0.5)
-            fleet.within("stage", lambda stage: stage.set_power(False))
+            fleet.act_on_controller("stage", lambda stage: stage.set_power(on=False))
             await asyncio.sleep(0.3)
-            fleet.within("stage", lambda stage: stage.set_power(True))
+            fleet.act_on_controller("stage", lambda stage: stage.set_power(on=True))
             assert not jogged.moving
-            await fleet.until(
+            await fleet.wait_until(
                 lambda states: (
                     states["stage"].mode == "idle"
                     and not any(axis.referenced for axis in states["stage"].axes.values())
@@ -385,15 +386,15 @@ def test_a_controller_that_loses_power_in_a_jog() -> None:
     run_fleet(main)
 
 
-def test_a_raw_line_needs_a_flag_and_the_axes_in_hand() -> None:
+def test_a_raw_command_needs_a_flag_and_a_lease_on_the_axes() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client("anna")
+        client = fleet.make_client("anna")
         assert (await client.send_raw("gantry", "MG 6*7", i_know=True)).strip() == "0000000042.0000"
         with pytest.raises(Refusal, match="not checked against any limit"):
             await client.send_raw("gantry", "MG 6*7", i_know=False)
         moving = await client.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         with pytest.raises(Refusal, match=r"in use by anna \(job 'test'\)"):
             await client.send_raw("gantry", "STX", i_know=True)
         assert (await client.wait_for_job(moving)).state == "done"

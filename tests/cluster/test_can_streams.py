@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
-from orchestrator.bench.sync_fleets import smc4000
+from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
@@ -16,7 +16,7 @@ DRIVES = {"c0": ("can0", 1), "c1": ("can0", 2), "c2": ("can1", 1)}
 
 
 def fleet() -> Fleet:
-    gantry = smc4000(0)
+    gantry = make_smc4000(0)
     controllers: dict[str, Any] = {
         "gantry": {**gantry, "axes": {"x": {**gantry["axes"]["x"], "limits": LIMITS}}},
     }
@@ -77,7 +77,7 @@ def test_streams_and_contours_start_and_end_together_with_evidence_that_holds_th
         ("stall", "following error"),
     ],
 )
-def test_what_breaks_a_stream_ends_the_step_of_all(trouble: str, words: str) -> None:
+def test_a_broken_stream_ends_the_step_of_all(trouble: str, words: str) -> None:
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, PREPARE)).state == "done"
         drive, wire = virtual.controllers["c0"], virtual.wires["c0"]
@@ -89,18 +89,18 @@ def test_what_breaks_a_stream_ends_the_step_of_all(trouble: str, words: str) -> 
                 bus.cut = True
             elif trouble == "bus-off":
                 # Only what the adapter host sends is destroyed: the drives stay on the bus.
-                bus._nodes[-1].count(transmit=256)
+                bus._nodes[-1].count_errors(transmit=256)
             elif trouble == "power":
-                drive.set_power(False)
+                drive.set_power(on=False)
             elif trouble == "stall":
-                drive.set_stalled("1", True)
+                drive.set_stalled("1", stalled=True)
             else:
                 wire.to_far = lambda data: data[16:] if data[:2] == b"\x80\0" else data
 
-        client = virtual.client()
+        client = virtual.make_client()
         job_id = await client.submit(OUT)
-        await virtual.until(lambda states: abs(states["c0"].axes["x"].position) > 40)
-        virtual.within("c0", lambda _: break_it())
+        await virtual.wait_until(lambda states: abs(states["c0"].axes["x"].position) > 40)
+        virtual.act_on_controller("c0", lambda _: break_it())
         report = await client.wait_for_job(job_id)
         assert report.state == "failed"
         assert words in report.reason, report.reason

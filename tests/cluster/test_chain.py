@@ -8,7 +8,7 @@ import pytest
 from cluster.worlds import EXAMPLES, job, outcome
 from cluster.worlds import run_fleet as run_any
 
-from orchestrator.bench.sync_fleets import sync_fleet
+from orchestrator.bench.sync_fleets import make_sync_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
@@ -31,7 +31,7 @@ def run_fleet(main: Any, fleet: Fleet | None = None) -> None:
 
 
 def held(hold_ms: float) -> Fleet:
-    """The fleet with a serial adapter that keeps received bytes for so long."""
+    """The fleet with a serial adapter that keeps received bytes for this time."""
     plain = chain_fleet().to_plain()
     for name in UNITS:
         plain["controllers"][name]["simulate"]["hold_ms"] = hold_ms
@@ -58,10 +58,10 @@ def test_a_chain_and_another_make_move_together_with_a_verdict_that_holds_the_tr
     run_fleet(main, held(hold_ms))
 
 
-def test_one_unit_is_stopped_alone():
+def test_one_controller_is_stopped_alone():
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
-        client = virtual.client()
+        client = virtual.make_client()
         units = virtual.controllers
         async with client.manual_control(["feeder.x"]) as one, client.manual_control(["turner.x"]) as other:
             await one.jog({"feeder.x": 20.0})
@@ -90,7 +90,7 @@ def test_one_unit_is_stopped_alone():
 def test_a_host_that_dies_in_motion_leaves_the_whole_chain_at_rest_in_the_declared_time(fault: str):
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
-        client = virtual.client()
+        client = virtual.make_client()
         longest_ns = max([(await client.controller_info(name)).costs.stop_ns for name in UNITS])
         await client.submit(MOVE)
         while not all(virtual.controllers[name].is_moving("X") for name in UNITS):
@@ -105,39 +105,41 @@ def test_a_host_that_dies_in_motion_leaves_the_whole_chain_at_rest_in_the_declar
             assert None not in ends
             # Its guardian's patience, and looking every 50 ms.
             assert max(end for end in ends if end is not None) - at_ns < longest_ns + 400 * NS_PER_MS
-        await virtual.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        await virtual.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
 
     run_fleet(main)
 
 
-def test_units_of_a_chain_come_and_go_alone():
+def test_controllers_of_a_chain_come_and_go_independently():
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
-        virtual.within("outlet", lambda unit: unit.set_power(False))
-        states = await virtual.until(lambda states: states["outlet"].mode == "offline")
+        virtual.act_on_controller("outlet", lambda unit: unit.set_power(on=False))
+        states = await virtual.wait_until(lambda states: states["outlet"].mode == "offline")
         assert all(states[name].mode == "idle" for name in ("feeder", "turner", "gantry"))
         await sleep_ns(virtual.clock, 20 * NS_PER_S)
         report = await outcome(virtual, job("[{do: move, to: {feeder.x: 30, turner.x: 30}, sync: time}]"))
         assert report.state == "done", report.reason
-        virtual.within("outlet", lambda unit: unit.set_power(True))
-        states = await virtual.until(lambda states: states["outlet"].mode == "idle" and bool(states["outlet"].epoch))
+        virtual.act_on_controller("outlet", lambda unit: unit.set_power(on=True))
+        states = await virtual.wait_until(
+            lambda states: states["outlet"].mode == "idle" and bool(states["outlet"].epoch)
+        )
         assert not states["outlet"].axes["x"].referenced
         assert states["feeder"].axes["x"].referenced and states["turner"].axes["x"].referenced
 
     run_fleet(main)
 
 
-def test_a_chain_whose_first_unit_is_off_is_offline_as_a_whole_and_says_so():
+def test_a_chain_whose_first_controller_is_off_is_reported_offline_as_a_whole():
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
-        virtual.within("feeder", lambda unit: unit.set_power(False))
-        states = await virtual.until(lambda states: all(states[name].mode == "offline" for name in UNITS))
+        virtual.act_on_controller("feeder", lambda unit: unit.set_power(on=False))
+        states = await virtual.wait_until(lambda states: all(states[name].mode == "offline" for name in UNITS))
         assert states["gantry"].mode == "idle"
         await sleep_ns(virtual.clock, 10 * NS_PER_S)
-        states = await virtual.client().status()
+        states = await virtual.make_client().status()
         assert all("first" in states[name].faults[0].text + states[name].faults[0].remedy for name in UNITS)
-        virtual.within("feeder", lambda unit: unit.set_power(True))
-        states = await virtual.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        virtual.act_on_controller("feeder", lambda unit: unit.set_power(on=True))
+        states = await virtual.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
         # The others had power all the time.
         assert not states["feeder"].axes["x"].referenced
         assert states["turner"].axes["x"].referenced and states["outlet"].axes["x"].referenced
@@ -145,8 +147,8 @@ def test_a_chain_whose_first_unit_is_off_is_offline_as_a_whole_and_says_so():
     run_fleet(main)
 
 
-def test_eight_units_that_begin_together_are_not_taken_for_silent_while_each_is_asked_in_its_turn():
-    fleet = sync_fleet("8 SMC-2000, one chain", 1)
+def test_eight_controllers_that_start_together_do_not_count_as_silent_while_each_is_polled_in_turn():
+    fleet = make_sync_fleet("8 SMC-2000, one chain", 1)
     axes = [f"{name}.x" for name in fleet.controllers]
 
     async def main(virtual: VirtualFleet) -> None:

@@ -88,14 +88,14 @@ def test_a_jerk_limited_move_that_is_too_long_for_the_arrays_is_refused_before_a
 def test_a_stop_in_a_contour_stops_both_controllers_and_the_next_step_goes() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = await client.submit(job("[{do: move, to: {gantry.x: 390, portal.x: 390}, speed: 0.5}]"))
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         await sleep_ns(fleet.clock, 700 * NS_PER_MS)
         await client.stop()
         report = await client.wait_for_job(job_id)
         assert report.state != "done"
-        await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
         assert all(0 < fleet.controllers[name].position("X") < 390_000 for name in ("gantry", "portal"))
         again = await outcome(fleet, job("[{do: move, to: {gantry.x: 20, portal.x: 20}}]"))
         assert again.state == "done", again.reason

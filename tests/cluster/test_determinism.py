@@ -7,9 +7,9 @@ import sys
 
 SCRIPT = """
 import hashlib
-from orchestrator.campaign.scenario import Cell, play
+from orchestrator.campaign.scenario import FaultCell, run_scenario
 broken = (("motion", "none"), ("arm", "host-killed"), ("fire", "coordinator-hung"), ("go", "garbage"))
-story = play(3, [Cell(stage, fault, "shrc203") for stage, fault in broken])
+story = run_scenario(3, [FaultCell(stage, fault, "shrc203") for stage, fault in broken])
 lines = [*story.lines, *story.events, *story.violations]
 print(len(lines), hashlib.sha256("\\n".join(lines).encode()).hexdigest())
 """

@@ -49,7 +49,7 @@ def pair(make: str) -> Fleet:
     drafts: dict[str, Any] = {}
     for name, unit in PAIR[make].items():
         if make == "smc30":
-            drafts[name] = sync_fleets.smc30(0, unit)
+            drafts[name] = sync_fleets.make_smc30(0, unit)
         else:
             axis = {"motors": ["1"], "unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
             link = {"kind": "can", "interface": "socketcan", "channel": "can0", "address": unit}
@@ -64,7 +64,7 @@ async def prepared(fleet: VirtualFleet) -> None:
 
 
 async def running(fleet: VirtualFleet, job_id: str) -> None:
-    """Until all members were told to go; they have not begun."""
+    """Wait until all members have received `go`; none has started."""
     await reached(fleet, job_id, "running")
 
 
@@ -88,17 +88,19 @@ def gantry_end_s(fleet: VirtualFleet) -> float:
     return end_ns / NS_PER_S
 
 
-def test_a_host_that_can_not_be_reached_does_not_end_the_leases_on_others() -> None:
+def test_an_unreachable_host_does_not_end_the_leases_on_others() -> None:
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = await client.submit(GANTRY)
         async with client.manual_control(["stage.u"], ttl_s=30.0):
             await asyncio.sleep(1.5)
-            fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
+            fleet.net.partition_net(
+                {fleet.find_process("host/right").name}, {fleet.find_process("coordinator/first").name}
+            )
             report = await client.wait_for_job(job_id)
             assert report.state == "done", report.reason
-            fleet.net.heal()
+            fleet.net.heal_partition()
 
     run_fleet(main, two_hosts())
 
@@ -106,14 +108,14 @@ def test_a_host_that_can_not_be_reached_does_not_end_the_leases_on_others() -> N
 async def host_killed_in_a_move(fleet: VirtualFleet) -> tuple[Tutti, str]:
     """A client and its job, which moves both controllers, when the host of one of them has just been killed."""
     assert (await outcome(fleet, PREPARE)).state == "done"
-    client = fleet.client()
+    client = fleet.make_client()
     job_id = await client.submit(MOVE)
     await asyncio.sleep(3.0)
     fleet.kill("host/right")
     return client, job_id
 
 
-def test_others_stop_when_an_adapter_dies_and_is_back_before_anybody_misses_it() -> None:
+def test_others_stop_when_an_adapter_dies_and_restarts_before_it_is_missed() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client, job_id = await host_killed_in_a_move(fleet)
         killed_s = now_s(fleet)
@@ -131,7 +133,7 @@ def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_t
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
+        client = fleet.make_client()
         leased_ns = await first_leases_ns(fleet, client, "gantry")
         first = await client.submit(GANTRY)
         second = await client.submit(BACK)
@@ -154,7 +156,7 @@ def test_a_controller_that_hung_at_its_start_is_stopped_when_it_is_back() -> Non
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
+        client = fleet.make_client()
         before = len(fleet.controllers["gantry"].commanded_motions)
         job_id = await client.submit(GANTRY)
         await running(fleet, job_id)
@@ -165,7 +167,7 @@ def test_a_controller_that_hung_at_its_start_is_stopped_when_it_is_back() -> Non
         await asyncio.sleep(1.5)
         assert (await client.status())["gantry"].mode == "offline"
         fleet.resume("sim/gantry")
-        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "idle")
         made = fleet.controllers["gantry"].commanded_motions[before:]
         assert made and made[-1].end_ns is not None and fleet.controllers["gantry"].at_rest()
 
@@ -182,14 +184,14 @@ def test_a_fleet_that_is_polled_seldom_is_not_taken_for_dead() -> None:
 
 
 @pytest.mark.parametrize("after_s", [0.0, 1.0])
-def test_a_stop_that_a_broken_line_has_swallowed_is_told_again(after_s: float) -> None:
-    """Just before the start, too, which then comes about."""
+def test_a_stop_that_was_lost_on_a_broken_line_is_sent_again(after_s: float) -> None:
+    """A stop just before the start, too, which then occurs."""
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = await client.submit(GANTRY)
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         await asyncio.sleep(after_s)
         wire = fleet.wires["gantry"]
         wire.to_far = lambda data: b"" if data.startswith((b"ST", b"HX")) else data
@@ -202,13 +204,12 @@ def test_a_stop_that_a_broken_line_has_swallowed_is_told_again(after_s: float) -
     run_fleet(main)
 
 
-def test_who_was_told_to_go_is_stopped_as_it_begins_when_its_link_is_closed() -> None:
-    """Who has promised is not read any more before T0. From then on its link is opened again at once, and not after a
-    pause."""
+def test_a_member_that_received_go_is_stopped_at_its_start_when_its_link_is_closed() -> None:
+    """A member that has promised is not read before T0. From T0 on its link is reopened at once, without a pause."""
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         before = len(fleet.controllers["gantry"].commanded_motions)
         job_id = await client.submit(GANTRY)
         await running(fleet, job_id)
@@ -216,7 +217,7 @@ def test_who_was_told_to_go_is_stopped_as_it_begins_when_its_link_is_closed() ->
         for link in list(fleet.wires["gantry"].links):
             link.hang_up()
         assert (await client.wait_for_job(job_id)).state == "failed"
-        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "idle")
         begun = fleet.controllers["gantry"].commanded_motions[before:]
         assert all(each.slowing_ns is not None and each.slowing_ns - each.start_ns < 20 * NS_PER_MS for each in begun)
 
@@ -224,12 +225,12 @@ def test_who_was_told_to_go_is_stopped_as_it_begins_when_its_link_is_closed() ->
 
 
 @pytest.mark.parametrize("state", ["armed", "running"])
-def test_who_is_about_to_move_is_not_reset(state: JobState) -> None:
+def test_a_controller_that_is_about_to_move_is_not_reset(state: JobState) -> None:
     """What clears faults is carried out before the line that starts it, and would delay that."""
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = await client.submit(GANTRY)
         await reached(fleet, job_id, state)
         refused = (await client.reset())["gantry"]
@@ -240,7 +241,7 @@ def test_who_is_about_to_move_is_not_reset(state: JobState) -> None:
     run_fleet(main)
 
 
-def test_a_unit_that_was_being_loaded_when_its_link_was_given_up_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_controller_that_was_being_armed_when_its_link_was_closed_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits for a wired line by then, and its port was kept open by the other unit."""
     poll = Smc30Driver.poll
     broken: list[int] = []
@@ -252,33 +253,35 @@ def test_a_unit_that_was_being_loaded_when_its_link_was_given_up_is_stopped(monk
         return await poll(driver)
 
     monkeypatch.setattr(Smc30Driver, "poll", polled)
-    units = {name: {**sync_fleets.smc30(0, unit), "state": {"idle_hz": 50}} for name, unit in PAIR["smc30"].items()}
-    lined = sync_fleets.wired({"a1": sync_fleets.smc4000(0), **units})
+    units = {
+        name: {**sync_fleets.make_smc30(0, unit), "state": {"idle_hz": 50}} for name, unit in PAIR["smc30"].items()
+    }
+    lined = sync_fleets.make_wired({"a1": sync_fleets.make_smc4000(0), **units})
 
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = await client.submit(job("[{do: move, to: {d1.x: 30, d2.x: 30}, start: line, speed: 0.2}]"))
         await reached(fleet, job_id, "arming")
         broken.append(2)
         assert (await client.wait_for_job(job_id)).state == "failed"
-        await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()), limit_s=3.0)
+        await fleet.wait_until(lambda states: all(state.mode == "idle" for state in states.values()), limit_s=3.0)
         assert not broken and all(unit.at_rest() for unit in fleet.controllers.values())
 
     run_fleet(main, Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "lined", **lined}))
 
 
-def test_drives_that_missed_their_sync_do_not_begin_when_they_are_met_again() -> None:
+def test_drives_that_missed_their_sync_do_not_start_when_they_are_reconnected() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = await client.submit(job("[{do: move, to: {f1.x: 60, f2.x: 60}, speed: 0.2}]"))
         await running(fleet, job_id)
         fleet.wires["f1"].cut = True
         assert (await client.wait_for_job(job_id)).state == "failed"
         await asyncio.sleep(1.0)
         fleet.wires["f1"].cut = False
-        await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
         await asyncio.sleep(1.0)
         assert [unit.commanded_motions for unit in fleet.controllers.values()] == [[], []]
 
@@ -286,17 +289,17 @@ def test_drives_that_missed_their_sync_do_not_begin_when_they_are_met_again() ->
 
 
 @pytest.mark.parametrize("make", list(PAIR))
-def test_a_unit_on_its_limit_claims_no_start_and_the_other_one_stops(make: str) -> None:
+def test_a_controller_on_its_limit_reports_no_start_and_the_other_one_stops(make: str) -> None:
     stuck, other = PAIR[make]
     move = job(f"[{{do: move, to: {{{stuck}.x: 30, {other}.x: 30}}, speed: 0.5}}]", max_start_skew="100 ms")
 
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
-        client = fleet.client()
+        client = fleet.make_client()
         before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
         job_id = await client.submit(move)
         await running(fleet, job_id)
-        fleet.within(stuck, lambda unit: unit.set_limit("1", "both"))
+        fleet.act_on_controller(stuck, lambda unit: unit.set_limit("1", "both"))
         report = await client.wait_for_job(job_id)
         assert report.state == "failed" and stuck in report.reason
         assert not report.steps[0].members[stuck].evidence
@@ -308,19 +311,19 @@ def test_a_unit_on_its_limit_claims_no_start_and_the_other_one_stops(make: str) 
     run_fleet(main, pair(make))
 
 
-def test_nobody_begins_when_one_member_does_not_hear_go() -> None:
+def test_no_member_starts_when_one_does_not_receive_go() -> None:
     """It is given up while the others can still be unloaded."""
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
+        client = fleet.make_client()
         before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
         job_id = await client.submit(MOVE)
         await reached(fleet, job_id, "committed")
-        fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
+        fleet.net.partition_net({fleet.find_process("host/right").name}, {fleet.find_process("coordinator/first").name})
         report = await client.wait_for_job(job_id)
         assert report.state == "failed" and "stage has not answered go" in report.reason
-        fleet.net.heal()
+        fleet.net.heal_partition()
         await asyncio.sleep(1.0)
         assert {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()} == before
 
@@ -335,14 +338,14 @@ def test_a_member_that_does_not_answer_holds_up_no_stop_of_another(monkeypatch: 
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
+        client = fleet.make_client()
         job_id = await client.submit(MOVE)
         await reached(fleet, job_id, "committed")
         before = len(fleet.controllers["gantry"].commanded_motions)
-        fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
+        fleet.net.partition_net({fleet.find_process("host/right").name}, {fleet.find_process("coordinator/first").name})
         refused_s = now_s(fleet)
         assert (await client.wait_for_job(job_id)).state == "failed"
-        fleet.net.heal()
+        fleet.net.heal_partition()
         for motion in fleet.controllers["gantry"].commanded_motions[before:]:
             assert motion.end_ns is not None and motion.end_ns / NS_PER_S < refused_s + 0.5 + RAMP_S
 
@@ -353,18 +356,18 @@ def gentle_fleet(**units: dict[str, Any]) -> Fleet:
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "gentle", "controllers": units})
 
 
-def test_what_stops_by_gentle_ramps_is_waited_for_as_long() -> None:
+def test_a_gentle_stop_ramp_is_waited_for_to_its_end() -> None:
     """An SMC30 brakes by the ramp of its move, here that of the slow gantry: much longer than at its limits."""
-    gantry = sync_fleets.smc4000(0)
+    gantry = sync_fleets.make_smc4000(0)
     gantry["axes"]["x"]["limits"] = {"velocity": 200, "acceleration": 60}
 
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
-        client = fleet.client()
+        client = fleet.make_client()
         step = "[{do: move, to: {gantry.x: 300, steps.x: 15}, speed: 0.5}]"
         first = await client.submit(job(step, max_start_skew="50 ms"))
         then = await client.submit(job("[{do: move, to: {steps.x: 1}}]", max_start_skew="50 ms"))
-        await fleet.until(lambda states: states["steps"].mode == "moving")
+        await fleet.wait_until(lambda states: states["steps"].mode == "moving")
         await sleep_ns(fleet.clock, 2 * NS_PER_S)
         await client.cancel_job(first)
         assert (await client.wait_for_job(then)).state == "done"
@@ -376,25 +379,25 @@ def test_what_stops_by_gentle_ramps_is_waited_for_as_long() -> None:
         origin_ns = origin_host_ns(fleet)
         assert begun[0]["fleet_ns"] + origin_ns >= stopped.end_ns
 
-    run_fleet(main, gentle_fleet(gantry=gantry, steps=sync_fleets.smc30(0, 1)))
+    run_fleet(main, gentle_fleet(gantry=gantry, steps=sync_fleets.make_smc30(0, 1)))
 
 
 @pytest.mark.parametrize("restart_s", [0.2, 1.2])
-def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_brake(
+def test_a_job_waits_for_an_unreachable_controller_as_long_as_it_may_brake(
     monkeypatch: pytest.MonkeyPatch, restart_s: float
 ) -> None:
-    """Its host is killed, and its guardian stops it, by a ramp of four seconds. Meanwhile the new adapter has not met it
-    yet, or there is none."""
+    """Its host is killed, and its guardian stops it, by a ramp of four seconds. Meanwhile the new adapter has not
+    connected to it yet, or does not exist."""
     monkeypatch.setattr("orchestrator.runtime.virtual.RESTART_NS", round(restart_s * NS_PER_S))
-    steps = sync_fleets.smc30(0, 1)
+    steps = sync_fleets.make_smc30(0, 1)
     steps["axes"]["x"]["limits"] = {"velocity": 8, "acceleration": 1}
 
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
-        client = fleet.client()
+        client = fleet.make_client()
         leased_ns = await first_leases_ns(fleet, client, "steps")
         first = await client.submit(job("[{do: move, to: {steps.x: 150}}]", max_start_skew="50 ms"))
-        await fleet.until(lambda states: states["steps"].mode == "moving")
+        await fleet.wait_until(lambda states: states["steps"].mode == "moving")
         await sleep_ns(fleet.clock, 8 * NS_PER_S)
         fleet.kill("host/local")
         assert (await client.wait_for_job(first)).state == "failed"
@@ -409,16 +412,16 @@ def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_b
     run_fleet(main, gentle_fleet(steps=steps))
 
 
-def test_a_stop_that_was_lost_with_the_bus_is_asked_for_again() -> None:
-    """The bus is away while a member fails, and back before anybody stops by itself for want of a coordinator."""
+def test_a_stop_that_was_lost_with_the_bus_is_requested_again() -> None:
+    """The bus is away while a member fails, and back before any adapter stops because it misses its coordinator."""
 
     async def main(fleet: VirtualFleet) -> None:
         client, job_id = await host_killed_in_a_move(fleet)
         await asyncio.sleep(0.5)
-        fleet.net.partition({fleet.process("host/local").name}, {fleet.process("coordinator/first").name})
+        fleet.net.partition_net({fleet.find_process("host/local").name}, {fleet.find_process("coordinator/first").name})
         await asyncio.sleep(0.3)
         assert not fleet.controllers["gantry"].at_rest()
-        fleet.net.heal()
+        fleet.net.heal_partition()
         back_s = now_s(fleet)
         assert (await client.wait_for_job(job_id)).state == "failed"
         await asyncio.sleep(1.0)
@@ -428,19 +431,19 @@ def test_a_stop_that_was_lost_with_the_bus_is_asked_for_again() -> None:
 
 
 @pytest.mark.parametrize("lost", ["started", "done"])
-def test_an_event_that_was_lost_with_the_bus_and_is_followed_by_none_is_asked_for(lost: str) -> None:
+def test_an_event_that_was_lost_with_the_bus_and_is_followed_by_none_is_requested(lost: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
+        client = fleet.make_client()
         before = len(fleet.controllers["stage"].commanded_motions)
         job_id = await client.submit(STAGE)
         while len(motions := fleet.controllers["stage"].commanded_motions) == before:
             await asyncio.sleep(0.0001)
         while lost == "done" and motions[-1].end_ns is None:
             await asyncio.sleep(0.0001)
-        fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
+        fleet.net.partition_net({fleet.find_process("host/right").name}, {fleet.find_process("coordinator/first").name})
         await asyncio.sleep(0.2)
-        fleet.net.heal()
+        fleet.net.heal_partition()
         report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason
         evidence = report.steps[0].members["stage"].evidence["u"]

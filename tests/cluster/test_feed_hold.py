@@ -1,4 +1,5 @@
-"""A job held inside a motion step: its axes brake together, stay on their way, and go on from where they stand."""
+"""A job in a feed hold inside a motion step: its axes brake together, stay on their path, and continue from where
+they stand."""
 
 import pytest
 from cluster.test_contour import two_gantries
@@ -38,7 +39,7 @@ def rests_ns(fleet: VirtualFleet, before: dict[str, int]) -> list[int]:
 def test_axes_of_two_makes_brake_together_and_go_on_to_the_same_targets(after_s: float) -> None:
     async def main(fleet: VirtualFleet) -> StepReport:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         submitted = await client.submit(job(FAR))
         await held_inside(fleet, submitted, after_s)
@@ -66,14 +67,14 @@ def test_axes_of_two_makes_brake_together_and_go_on_to_the_same_targets(after_s:
     assert held.rest_skew.at_least_ns <= TOGETHER_NS
 
 
-def test_a_relative_move_that_is_held_twice_goes_its_way_once() -> None:
+def test_a_relative_move_that_is_paused_twice_covers_its_distance_once() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        submitted = await fleet.client().submit(job("[{do: move, by: {gantry.x: 200, stage.u: 15}, speed: 0.2}]"))
+        submitted = await fleet.make_client().submit(job("[{do: move, by: {gantry.x: 200, stage.u: 15}, speed: 0.2}]"))
         fractions: list[float] = []
         for _ in range(2):
             await held_inside(fleet, submitted, 1.5)
-            (entry,) = (await fleet.client().list_jobs(1)).jobs
+            (entry,) = (await fleet.make_client().list_jobs(1)).jobs
             assert entry.state == "paused" and "in step 0" in entry.reason
             fractions.append(fleet.controllers["gantry"].position("X") / 200_000)
             await submitted.resume()
@@ -94,7 +95,7 @@ def test_contours_of_two_controllers_brake_within_50_ms() -> None:
         axes = list(fleet.fleet.axis_names)
         # Ways of very different lengths: each axis alone would brake in another time.
         to = ", ".join(f"{axis}: {300 / (k + 1) ** 2:g}" for k, axis in enumerate(axes))
-        submitted = await fleet.client().submit(job(f"[{{do: move, to: {{{to}}}, speed: 0.4}}]"))
+        submitted = await fleet.make_client().submit(job(f"[{{do: move, to: {{{to}}}, speed: 0.4}}]"))
         await held_inside(fleet, submitted)
         rests = rests_ns(fleet, before)
         assert len(rests) == len(axes)
@@ -112,10 +113,10 @@ def test_contours_of_two_controllers_brake_within_50_ms() -> None:
 
 
 @pytest.mark.parametrize("state", ["planning", "arming", "armed", "committed"])
-def test_a_hold_before_the_motion_begins_lets_nothing_move(state: str) -> None:
+def test_a_feed_hold_before_the_motion_starts_lets_nothing_move(state: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         submitted = await client.submit(job(FAR))
         async for event in submitted.events():
@@ -133,9 +134,9 @@ def test_a_hold_before_the_motion_begins_lets_nothing_move(state: str) -> None:
     run_fleet(main)
 
 
-def test_what_is_not_motion_ends_before_it_is_held_and_a_held_job_can_be_cancelled() -> None:
+def test_a_step_without_motion_ends_before_the_pause_and_a_paused_job_can_be_cancelled() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         steps = "[{do: enable, axes: [gantry, stage]}, {do: home}, {do: dwell, duration: 0.1 s}]"
         homing = await client.submit(job(steps))
         await held_inside(fleet, homing, 0.5)
@@ -155,10 +156,10 @@ def test_what_is_not_motion_ends_before_it_is_held_and_a_held_job_can_be_cancell
     run_fleet(main)
 
 
-def test_who_resumes_while_it_still_brakes_has_it_go_on_all_the_same() -> None:
+def test_a_resume_while_the_axes_still_brake_continues_the_motion() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        submitted = await fleet.client().submit(job(FAR))
+        submitted = await fleet.make_client().submit(job(FAR))
         while (await submitted.show()).transitions[-1].state != "running":
             await sleep_ns(fleet.clock, 50 * NS_PER_MS)
         await sleep_ns(fleet.clock, 2 * NS_PER_S)
@@ -175,13 +176,13 @@ def test_who_resumes_while_it_still_brakes_has_it_go_on_all_the_same() -> None:
 def test_a_fault_while_it_brakes_is_no_hold() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         submitted = await client.submit(job(FAR))
         while (await submitted.show()).transitions[-1].state != "running":
             await sleep_ns(fleet.clock, 50 * NS_PER_MS)
         await sleep_ns(fleet.clock, NS_PER_S)
         await submitted.pause(now=True)
-        fleet.within("gantry", lambda unit: unit.set_power(False))
+        fleet.act_on_controller("gantry", lambda unit: unit.set_power(on=False))
         report = await submitted.result()
         assert report.state == "failed", report.reason
         assert "gantry" in report.reason

@@ -1,9 +1,9 @@
-"""How often a controller's adapter puts its state: as often as it polls, and not much less where it can not."""
+"""How often a controller's adapter publishes its state: at each poll, and not much less often when it cannot poll."""
 
 from cluster.worlds import job, outcome
 
-from orchestrator.bench.sync_fleets import smc4000
-from orchestrator.bus.base import Sample
+from orchestrator.bench.sync_fleets import make_smc4000
+from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
@@ -14,8 +14,8 @@ SECONDS = 10
 
 
 async def polled(clock: VirtualClock, **rates: float) -> VirtualFleet:
-    """One controller, `a`, that is read as often as `rates` say."""
-    controllers = {"a": {**smc4000(0), "state": rates}}
+    """One controller, `a`, that is read at `rates`."""
+    controllers = {"a": {**make_smc4000(0), "state": rates}}
     fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
     virtual = VirtualFleet(fleet, clock, 1)
     await virtual.start()
@@ -26,25 +26,25 @@ def states_in(idle_hz: float) -> int:
     """How many states a controller at rest has put in `SECONDS`."""
 
     async def main(clock: VirtualClock) -> int:
-        heard: list[Sample] = []
+        heard: list[BusSample] = []
         virtual = await polled(clock, idle_hz=idle_hz)
-        await virtual.net.join("watcher").subscribe(virtual.keys.state(), heard.append)
+        await virtual.net.join_process("watcher").subscribe(virtual.keys.state(), heard.append)
         await sleep_ns(clock, SECONDS * NS_PER_S)
         return len(heard)
 
     return run_virtual(main)
 
 
-def test_no_heartbeat_comes_beside_polls() -> None:
+def test_no_heartbeat_is_sent_between_polls() -> None:
     assert 0.9 * SECONDS * 5 < states_in(5.0) <= SECONDS * 5
 
 
-def test_who_is_polled_seldom_is_heard_of_all_the_same() -> None:
+def test_a_seldom_polled_controller_still_sends_heartbeats() -> None:
     # Every second by the poll, and in between as often as silence would be noticed.
     assert 2 * SECONDS <= states_in(1.0) <= 3 * SECONDS
 
 
-def test_who_is_told_to_go_is_polled_as_one_that_moves() -> None:
+def test_a_member_that_received_go_is_polled_as_in_motion() -> None:
     """From its T0 on: that it has begun, or has not, is not seen a slow poll later."""
 
     async def main(clock: VirtualClock) -> None:
@@ -74,33 +74,33 @@ def test_who_is_told_to_go_is_polled_as_one_that_moves() -> None:
     run_virtual(main)
 
 
-def test_who_is_asked_for_a_step_is_not_polled_until_it_begins_and_at_once_after_a_stop() -> None:
+def test_an_armed_member_is_not_polled_before_its_start_but_at_once_after_a_stop() -> None:
     """Though it is polled every 20 ms else: the arming's own looks are enough, and a stop is to be seen to its end."""
 
     async def main(clock: VirtualClock) -> None:
         virtual = await polled(clock, idle_hz=50.0)
         await outcome(virtual, job("[{do: enable, axes: [a]}, {do: home, axes: [a]}]"))
         states: list[ControllerState] = []
-        await virtual.net.join("watcher").subscribe(
+        await virtual.net.join_process("watcher").subscribe(
             virtual.keys.state(), lambda sample: states.append(ControllerState.model_validate_json(sample.payload))
         )
         await sleep_ns(clock, NS_PER_S)
         assert len(states) > 40
         states.clear()
         begun_ns = len(virtual.controllers["a"].commanded_motions)
-        moving = await virtual.client().submit(job("[{do: move, to: {a.x: 10}}]"))
+        moving = await virtual.make_client().submit(job("[{do: move, to: {a.x: 10}}]"))
         while len(virtual.controllers["a"].commanded_motions) == begun_ns:
             await sleep_ns(clock, NS_PER_MS)
-        assert len(states) <= 2  # one that was under way; and what is told of the lease
+        assert len(states) <= 2  # one that was under way, and the state of the lease
         await moving.result()
 
-        # Stopped just behind the arming.
+        # Stopped just after arming.
         told = len(virtual.lines)
-        moving = await virtual.client().submit(job("[{do: move, to: {a.x: 0}}]"))
+        moving = await virtual.make_client().submit(job("[{do: move, to: {a.x: 0}}]"))
         while not any("job is armed" in line for line in virtual.lines[told:]):
             await sleep_ns(clock, NS_PER_MS)
         states.clear()
-        await virtual.client().stop()
+        await virtual.make_client().stop()
         await sleep_ns(clock, 60 * NS_PER_MS)
         assert states and states[-1].mode == "idle"
 

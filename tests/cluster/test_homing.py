@@ -5,7 +5,7 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
 
-from orchestrator.bench.sync_fleets import smc2000
+from orchestrator.bench.sync_fleets import make_smc2000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -27,9 +27,9 @@ def last_end_ns(fleet: VirtualFleet, controller: str, motor: str) -> int:
     return ends[-1]
 
 
-def test_the_fleet_is_homed_in_its_order_and_says_how_far_it_is() -> None:
+def test_the_fleet_is_homed_in_its_order_and_reports_its_progress() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client, said = fleet.client(), list[str]()
+        client, said = fleet.make_client(), list[str]()
 
         def hear(progress: JobProgress) -> None:
             if progress.step_name.startswith("homing") and progress.step_name not in said:
@@ -67,8 +67,8 @@ def test_an_axis_that_fails_stops_those_that_come_after_it() -> None:
         assert "not homed because they come after gantry.x" in refused.text
         assert "stage.u" in refused.text
         assert refused.remedy
-        await virtual.until(lambda states: not any(a.moving for s in states.values() for a in s.axes.values()))
-        states = await virtual.client().status()
+        await virtual.wait_until(lambda states: not any(a.moving for s in states.values() for a in s.axes.values()))
+        states = await virtual.make_client().status()
         assert states["stage"].axes["focus"].referenced
         assert not states["gantry"].axes["x"].referenced
         assert states["gantry"].axes["y"].referenced  # it was looked for side by side with x, and found
@@ -88,7 +88,7 @@ def test_axes_without_an_order_are_homed_one_by_one_whatever_becomes_of_the_othe
     async def main(virtual: VirtualFleet) -> None:
         refused = await refusal(virtual, ENABLE, HOME)
         assert "axis x" in refused.text
-        states = await virtual.client().status()
+        states = await virtual.make_client().status()
         known = {f"{c}.{a}" for c, s in states.items() for a, now in s.axes.items() if now.referenced}
         assert known == {"gantry.y", "stage.u", "stage.v", "stage.focus"}
         assert last_end_ns(virtual, "gantry", "X") < first_motion_ns(virtual, "gantry", "Y")
@@ -109,7 +109,7 @@ def test_an_axis_after_another_is_homed_only_when_that_one_is_referenced() -> No
         assert (await outcome(virtual, job("[{do: home, axes: [stage.focus]}]"), only_x)).state == "done"
         contrary = job("[{do: home, axes: [gantry.x, stage.focus]}]")
         with pytest.raises(Refusal, match="but comes before it in the given order"):
-            await virtual.client().submit(contrary)
+            await virtual.make_client().submit(contrary)
 
     run_fleet(main, fleet)
 
@@ -134,7 +134,7 @@ def test_a_home_switch_that_is_active_at_the_start_is_left_and_found() -> None:
 
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, ENABLE, HOME)).state == "done"
-        states = await virtual.client().status()
+        states = await virtual.make_client().status()
         assert all(axis.referenced for axis in states["gantry"].axes.values())
         assert (await outcome(virtual, job("[{do: move, to: {gantry.x: 10}}]"))).state == "done"
 
@@ -144,9 +144,9 @@ def test_a_home_switch_that_is_active_at_the_start_is_left_and_found() -> None:
 def test_a_stop_while_homing_ends_it_and_leaves_the_axis_unreferenced() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, ENABLE)
-        client = fleet.client()
+        client = fleet.make_client()
         homing = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
-        await fleet.until(lambda states: states["gantry"].axes["x"].homing)
+        await fleet.wait_until(lambda states: states["gantry"].axes["x"].homing)
         await asyncio.sleep(0.1)
         await client.stop()
         report = await client.wait_for_job(homing)
@@ -165,15 +165,15 @@ def test_a_stop_while_homing_ends_it_and_leaves_the_axis_unreferenced() -> None:
 def test_a_controller_that_loses_power_while_homing(name: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, ENABLE)
-        client = fleet.client()
+        client = fleet.make_client()
         homing = await client.submit(job(f"[{{do: home, axes: [{name}]}}]"))
-        await fleet.until(lambda states: any(axis.homing for axis in states[name].axes.values()))
-        fleet.within(name, lambda unit: unit.set_power(False))
+        await fleet.wait_until(lambda states: any(axis.homing for axis in states[name].axes.values()))
+        fleet.act_on_controller(name, lambda unit: unit.set_power(on=False))
         await asyncio.sleep(0.2)
-        fleet.within(name, lambda unit: unit.set_power(True))
+        fleet.act_on_controller(name, lambda unit: unit.set_power(on=True))
         report = await client.wait_for_job(homing)
         assert report.state == "failed"
-        states = await fleet.until(lambda states: states[name].mode == "idle")
+        states = await fleet.wait_until(lambda states: states[name].mode == "idle")
         assert not any(axis.referenced for axis in states[name].axes.values())
         assert (await outcome(fleet, PREPARE)).state == "done"
 
@@ -181,23 +181,23 @@ def test_a_controller_that_loses_power_while_homing(name: str) -> None:
 
 
 def searching() -> Fleet:
-    """Axis x of the gantry, and of a unit beside it, do not find their switches for a minute."""
+    """Axis x of the gantry, and of another controller, do not find their switches for a minute."""
     x = {"homing": {"speed": 20, "timeout_s": 60}}
     plain = changed(demo_fleet(), gantry={"simulate": {"home_edge": NEVER}, "axes": {"x": x}}).to_plain()
-    plain["controllers"]["unit"] = smc2000(1)
+    plain["controllers"]["unit"] = make_smc2000(1)
     plain["controllers"]["unit"]["simulate"]["options"] = {"home_edge": NEVER}
     return Fleet.model_validate(plain)
 
 
-def test_an_adapter_that_can_not_be_heard_while_homing_is_not_waited_for() -> None:
+def test_an_unreachable_adapter_is_not_waited_for_while_homing() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, ENABLE)
-        client = fleet.client()
+        client = fleet.make_client()
         homing = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
-        await fleet.until(lambda states: states["gantry"].axes["x"].homing)
+        await fleet.wait_until(lambda states: states["gantry"].axes["x"].homing)
         cut_ns = fleet.clock.now_ns()
-        host = fleet.process(f"host/{fleet.fleet.controllers['gantry'].host}")
-        fleet.net.partition({host.name}, {fleet.process("coordinator/first").name})
+        host = fleet.find_process(f"host/{fleet.fleet.controllers['gantry'].host}")
+        fleet.net.partition_net({host.name}, {fleet.find_process("coordinator/first").name})
         report = await client.wait_for_job(homing)
         assert report.state == "failed" and "gantry: its adapter is silent" in report.reason
         assert fleet.clock.now_ns() - cut_ns < 7 * NS_PER_S  # most of it for answers to stop and release
@@ -208,10 +208,10 @@ def test_an_adapter_that_can_not_be_heard_while_homing_is_not_waited_for() -> No
 
 @pytest.mark.parametrize("after_ms", [5, 30, 90, 180])
 @pytest.mark.parametrize("name", ["gantry", "unit"])
-def test_a_search_that_is_stopped_as_it_is_prepared_does_not_begin(name: str, after_ms: int) -> None:
+def test_a_homing_that_is_stopped_while_it_is_prepared_does_not_start(name: str, after_ms: int) -> None:
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, job(f"[{{do: enable, axes: [{name}.x]}}]"))
-        client = virtual.client()
+        client = virtual.make_client()
         homing = await client.submit(job(f"[{{do: home, axes: [{name}.x]}}]"))
         await asyncio.sleep(after_ms / 1000)
         stopped_ns = virtual.clock.now_ns()
@@ -228,10 +228,10 @@ def test_a_search_that_is_stopped_as_it_is_prepared_does_not_begin(name: str, af
 
 
 @pytest.mark.parametrize("after_ms", range(4, 60, 4))
-def test_an_axis_is_given_to_nobody_before_its_search_has_come_to_rest(after_ms: int) -> None:
+def test_an_axis_is_not_passed_on_before_its_homing_has_come_to_rest(after_ms: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry]}]"))
-        client = fleet.client()
+        client = fleet.make_client()
         leased_ns, before = (
             await first_leases_ns(fleet, client, "gantry"),
             len(fleet.controllers["gantry"].commanded_motions),
@@ -250,12 +250,12 @@ def test_an_axis_is_given_to_nobody_before_its_search_has_come_to_rest(after_ms:
 
 
 @pytest.mark.parametrize("name", ["gantry", "unit"])
-def test_a_search_whose_link_is_closed_is_stopped(name: str) -> None:
+def test_a_homing_whose_link_is_closed_is_stopped(name: str) -> None:
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, job(f"[{{do: enable, axes: [{name}]}}]"))
-        client = virtual.client()
+        client = virtual.make_client()
         homing = await client.submit(job(f"[{{do: home, axes: [{name}.x]}}]"))
-        await virtual.until(lambda states: virtual.controllers[name].is_moving("X"))
+        await virtual.wait_until(lambda states: virtual.controllers[name].is_moving("X"))
         closed_ns = virtual.clock.now_ns()
         for link in list(virtual.wires[name].links):
             link.hang_up()

@@ -13,7 +13,7 @@ from adapters.controller.participant import StepParticipant
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.shrc203.driver import ShrcDriver
-from orchestrator.campaign.scenario import Cell, play
+from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.journal.journal import Journal
@@ -24,11 +24,11 @@ from orchestrator.model.messages import ArmRequest, ProposeRequest
 Patch = pytest.MonkeyPatch
 
 
-def nothing(*_: object) -> None:
+def nothing(*_: object, **__: object) -> None:
     return None
 
 
-async def nothing_async(*_: object) -> None:
+async def nothing_async(*_: object, **__: object) -> None:
     return None
 
 
@@ -76,18 +76,18 @@ def believes_in_old_references(patch: Patch) -> None:
 
 
 def searches_on(patch: Patch) -> None:
-    """Whoever looks for its reference hears no stop."""
+    """A controller that is homing receives no stop."""
     honest = ControllerSupervisor.stop
 
-    async def deaf(self: ControllerSupervisor, abort: bool, reason: str, follow: bool = False) -> None:
+    async def deaf(self: ControllerSupervisor, reason: str, *, abort: bool, follow: bool = False) -> None:
         if not self._status.homing:
-            await honest(self, abort, reason, follow)
+            await honest(self, reason, abort=abort, follow=follow)
 
     patch.setattr(ControllerSupervisor, "stop", deaf)
 
 
 def jogs_on(patch: Patch) -> None:
-    """Although nobody renews it."""
+    """Although it is not renewed."""
     patch.setattr(JogControl, "_enforce_deadline", nothing_async)
 
 
@@ -138,29 +138,29 @@ def takes_any_configuration(patch: Patch) -> None:
 
 
 class Mutation(NamedTuple):
-    """invariant: what the campaign says is violated, when something breaks as `cell` says."""
+    """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`."""
 
     invariant: str
     breaks: Callable[[Patch], None]
-    cell: Cell
+    cell: FaultCell
 
 
 MUTATIONS = (
-    Mutation("1", goes_without_promises, Cell("commit", "host-killed", "smc4000")),
-    Mutation("1/2", opens_its_gate_when_armed, Cell("commit", "link-closed", "shrc203")),
-    Mutation("3", stops_nobody, Cell("motion", "limit", "smc4000")),
-    Mutation("4", hears_no_estop, Cell("motion", "estop", "ppsmc")),
-    Mutation("5", plans_beyond_the_limits, Cell("motion", "none", "smc4000")),
-    Mutation("3", searches_on, Cell("home", "stop", "smc2000")),
-    Mutation("3", jogs_on, Cell("jog", "none", "smc4000")),
-    Mutation("5", believes_in_old_references, Cell("motion", "power-cycle", "smc30")),
-    Mutation("6", lets_anybody_end_a_job, Cell("arm", "coordinator-overtaken", "shrc203")),
-    Mutation("7", stops_everybody, Cell("motion", "limit", "cia402")),
-    Mutation("8", claims_too_much, Cell("motion", "none", "shrc203")),
-    Mutation("9", hears_no_other_reign, Cell("arm", "coordinator-overtaken", "ppsmc")),
-    Mutation("10", takes_any_configuration, Cell("arm", "host-other-file", "cia402")),
+    Mutation("1", goes_without_promises, FaultCell("commit", "host-killed", "smc4000")),
+    Mutation("1/2", opens_its_gate_when_armed, FaultCell("commit", "link-closed", "shrc203")),
+    Mutation("3", stops_nobody, FaultCell("motion", "limit", "smc4000")),
+    Mutation("4", hears_no_estop, FaultCell("motion", "estop", "ppsmc")),
+    Mutation("5", plans_beyond_the_limits, FaultCell("motion", "none", "smc4000")),
+    Mutation("3", searches_on, FaultCell("home", "stop", "smc2000")),
+    Mutation("3", jogs_on, FaultCell("jog", "none", "smc4000")),
+    Mutation("5", believes_in_old_references, FaultCell("motion", "power-cycle", "smc30")),
+    Mutation("6", lets_anybody_end_a_job, FaultCell("arm", "coordinator-overtaken", "shrc203")),
+    Mutation("7", stops_everybody, FaultCell("motion", "limit", "cia402")),
+    Mutation("8", claims_too_much, FaultCell("motion", "none", "shrc203")),
+    Mutation("9", hears_no_other_reign, FaultCell("arm", "coordinator-overtaken", "ppsmc")),
+    Mutation("10", takes_any_configuration, FaultCell("arm", "host-other-file", "cia402")),
 )
-SEEDS = 12  # a fault does not meet what it needs in every one
+SEEDS = 12  # a fault does not find its precondition in every one
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda each: f"{each.invariant}: {each.breaks.__name__}")
@@ -168,7 +168,7 @@ def test_the_campaign_notices(mutation: Mutation, monkeypatch: Patch) -> None:
     mutation.breaks(monkeypatch)
     said: list[str] = []
     for seed in range(SEEDS):
-        said += play(seed, [mutation.cell]).violations
+        said += run_scenario(seed, [mutation.cell]).violations
         if any(each.startswith(f"invariant {mutation.invariant}:") for each in said):
             return
     pytest.fail(f"nobody noticed in {SEEDS} seeds; said was only {said}")

@@ -1,4 +1,4 @@
-"""Jobs on the virtual demo fleet: what they do, what is refused, and what a report says."""
+"""Jobs on the virtual demo fleet: what they do, what is refused, and the contents of a report."""
 
 import asyncio
 
@@ -6,7 +6,7 @@ import pytest
 from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, outcome, run_fleet
 
 from adapters.controller.supervisor import ControllerSupervisor
-from orchestrator.bus.base import Sample
+from orchestrator.bus.base import BusSample
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
@@ -102,7 +102,7 @@ def test_refusals_of_a_prepared_fleet(steps: str, code: str, text: str) -> None:
 
 def test_a_job_that_names_what_is_not_there_is_not_accepted() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         for steps, text in (
             ("[{do: move, to: {gantry.q: 1}}]", "no axis gantry.q; its axes are: gantry.x, gantry.y, stage.u"),
             ("[{do: output, output: gantry.horn, value: true}]", "no output gantry.horn; known: gantry.lamp"),
@@ -118,7 +118,7 @@ def test_a_job_that_names_what_is_not_there_is_not_accepted() -> None:
 
 def test_the_same_client_key_gives_the_same_job() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         dwell = job("[{do: dwell, duration: 10 ms}]")
         first = await client.submit(dwell, "key-1")
         assert await client.submit(dwell, "key-1") == first
@@ -130,7 +130,7 @@ def test_the_same_client_key_gives_the_same_job() -> None:
 
 def test_cancel_queued_and_running() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         running = await client.submit(job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]"))
         queued = await client.submit(job("[{do: home, axes: [gantry]}]"))
@@ -149,10 +149,10 @@ def test_cancel_queued_and_running() -> None:
     run_fleet(main)
 
 
-def test_dry_run_says_what_would_be_sent() -> None:
+def test_dry_run_reports_what_would_be_sent() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        shown = await fleet.client().dry_run(job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]"))
+        shown = await fleet.make_client().dry_run(job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]"))
         assert shown["0"]["duration_s"] > 0.1
         assert any("PA" in line for line in shown["0"]["commands"]["gantry"])
         assert any(line.startswith(("AP", "MP")) for line in shown["0"]["commands"]["stage"])
@@ -162,7 +162,9 @@ def test_dry_run_says_what_would_be_sent() -> None:
 
 
 @pytest.mark.parametrize(("axis", "other"), [("stage.u", "gantry"), ("gantry.x", "stage")])
-def test_who_moves_is_told_of_an_estop_before_who_rests(monkeypatch: pytest.MonkeyPatch, axis: str, other: str) -> None:
+def test_moving_controllers_receive_an_estop_before_those_at_rest(
+    monkeypatch: pytest.MonkeyPatch, axis: str, other: str
+) -> None:
     told: list[str] = []
     estop = ControllerSupervisor.apply_estop
 
@@ -173,9 +175,9 @@ def test_who_moves_is_told_of_an_estop_before_who_rests(monkeypatch: pytest.Monk
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         mover = axis.partition(".")[0]
-        client = fleet.client()
+        client = fleet.make_client()
         await client.submit(job(f"[{{do: move, to: {{{axis}: 40}}, speed: 0.1}}]"))
-        await fleet.until(lambda states: states[mover].mode == "moving")
+        await fleet.wait_until(lambda states: states[mover].mode == "moving")
         monkeypatch.setattr(ControllerSupervisor, "apply_estop", noted)
         await client.estop("a test")
         assert told == [mover, other]
@@ -185,16 +187,16 @@ def test_who_moves_is_told_of_an_estop_before_who_rests(monkeypatch: pytest.Monk
 
 def test_estop_latches_everywhere_and_survives_a_restarted_host() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         moving = await client.submit(job("[{do: move, to: {gantry.x: 390, stage.u: 40}, speed: 0.2}]"))
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         await asyncio.sleep(0.6)
         latched = await client.estop("a test")
         assert latched == {"gantry": True, "stage": True}
         assert (await client.wait_for_job(moving)).state in ("aborted", "failed")
         fleet.kill("host/local")
-        states = await fleet.until(lambda states: all(s.mode in ("idle", "fault") for s in states.values()))
+        states = await fleet.wait_until(lambda states: all(s.mode in ("idle", "fault") for s in states.values()))
         assert all(state.estop is not None and state.estop.reason == "a test" for state in states.values())
         report = await outcome(fleet, job("[{do: home, axes: [gantry]}]"))
         assert report.steps[-1].refused is not None
@@ -206,16 +208,16 @@ def test_estop_latches_everywhere_and_survives_a_restarted_host() -> None:
     run_fleet(main)
 
 
-def test_an_absent_controller_is_said_with_its_remedy() -> None:
+def test_an_absent_controller_is_reported_with_its_remedy() -> None:
     async def main(fleet: VirtualFleet) -> None:
         fleet.wires["stage"].cut = True
-        states = await fleet.until(lambda states: states["stage"].mode == "offline")
+        states = await fleet.wait_until(lambda states: states["stage"].mode == "offline")
         assert states["stage"].faults[0].remedy
         report = await outcome(fleet, job("[{do: move, to: {stage.u: 1}}]"))
         assert report.steps[-1].refused is not None
         assert report.steps[-1].refused.code == "offline"
         fleet.wires["stage"].cut = False
-        await fleet.until(lambda states: states["stage"].mode == "idle")
+        await fleet.wait_until(lambda states: states["stage"].mode == "idle")
 
     run_fleet(main)
 
@@ -236,7 +238,7 @@ def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> 
         report = await outcome(fleet, job("[{do: home, axes: [gantry]}]"))
         assert report.state == "failed" and "gantry: the coordinator uses configuration" in report.reason
         with pytest.raises(Refusal) as caught:
-            await fleet.client().dry_run(job("[{do: move, to: {gantry.x: 1}}]"))
+            await fleet.make_client().dry_run(job("[{do: move, to: {gantry.x: 1}}]"))
         assert caught.value.code == "other-configuration"
 
     run_fleet(main)
@@ -254,7 +256,7 @@ def test_relative_moves_there_and_back_end_on_the_same_count() -> None:
     run_fleet(main)
 
 
-def test_what_a_lease_was_answered_with_is_not_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_in_the_answer_to_a_lease_is_not_requested_again(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     request = MemoryBus.request
 
@@ -287,11 +289,11 @@ def test_enabling_by_policy_and_leases_on_the_bus() -> None:
     }
 
     async def main(fleet: VirtualFleet) -> None:
-        states = await fleet.until(lambda states: all(a.enabled for a in states["stage"].axes.values()))
+        states = await fleet.wait_until(lambda states: all(a.enabled for a in states["stage"].axes.values()))
         assert not any(axis.enabled for axis in states["gantry"].axes.values())
-        client, holders = fleet.client(), list[tuple[str, bool]]()
+        client, holders = fleet.make_client(), list[tuple[str, bool]]()
 
-        def hear(sample: Sample) -> None:
+        def hear(sample: BusSample) -> None:
             lease = LeaseState.model_validate_json(sample.payload)
             if lease.what.startswith("job"):
                 holders.append((lease.controller, lease.holder is not None))
@@ -315,7 +317,7 @@ def test_an_estop_takes_outputs_to_their_safe_state() -> None:
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, job("[{do: output, output: gantry.lamp, value: true}]"))).state == "done"
         assert fleet.controllers["gantry"].output_level(1)
-        await fleet.client().estop()
+        await fleet.make_client().estop()
         await asyncio.sleep(0.5)
         assert not fleet.controllers["gantry"].output_level(1)
 
@@ -325,7 +327,7 @@ def test_an_estop_takes_outputs_to_their_safe_state() -> None:
 def test_the_trace_shows_the_fired_line_in_its_place() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE, job("[{do: move, to: {stage.u: 1}}]"))
-        entries = (await fleet.client().read_trace("stage")).entries
+        entries = (await fleet.make_client().read_trace("stage")).entries
         assert [text for _, direction, text in entries if direction == "out" and text.startswith("G:")] == ["G:1\r\n"]
         assert [at_ns for at_ns, _, _ in entries] == sorted(at_ns for at_ns, _, _ in entries)
 
@@ -336,11 +338,11 @@ def test_a_permit_must_hold_to_arm_and_its_loss_stops_the_step() -> None:
     closed = Permit(input="gantry.door", value=False, axes=["table"])
 
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         # The door's input is active when it is low: open is low.
-        fleet.within("gantry", lambda gantry: gantry.set_input(1, False))
-        await fleet.until(lambda states: states["gantry"].inputs["door"])
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
+        await fleet.wait_until(lambda states: states["gantry"].inputs["door"])
         refused = (await outcome(fleet, job("[{do: move, to: {stage.u: 10}}]"))).steps[-1].refused
         assert refused is not None
         assert (refused.code, refused.text) == (
@@ -348,13 +350,13 @@ def test_a_permit_must_hold_to_arm_and_its_loss_stops_the_step() -> None:
             "permit door-closed does not hold: input gantry.door is active",
         )
         assert (await outcome(fleet, job("[{do: move, to: {stage.focus: 100}}]"))).state == "done"
-        fleet.within("gantry", lambda gantry: gantry.set_input(1, True))
-        await fleet.until(lambda states: not states["gantry"].inputs["door"])
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=True))
+        await fleet.wait_until(lambda states: not states["gantry"].inputs["door"])
         moving = await client.submit(job("[{do: move, to: {gantry.x: 390, stage.u: 40}, speed: 0.2}]"))
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         await asyncio.sleep(1.0)
         lost_ns = fleet.clock.now_ns()
-        fleet.within("gantry", lambda gantry: gantry.set_input(1, False))
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
         report = await client.wait_for_job(moving)
         assert report.state == "failed"
         assert "permit door-closed" in report.reason

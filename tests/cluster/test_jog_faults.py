@@ -6,8 +6,8 @@ from contextlib import suppress
 import pytest
 from cluster.worlds import outcome, run_fleet
 
-from orchestrator.campaign.fleets import MAKES, fleet_of
-from orchestrator.campaign.jobs import preparation
+from orchestrator.campaign.fleets import MAKES, make_campaign_fleet
+from orchestrator.campaign.jobs import make_preparation
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
@@ -17,13 +17,13 @@ from orchestrator.runtime.virtual import VirtualFleet
 AFTER_MS = (1, 3, 8, 25, 70, 120)  # the request
 DEAF_NS = 400 * NS_PER_MS
 
-# By what happens to the line, until which the axis rests again: a closed one is opened and used for the stop first.
+# Time until the axis is at rest again, by the fault of the line: a closed one is reopened and used for the stop first.
 RESTS_NS = {"closed": 1500 * NS_PER_MS, "deaf": DEAF_NS + 2500 * NS_PER_MS}
 
 
 def one_of(make: str) -> tuple[Fleet, str, str, float]:
     """A fleet with a controller of that make, its name, its axis, and a speed to jog it at."""
-    fleet = fleet_of(3, [make])
+    fleet = make_campaign_fleet(3, [make])
     name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
     axis = f"{name}.{next(iter(config.axes))}"
     return fleet, name, axis, fleet.axis(axis).limits.velocity * 0.05
@@ -31,18 +31,18 @@ def one_of(make: str) -> tuple[Fleet, str, str, float]:
 
 async def prepared(virtual: VirtualFleet) -> None:
     every = list(virtual.controllers)
-    assert (await outcome(virtual, preparation(every, every))).state == "done"
+    assert (await outcome(virtual, make_preparation(every, every))).state == "done"
 
 
 @pytest.mark.parametrize("make", MAKES)
 def test_the_first_press_moves_an_axis_of_every_make_and_it_changes_its_speed(make: str) -> None:
-    """Some need longer to be told than an order is good for."""
+    """Some commands take longer to send than their validity."""
     fleet, name, axis, speed = one_of(make)
 
     async def main(virtual: VirtualFleet) -> None:
         await prepared(virtual)
         unit, motor = virtual.controllers[name], fleet.axis(axis).motors[0]
-        async with virtual.client().manual_control([axis]) as hand:
+        async with virtual.make_client().manual_control([axis]) as hand:
             await hand.jog({axis: speed})
             for _ in range(15):
                 await hand.renew_jog()
@@ -81,7 +81,7 @@ def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str,
 
     async def main(virtual: VirtualFleet) -> None:
         await prepared(virtual)
-        client, motions = virtual.client(), virtual.controllers[name].commanded_motions
+        client, motions = virtual.make_client(), virtual.controllers[name].commanded_motions
         for after_ms in AFTER_MS:
             before = len(motions)
             pressing = asyncio.get_running_loop().create_task(press(client))
@@ -93,16 +93,16 @@ def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str,
             assert all(end_ns is not None and end_ns < at_ns + RESTS_NS[how] for end_ns in ends), (after_ms, ends)
             await pressing
             await client.reset()
-            await virtual.until(lambda states: name in states and states[name].mode == "idle")
-            assert (await outcome(virtual, preparation([name], [name]))).state == "done"
+            await virtual.wait_until(lambda states: name in states and states[name].mode == "idle")
+            assert (await outcome(virtual, make_preparation([name], [name]))).state == "done"
 
     run_fleet(main, fleet)
 
 
 @pytest.mark.parametrize("deaf_s", [0.6, 1.1, 1.6, 2.0])
 @pytest.mark.parametrize("make", MAKES)
-def test_who_was_jogged_when_its_line_broke_is_stopped_as_soon_as_it_answers(make: str, deaf_s: float) -> None:
-    """The line comes back behind the stop that was owed, while the unit is being met."""
+def test_an_axis_that_was_jogged_when_its_line_broke_is_stopped_as_soon_as_it_answers(make: str, deaf_s: float) -> None:
+    """The line comes back after the pending stop was written, while the controller is being connected."""
     fleet, name, axis, speed = one_of(make)
 
     async def main(virtual: VirtualFleet) -> None:
@@ -110,7 +110,7 @@ def test_who_was_jogged_when_its_line_broke_is_stopped_as_soon_as_it_answers(mak
         unit, wire = virtual.controllers[name], virtual.wires[name]
         before = len(unit.commanded_motions)
         with suppress(Refusal):
-            async with virtual.client().manual_control([axis]) as hand:
+            async with virtual.make_client().manual_control([axis]) as hand:
                 await hand.jog({axis: speed})
                 await hand.renew_jog()
                 wire.cut = True

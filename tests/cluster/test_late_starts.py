@@ -1,4 +1,4 @@
-"""Starts that are written later than the host promises: made as far as the job allows for it, and told; else refused."""
+"""Starts that are written later than the host promises: made and reported if the job allows for it, else refused."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +9,7 @@ from cluster.test_can_streams import fleet as streams
 from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from adapters.toolkit.firing import ORDINARY_DELAY_US, VIRTUAL_DELAY_US, LoopTimedWriter
-from orchestrator.bench.sync_fleets import mixed, ppsmc, shrc203, smc30, smc4000
+from orchestrator.bench.sync_fleets import make_mixed, make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport
@@ -86,7 +86,7 @@ def test_a_start_later_than_promised_is_made_if_the_job_allows_for_it(
         assert report.state == "done", report.reason
         assert max(starts.values()) - min(starts.values()) <= budget.allowed_ns
         require_evidence(report, starts, {"gantry": 0, "stage": late_us * NS_PER_US})
-        # And as quickly known, and as well, as one that is not late.
+        # Observed as quickly and as precisely as one that is not late.
         start = report.steps[0].members["stage"].evidence["u"].start
         assert start.latest_ns - start.earliest_ns < 2 * NS_PER_MS
 
@@ -96,14 +96,19 @@ def test_a_start_later_than_promised_is_made_if_the_job_allows_for_it(
 def alone() -> Fleet:
     """Every make that the host starts, each on a link of its own but two drives on one bus."""
     drives: dict[str, Any] = streams().to_plain()["controllers"]
-    controllers = {"stage": shrc203(0), "pulses": ppsmc(1), "steps": smc30(2, 1), "gantry": smc4000(3)}
+    controllers = {
+        "stage": make_shrc203(0),
+        "pulses": make_ppsmc(1),
+        "steps": make_smc30(2, 1),
+        "gantry": make_smc4000(3),
+    }
     for name in DRIVES:
         controllers[name] = drives[name]
         del controllers[name]["axes"]["x"]["limits"]["jerk"]  # set-points, not streams
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "late", "controllers": controllers})
 
 
-def test_every_make_that_the_host_starts_tells_how_late_it_was_and_its_evidence_holds_the_truth() -> None:
+def test_every_make_that_the_host_starts_reports_its_delay_and_its_evidence_contains_the_truth() -> None:
     async def main(virtual: VirtualFleet) -> None:
         axes = list(virtual.controllers)
         await outcome(virtual, job(f"[{{do: enable, axes: {axes}}}, {{do: home, axes: {axes}}}]"))
@@ -123,7 +128,9 @@ def test_every_make_that_the_host_starts_tells_how_late_it_was_and_its_evidence_
     [
         (streams, "[gantry, c0, c1]", "{do: move, by: {gantry.x: 50, c0.x: 40, c1.x: 30}}", "SYNC"),
         (
-            lambda: Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "bus", "controllers": mixed(False)}),
+            lambda: Fleet.model_validate(
+                {"schema": "tutti.fleet/1", "fleet": "bus", "controllers": make_mixed(pp=False)}
+            ),
             "[a1, d1, d2]",
             "{do: move, by: {a1.x: 50, d1.x: 8, d2.x: 9}}",
             "starting command",
@@ -131,7 +138,7 @@ def test_every_make_that_the_host_starts_tells_how_late_it_was_and_its_evidence_
     ],
     ids=["stream", "turns"],
 )
-def test_where_later_bytes_have_instants_of_their_own_the_promise_alone_counts(
+def test_only_the_promise_counts_if_later_bytes_have_their_own_instants(
     fleet: Callable[[], Fleet], axes: str, move: str, who: str
 ) -> None:
     async def main(virtual: VirtualFleet) -> None:
@@ -142,7 +149,7 @@ def test_where_later_bytes_have_instants_of_their_own_the_promise_alone_counts(
     run_fleet(main, fleet())
 
 
-def test_those_who_wait_for_a_line_count_on_the_promise_of_who_drives_it() -> None:
+def test_members_that_wait_for_a_trigger_line_use_the_promise_of_its_driver() -> None:
     plain = changed(demo_fleet()).to_plain()
     stage, gantry = plain["controllers"]["stage"], plain["controllers"]["gantry"]
     stage["outputs"], gantry["inputs"] = {"go": {"number": 1}}, {"start": {"number": 1, "active": "low"}}

@@ -76,7 +76,7 @@ def test_members_that_all_wait_for_the_line_start_together_by_it(seed: int) -> N
     run_fleet(main, wired_fleet(), seed)
 
 
-def test_who_drives_the_line_moves_with_those_who_wait_for_it() -> None:
+def test_the_driver_of_a_trigger_line_moves_with_the_members_that_wait_for_it() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         before = count(fleet)
@@ -91,7 +91,7 @@ def test_who_drives_the_line_moves_with_those_who_wait_for_it() -> None:
     run_fleet(main, wired_fleet())
 
 
-def test_the_better_way_is_taken_without_being_asked() -> None:
+def test_the_better_start_method_is_chosen_without_a_request() -> None:
     """A slow wire would spread the starts more than the members' own means."""
 
     async def main(fleet: VirtualFleet) -> None:
@@ -106,10 +106,10 @@ def test_the_better_way_is_taken_without_being_asked() -> None:
 
 def test_a_missing_wire_fails_the_step_and_a_stuck_one_refuses_it() -> None:
     async def main(clock_fleet: VirtualFleet) -> None:
-        client = clock_fleet.client()
+        client = clock_fleet.make_client()
         await outcome(clock_fleet, PREPARE)
         stuck = clock_fleet.fleet.controllers["portal"].inputs["start"]
-        clock_fleet.within("portal", lambda unit: unit.set_input(stuck.number, stuck.active == "high"))
+        clock_fleet.act_on_controller("portal", lambda unit: unit.set_input(stuck.number, level=stuck.active == "high"))
         await sleep_ns(clock_fleet.clock, 500 * NS_PER_MS)
         refused = await refusal(clock_fleet, job("[{do: move, to: {stage.u: 5, portal.x: 60}, start: line}]"))
         assert refused.code == "line-level" and refused.member == "portal" and refused.remedy
@@ -124,7 +124,7 @@ def test_a_missing_wire_fails_the_step_and_a_stuck_one_refuses_it() -> None:
         report = await outcome(fleet, job("[{do: move, to: {stage.u: 5, portal.x: 60}, start: line}]"))
         assert report.state == "failed" and "portal" in report.reason
         assert len(fleet.controllers["portal"].commanded_motions) == before["portal"]
-        states = await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        states = await fleet.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
         assert states["stage"].mode == "idle"
 
     run_fleet(cut, wired_fleet(), wired=wired_fleet(to=["stage.start"]))
@@ -147,13 +147,13 @@ def test_wires_differ_in_delay_within_their_bounds() -> None:
             unit, number = fleet.controllers[name], 2
             plain = unit.set_input
 
-            def seen(point: int, level: bool, name: str = name, plain: Any = plain, number: int = number) -> None:
+            def seen(point: int, *, level: bool, name: str = name, plain: Any = plain, number: int = number) -> None:
                 if point == number:
                     at[name] = fleet.clock.now_ns() - began_ns
-                plain(point, level)
+                plain(point, level=level)
 
             unit.set_input = seen  # type: ignore[method-assign]
-        client = fleet.client()
+        client = fleet.make_client()
         began_ns = fleet.clock.now_ns()
         await client.send_raw("gantry", "SB 2", i_know=True)
         await sleep_ns(fleet.clock, 10 * NS_PER_MS)
@@ -173,7 +173,7 @@ def test_wires_differ_in_delay_within_their_bounds() -> None:
 )
 def test_the_wiring_check_finds_what_is_wrong_without_motion(really: dict[str, Any], said: dict[str, str]) -> None:
     async def main(fleet: VirtualFleet) -> None:
-        found = await fleet.client().check_wiring()
+        found = await fleet.make_client().check_wiring()
         assert {each.input for each in found} == set(said)
         for each in found:
             assert each.text.startswith(said[each.input])
@@ -187,41 +187,41 @@ def test_the_wiring_check_finds_what_is_wrong_without_motion(really: dict[str, A
     run_fleet(main, wired_fleet(), wired=wired_fleet(**really))
 
 
-def test_the_wiring_check_finds_wrong_levels_and_wires_that_nobody_knows_of() -> None:
+def test_the_wiring_check_finds_wrong_levels_and_undeclared_wires() -> None:
     inverted = wired_fleet().to_plain()
     inverted["controllers"]["stage"]["inputs"]["start"]["active"] = "low"
 
     async def main(fleet: VirtualFleet) -> None:
-        found = {each.input: each for each in await fleet.client().check_wiring()}
+        found = {each.input: each for each in await fleet.make_client().check_wiring()}
         assert found["portal.start"].ok
         assert "inverted" in found["stage.start"].text and "active" in found["stage.start"].remedy
 
     run_fleet(main, wired_fleet(), wired=Fleet.model_validate(inverted))
 
     async def crossed(fleet: VirtualFleet) -> None:
-        found = {each.input: each for each in await fleet.client().check_wiring()}
+        found = {each.input: each for each in await fleet.make_client().check_wiring()}
         assert found["stage.start"].ok
         assert not found["portal.start"].ok and "has no such wire" in found["portal.start"].text
 
     run_fleet(crossed, wired_fleet(to=["stage.start"]), wired=wired_fleet())
 
     async def stuck(fleet: VirtualFleet) -> None:
-        fleet.within("portal", lambda unit: unit.set_input(2, False))
+        fleet.act_on_controller("portal", lambda unit: unit.set_input(2, level=False))
         await sleep_ns(fleet.clock, 500 * NS_PER_MS)
-        found = {each.input: each for each in await fleet.client().check_wiring()}
+        found = {each.input: each for each in await fleet.make_client().check_wiring()}
         assert found["stage.start"].ok
         assert "stuck" in found["portal.start"].text
 
     run_fleet(stuck, wired_fleet(), wired=wired_fleet(to=["stage.start"]))
 
 
-def test_the_wiring_check_waits_for_who_is_polled_seldom() -> None:
+def test_the_wiring_check_waits_for_seldom_polled_controllers() -> None:
     seldom = wired_fleet().to_plain()
     for controller in seldom["controllers"].values():
         controller["state"] = {"idle_hz": 0.3}
 
     async def main(fleet: VirtualFleet) -> None:
-        found = {each.input: each for each in await fleet.client().check_wiring()}
+        found = {each.input: each for each in await fleet.make_client().check_wiring()}
         assert found["stage.start"].ok
         assert not found["portal.start"].ok and "has no such wire" in found["portal.start"].text
 
@@ -231,7 +231,7 @@ def test_the_wiring_check_waits_for_who_is_polled_seldom() -> None:
 
 def test_the_wiring_is_not_checked_while_wired_axes_are_in_use_or_without_wires() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         async with client.manual_control(["portal.x"]):
             with pytest.raises(Refusal, match="in use"):
                 await client.check_wiring()
@@ -240,6 +240,6 @@ def test_the_wiring_is_not_checked_while_wired_axes_are_in_use_or_without_wires(
 
     async def bare(fleet: VirtualFleet) -> None:
         with pytest.raises(Refusal, match="wiring"):
-            await fleet.client().check_wiring()
+            await fleet.make_client().check_wiring()
 
     run_fleet(bare)

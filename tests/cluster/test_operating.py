@@ -27,12 +27,12 @@ def guarded(permit: Permit = DOOR) -> Fleet:
 
 def set_door(fleet: VirtualFleet, is_open: bool) -> None:
     """The door's input is active, and low, while it is open."""
-    fleet.within("gantry", lambda gantry: gantry.set_input(1, not is_open))
+    fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=not is_open))
 
 
 async def door_is(fleet: VirtualFleet, is_open: bool) -> None:
     set_door(fleet, is_open)
-    await fleet.until(lambda states: states["gantry"].inputs["door"] == is_open)
+    await fleet.wait_until(lambda states: states["gantry"].inputs["door"] == is_open)
 
 
 # Motors and brakes
@@ -50,7 +50,7 @@ def test_a_brake_opens_after_the_motor_holds_and_closes_before_it_lets_go() -> N
 
     async def main(virtual: VirtualFleet) -> None:
         seen: list[tuple[str, int]] = []
-        virtual.within(
+        virtual.act_on_controller(
             "gantry",
             lambda gantry: gantry.on_output(
                 lambda number, level: seen.append((f"output {number} {level}", virtual.clock.now_ns()))
@@ -62,9 +62,9 @@ def test_a_brake_opens_after_the_motor_holds_and_closes_before_it_lets_go() -> N
         assert [what for what, _ in seen] == ["output 2 True"]
         assert enabled_ns - seen[0][1] >= 300_000_000
         assert seen[0][1] > began_ns
-        assert (await virtual.client().status())["gantry"].axes["x"].enabled
+        assert (await virtual.make_client().status())["gantry"].axes["x"].enabled
         off = asyncio.get_running_loop().create_task(outcome(virtual, job("[{do: disable, axes: [gantry.x]}]")))
-        await virtual.until(lambda states: not states["gantry"].axes["x"].enabled)
+        await virtual.wait_until(lambda states: not states["gantry"].axes["x"].enabled)
         await off
         assert [what for what, _ in seen] == ["output 2 True", "output 2 False"]
         assert virtual.clock.now_ns() - seen[1][1] >= 200_000_000
@@ -76,38 +76,38 @@ def test_nothing_moves_before_the_brake_is_open() -> None:
     fleet = changed(demo_fleet(), gantry={"axes": {"x": {"brake": {"release_s": 2.0}}}})
 
     async def main(virtual: VirtualFleet) -> None:
-        client = virtual.client()
+        client = virtual.make_client()
         await client.submit(job("[{do: enable, axes: [gantry.x]}]"))
         await asyncio.sleep(0.5)
         states = await client.status()
         assert not states["gantry"].axes["x"].enabled
         report = await outcome(virtual, job("[{do: home, axes: [gantry.x]}]"))
-        assert report.state == "done"  # it was queued behind the enabling, and waited for the brake with it
+        assert report.state == "done"  # it was queued after the enabling, and waited for the brake with it
         first = virtual.controllers["gantry"].commanded_motions[0]
         assert first.start_ns > 2_000_000_000
 
     run_fleet(main, fleet)
 
 
-def test_what_motors_do_after_an_estop_and_after_a_stop() -> None:
+def test_state_of_the_motors_after_an_estop_and_after_a_stop() -> None:
     fleet = changed(demo_fleet(), gantry={"axes": {"x": {"on_estop": "disable"}}})
 
     async def main(virtual: VirtualFleet) -> None:
-        client = virtual.client()
+        client = virtual.make_client()
         await outcome(virtual, PREPARE)
         moving = await client.submit(job("[{do: move, to: {gantry.x: 390, gantry.y: 200}, speed: 0.2}]"))
-        await virtual.until(lambda states: states["gantry"].mode == "moving")
+        await virtual.wait_until(lambda states: states["gantry"].mode == "moving")
         await asyncio.sleep(0.7)
         await client.stop()
         await client.wait_for_job(moving)
         await asyncio.sleep(0.5)
         assert all(axis.enabled for axis in (await client.status())["gantry"].axes.values())
         again = await client.submit(job("[{do: move, to: {gantry.x: 390, gantry.y: 200}, speed: 0.2}]"))
-        await virtual.until(lambda states: states["gantry"].mode == "moving")
+        await virtual.wait_until(lambda states: states["gantry"].mode == "moving")
         await asyncio.sleep(0.7)
         await client.estop()
         await client.wait_for_job(again)
-        states = await virtual.until(lambda states: not states["gantry"].axes["x"].enabled)
+        states = await virtual.wait_until(lambda states: not states["gantry"].axes["x"].enabled)
         assert states["gantry"].axes["y"].enabled
         assert not virtual.controllers["gantry"].is_moving("X")
 
@@ -121,9 +121,9 @@ def test_a_permit_that_flickers_stops_the_step_although_it_is_back() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await door_is(fleet, False)
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         moving = await client.submit(TEN_S)
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         await asyncio.sleep(1.0)
         set_door(fleet, True)
         await asyncio.sleep(0.12)  # one poll at 10 Hz sees it
@@ -160,9 +160,9 @@ def test_a_permit_guards_homing_too() -> None:
         refused = await refusal(fleet, job("[{do: home, axes: [gantry]}]"))
         assert (refused.code, fleet.controllers["gantry"].commanded_motions) == ("permit", [])
         await door_is(fleet, False)
-        client = fleet.client()
+        client = fleet.make_client()
         homing = await client.submit(job("[{do: home, axes: [gantry]}]"))
-        await fleet.until(lambda states: states["gantry"].mode == "homing")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "homing")
         await asyncio.sleep(0.05)
         lost_ns = fleet.clock.now_ns()
         set_door(fleet, True)
@@ -180,12 +180,12 @@ def test_a_permit_guards_homing_too() -> None:
 # Coordinates
 
 
-def test_user_motor_and_raw_position_are_told_apart() -> None:
+def test_user_motor_and_raw_position_are_distinguished() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 100}}]"))
         report = await outcome(fleet, job("[{do: set-position, axes: {gantry.x: '2 cm'}}]"))
         assert report.state == "done"
-        now = (await fleet.client().status())["gantry"].axes["x"]
+        now = (await fleet.make_client().status())["gantry"].axes["x"]
         assert (now.position, now.motor_position, now.raw_counts) == (20.0, 100.0, 100_000)
         assert now.offset == Fraction(-80)
         assert (await outcome(fleet, job("[{do: move, to: {gantry.x: 0}}]"))).state == "done"
@@ -194,12 +194,12 @@ def test_user_motor_and_raw_position_are_told_apart() -> None:
         assert "target 321 mm is beyond its soft limits -90 to 320 mm" in refused.text
         # It is remembered over the adapter's death, and homing does not touch it.
         fleet.kill("host/local")
-        await fleet.until(lambda states: not states["gantry"].axes["x"].referenced)
-        await fleet.until(lambda states: all(s.mode == "idle" for s in states.values()))
+        await fleet.wait_until(lambda states: not states["gantry"].axes["x"].referenced)
+        await fleet.wait_until(lambda states: all(s.mode == "idle" for s in states.values()))
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 0}}]"))
         assert fleet.controllers["gantry"].position("X") == 80_000
         await outcome(fleet, job("[{do: set-position, axes: {gantry.x: null}}]"))
-        assert (await fleet.client().status())["gantry"].axes["x"].position == 80.0
+        assert (await fleet.make_client().status())["gantry"].axes["x"].position == 80.0
 
     run_fleet(main)
 
@@ -224,7 +224,7 @@ def test_rotary_axes_wrap(shortest: bool, target: float, counts: int) -> None:
         report = await outcome(virtual, PREPARE, job(f"[{{do: move, to: {{gantry.x: {target}}}}}]"))
         assert report.state == "done", report.reason
         assert virtual.controllers["gantry"].position("X") == counts
-        assert (await virtual.client().status())["gantry"].axes["x"].position == target % 360
+        assert (await virtual.make_client().status())["gantry"].axes["x"].position == target % 360
 
     run_fleet(main, fleet)
 
@@ -257,11 +257,11 @@ def narrowed(fleet: Fleet, high: float) -> Fleet:
 
 def test_a_fleet_file_is_reloaded_by_idle_controllers_only() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 200}}]"))
         assert await client.reload_fleet(demo_fleet()) == []
         moving = await client.submit(job("[{do: move, to: {stage.u: 40}, speed: 0.2}]"))
-        await fleet.until(lambda states: states["stage"].mode == "moving")
+        await fleet.wait_until(lambda states: states["stage"].mode == "moving")
         with pytest.raises(Refusal, match="is in use by client"):
             await client.reload_fleet(narrowed(demo_fleet(), 100))
         assert (await client.wait_for_job(moving)).state == "done"
@@ -277,14 +277,14 @@ def test_a_fleet_file_is_reloaded_by_idle_controllers_only() -> None:
         assert (await outcome(fleet, job("[{do: move, to: {gantry.x: 100}}]"))).state == "done"
         # A host that is started again begins with what was taken.
         fleet.kill("host/local")
-        await fleet.until(lambda states: states["gantry"].instance != after["gantry"].instance)
-        states = await fleet.until(lambda states: all(s.mode == "idle" for s in states.values()))
+        await fleet.wait_until(lambda states: states["gantry"].instance != after["gantry"].instance)
+        states = await fleet.wait_until(lambda states: all(s.mode == "idle" for s in states.values()))
         assert states["gantry"].digest == after["gantry"].digest
 
     run_fleet(main)
 
 
-def test_what_a_reload_can_not_change() -> None:
+def test_a_reload_cannot_change_everything() -> None:
     base = demo_fleet()
     elsewhere = changed(base, gantry={"link": {"kind": "tcp", "host": "192.168.1.99", "port": 23}})
     fewer = base.model_copy(
@@ -293,7 +293,7 @@ def test_what_a_reload_can_not_change() -> None:
     wrong = changed(base, gantry={"axes": {"x": {"motors": ["Q"]}}}, stage={"options": {"nm_per_pulse": 50}})
 
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         for file, words in (
             (elsewhere, r"controllers\.gantry\.link would change"),
             (fewer, "controller stage would be added or removed"),
@@ -315,10 +315,10 @@ def test_what_a_reload_can_not_change() -> None:
 
 def test_a_reset_needs_the_conditions_of_every_latched_adapter() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await client.estop("a hand in the machine")
         fleet.wires["stage"].cut = True
-        await fleet.until(lambda states: states["stage"].mode == "offline")
+        await fleet.wait_until(lambda states: states["stage"].mode == "offline")
         answers = await client.reset()
         assert answers["gantry"] is None
         stage = answers["stage"]
@@ -326,7 +326,7 @@ def test_a_reset_needs_the_conditions_of_every_latched_adapter() -> None:
         assert stage.code == "offline"
         assert all(state.estop is not None for state in (await client.status()).values())
         fleet.wires["stage"].cut = False
-        await fleet.until(lambda states: states["stage"].mode == "idle")
+        await fleet.wait_until(lambda states: states["stage"].mode == "idle")
         other = await client.reset("no-such-event")
         assert [refused.code for refused in other.values() if refused] == ["other-estop", "other-estop"]
         states = await client.status()
@@ -349,10 +349,10 @@ def reference_lost(states: dict[str, ControllerState], name: str) -> bool:
 def test_a_power_cycle_while_idle_clears_the_reference(name: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        fleet.within(name, lambda unit: unit.set_power(False))
+        fleet.act_on_controller(name, lambda unit: unit.set_power(on=False))
         await asyncio.sleep(1.0)
-        fleet.within(name, lambda unit: unit.set_power(True))
-        states = await fleet.until(lambda states: states[name].mode == "idle" and reference_lost(states, name))
+        fleet.act_on_controller(name, lambda unit: unit.set_power(on=True))
+        states = await fleet.wait_until(lambda states: states[name].mode == "idle" and reference_lost(states, name))
         other = "stage" if name == "gantry" else "gantry"
         assert all(axis.referenced for axis in states[other].axes.values())
         axis = "x" if name == "gantry" else "u"
@@ -366,7 +366,7 @@ def test_a_power_cycle_while_idle_clears_the_reference(name: str) -> None:
 @pytest.mark.parametrize("state", ["armed", "moving"])
 def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str, state: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         before = {each: len(controller.commanded_motions) for each, controller in fleet.controllers.items()}
         moving = await client.submit(TEN_S)
@@ -376,9 +376,9 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
         if state == "moving":
             await asyncio.sleep(1.0)
         fault_ns = fleet.clock.now_ns()
-        fleet.within(name, lambda unit: unit.set_power(False))
+        fleet.act_on_controller(name, lambda unit: unit.set_power(on=False))
         await asyncio.sleep(0.3)
-        fleet.within(name, lambda unit: unit.set_power(True))
+        fleet.act_on_controller(name, lambda unit: unit.set_power(on=True))
         report = await client.wait_for_job(moving)
         assert report.state == "failed"
         await asyncio.sleep(2.0)
@@ -386,7 +386,7 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
             for motion in controller.commanded_motions[before[each] :]:
                 assert motion.end_ns is not None
                 assert motion.end_ns - fault_ns < 1_500_000_000
-        await fleet.until(lambda states: states[name].mode == "idle" and reference_lost(states, name))
+        await fleet.wait_until(lambda states: states[name].mode == "idle" and reference_lost(states, name))
         assert (await outcome(fleet, PREPARE, TEN_S)).state == "done"
 
     run_fleet(main)
@@ -402,13 +402,13 @@ def test_an_axis_that_does_not_follow_stops_its_step(native: bool) -> None:
 
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
-        client = virtual.client()
+        client = virtual.make_client()
         if not native:
             await client.send_raw("gantry", "ER 32767;OE 0", i_know=True)
         moving = await client.submit(TEN_S)
-        await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await virtual.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         await asyncio.sleep(1.0)
-        virtual.within("gantry", lambda gantry: gantry.set_stalled("X", True))
+        virtual.act_on_controller("gantry", lambda gantry: gantry.set_stalled("X", stalled=True))
         stalled_ns = virtual.clock.now_ns()
         report = await client.wait_for_job(moving)
         assert report.state == "failed"
@@ -420,7 +420,7 @@ def test_an_axis_that_does_not_follow_stops_its_step(native: bool) -> None:
             fault = (await client.status())["gantry"].faults[0]
             assert (fault.code, fault.axis) == ("following-error", "x")
             assert "1.5 are allowed" in fault.text
-            virtual.within("gantry", lambda gantry: gantry.set_stalled("X", False))
+            virtual.act_on_controller("gantry", lambda gantry: gantry.set_stalled("X", stalled=False))
             again = job("[{do: disable, axes: [gantry]}, {do: enable, axes: [gantry]}, {do: move, to: {gantry.x: 9}}]")
             assert (await outcome(virtual, again)).state == "done"
 
@@ -432,7 +432,7 @@ def test_an_axis_is_there_only_when_it_has_settled() -> None:
     fleet = changed(demo_fleet(), gantry={"axes": {"x": window}})
 
     async def main(virtual: VirtualFleet) -> None:
-        client = virtual.client()
+        client = virtual.make_client()
         report = await outcome(virtual, PREPARE, job("[{do: move, to: {gantry.x: 5, gantry.y: 5}}]"))
         assert report.state == "done"
         evidence = report.steps[-1].members["gantry"].evidence
@@ -440,8 +440,8 @@ def test_an_axis_is_there_only_when_it_has_settled() -> None:
         assert evidence["x"].settled_s < 0.1
         assert evidence["y"].settled_s is None
         moving = await client.submit(job("[{do: move, to: {gantry.x: 6}}]"))
-        await virtual.until(lambda states: states["gantry"].mode == "moving")
-        virtual.within("gantry", lambda gantry: gantry.set_stalled("X", True))
+        await virtual.wait_until(lambda states: states["gantry"].mode == "moving")
+        virtual.act_on_controller("gantry", lambda gantry: gantry.set_stalled("X", stalled=True))
         report = await client.wait_for_job(moving)
         assert report.state == "failed"
         assert "off its target after 6" in report.reason
@@ -466,9 +466,9 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         moving = await client.submit(TEN_S)
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         monkeypatch.setattr(MemoryLink, "write", told)
         monkeypatch.setattr(VolatileStore, "save", kept)
         await client.estop("a test")
@@ -492,20 +492,20 @@ def test_a_slow_disk_holds_up_nothing_of_an_estop(monkeypatch: pytest.MonkeyPatc
     async def main(fleet: VirtualFleet) -> None:
         nonlocal takes_s
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         moving = await client.submit(TEN_S)
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         takes_s = 2.0
         began_ns = fleet.clock.now_ns()
         await client.estop("a test")
         await moving.result()
-        await fleet.until(lambda states: all(each.estop is not None for each in states.values()))
+        await fleet.wait_until(lambda states: all(each.estop is not None for each in states.values()))
         # The stage's motors go off at an e-stop, when they rest.
-        await fleet.until(lambda states: not states["stage"].axes["u"].enabled)
+        await fleet.wait_until(lambda states: not states["stage"].axes["u"].enabled)
         assert fleet.clock.now_ns() - began_ns < NS_PER_S
         await asyncio.sleep(2 * takes_s)
         fleet.kill("host/local")
-        states = await fleet.until(lambda states: all(each.mode in ("idle", "fault") for each in states.values()))
+        states = await fleet.wait_until(lambda states: all(each.mode in ("idle", "fault") for each in states.values()))
         assert all(each.estop is not None and each.estop.reason == "a test" for each in states.values())
 
     run_fleet(main)

@@ -25,7 +25,7 @@ from orchestrator.runtime.virtual import VirtualFleet
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
 
 
-def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again() -> None:
+def test_a_measured_fleet_starts_sooner_and_a_late_member_is_armed_again() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         origin_ns = origin_host_ns(fleet)
@@ -40,7 +40,7 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
 
         waits = [await waited_ns(k) for k in range(KNOWN_AFTER + 2)]
         assert median(waits[:KNOWN_AFTER]) - waits[-1] > 20 * NS_PER_MS
-        # The network becomes slow: what was known is wrong, and the declared times count.
+        # The network becomes slow: the measured times are wrong, and the declared times count.
         for wire in fleet.wires.values():
             wire.model = replace(wire.model, latency_ns=12 * NS_PER_MS)
         slow = await waited_ns(KNOWN_AFTER)
@@ -77,7 +77,7 @@ def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: i
     run_fleet(main)
 
 
-def test_what_is_known_needs_so_many_steps_and_does_not_count_for_one_that_was_late() -> None:
+def test_measured_times_need_enough_steps_and_do_not_apply_to_a_late_member() -> None:
     pace = LeadTimeEstimator()
     for k in range(KNOWN_AFTER):
         assert pace.arming_share("a") == 1.0 and pace.margin_ns(2) == MARGIN_NS
@@ -86,7 +86,7 @@ def test_what_is_known_needs_so_many_steps_and_does_not_count_for_one_that_was_l
     assert pace.arming_share("a") == pytest.approx(ARM_FACTOR * (10 + KNOWN_AFTER - 1) / 100)
     assert pace.arming_share("b") == 1.0
     assert pace.go_ns(2) == round(GO_FACTOR * 10 * NS_PER_MS) == pace.go_ns(2, NS_PER_MS)
-    # Who was slow to promise is given as much more to go.
+    # A member that was slow to promise gets as much more time for `go`.
     assert pace.go_ns(2, 20 * NS_PER_MS) == SLOW_GO_FACTOR * 20 * NS_PER_MS
     # For the whole release, and what go is given beyond what it takes.
     assert pace.margin_ns(2) == round((ARM_FACTOR * 20 + (GO_FACTOR - 1) * 10) * NS_PER_MS) > MIN_MARGIN_NS
@@ -125,7 +125,7 @@ def test_many_members_are_given_more_until_they_are_known() -> None:
     assert pace.margin_ns(16) == pace.margin_ns(2)
 
 
-def test_who_takes_longer_than_declared_is_given_more_at_once() -> None:
+def test_a_member_that_takes_longer_than_declared_gets_more_lead_at_once() -> None:
     pace = LeadTimeEstimator()
     pace.record_arming({"a": 100}, {"a": 130})
     pace.record_release(2 * MARGIN_NS, MARGIN_NS)
@@ -138,7 +138,7 @@ def test_who_takes_longer_than_declared_is_given_more_at_once() -> None:
     assert pace.arming_share("a") == pytest.approx(ARM_FACTOR * 0.5)
 
 
-def test_the_slowest_of_many_steps_is_remembered_for_longer_than_it_takes_to_know_a_fleet() -> None:
+def test_the_slowest_of_many_steps_is_remembered_for_longer_than_a_fleet_takes_to_be_measured() -> None:
     pace = LeadTimeEstimator()
     pace.record_arming({"a": 100}, {"a": 90})
     for _ in range(KEPT_STEPS - 1):

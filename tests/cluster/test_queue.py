@@ -5,7 +5,7 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
-from orchestrator.bus.base import Sample
+from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
@@ -33,10 +33,10 @@ async def begins(client: Tutti, *job_ids: str) -> list[str]:
 
 def test_jobs_without_a_controller_in_common_run_at_the_same_time() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         first, second = await client.submit(GANTRY), await client.submit(STAGE)
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         # Cancelling one does not touch the other.
         await client.cancel_job(first)
         assert (await client.wait_for_job(first)).state == "cancelled"
@@ -50,7 +50,7 @@ def test_jobs_without_a_controller_in_common_run_at_the_same_time() -> None:
 
 def test_a_wide_job_is_not_starved_by_small_ones() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client("anna")
+        client = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
         running = await client.submit(GANTRY)
         wide = await client.submit(BOTH)
@@ -66,16 +66,16 @@ def test_a_wide_job_is_not_starved_by_small_ones() -> None:
     run_fleet(main)
 
 
-def test_a_job_waits_for_a_hand_and_begins_when_it_lets_go() -> None:
+def test_a_job_waits_for_a_manual_lease_and_starts_when_it_is_released() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        anna, ben = fleet.client("anna"), fleet.client("ben")
+        anna, ben = fleet.make_client("anna"), fleet.make_client("ben")
         await outcome(fleet, PREPARE)
         heard: list[str] = []
 
         async with anna.manual_control(["gantry.x"], what="alignment"):
             waiting, free = await ben.submit(BOTH), await ben.submit(job("[{do: dwell, duration: 1 s}]"))
 
-            def hear(sample: Sample) -> None:
+            def hear(sample: BusSample) -> None:
                 heard.extend(each.reason for each in QueueState.model_validate_json(sample.payload).jobs)
 
             await ben.bus.subscribe(ben.keys.queue, hear)
@@ -89,7 +89,7 @@ def test_a_job_waits_for_a_hand_and_begins_when_it_lets_go() -> None:
 
 def test_priority_hold_release_and_order() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client("anna")
+        client = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
         running = await client.submit(GANTRY)
         a, b, c, d, e = [
@@ -122,12 +122,12 @@ def test_priority_hold_release_and_order() -> None:
     run_fleet(main)
 
 
-def test_what_is_asked_of_a_job_in_another_state_is_refused() -> None:
+def test_a_request_that_does_not_fit_the_state_of_the_job_is_refused() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         running, queued = await client.submit(GANTRY), await client.submit(SHORT)
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         for asked, code in (
             (client.hold_jobs(running), "not-queued"),
             (client.reorder_job(running, before=queued), "not-queued"),
@@ -151,7 +151,7 @@ def test_what_is_asked_of_a_job_in_another_state_is_refused() -> None:
 
 def test_after_another_job() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         first = await client.submit(GANTRY)
         then = await client.submit(STAGE, terms=QueueTerms(after=first))
@@ -176,7 +176,7 @@ def test_after_another_job() -> None:
 
 def test_a_job_is_repeated() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         before = fleet.controllers["gantry"].position("Y")
         report = await client.wait_for_job(await client.submit(SHORT, terms=QueueTerms(repeat=3)))
@@ -192,12 +192,12 @@ def test_a_job_is_repeated() -> None:
 
 def test_pause_at_the_end_of_a_step_and_resume() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        anna, ben = fleet.client("anna"), fleet.client("ben")
+        anna, ben = fleet.make_client("anna"), fleet.make_client("ben")
         await outcome(fleet, PREPARE)
         job_id = await anna.submit(GANTRY)
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         await ben.pause_job(job_id)
-        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "idle")
         await asyncio.sleep(5.0)
         shown = await entry(anna, job_id)
         assert shown.state == "paused"
@@ -218,7 +218,7 @@ def test_pause_at_the_end_of_a_step_and_resume() -> None:
 
 def test_an_ended_job_is_done_again_from_a_step() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         job_id = await client.submit(
             job(
@@ -228,7 +228,7 @@ def test_an_ended_job_is_done_again_from_a_step() -> None:
         await asyncio.sleep(5.0)
         await client.cancel_job(job_id)
         assert (await client.wait_for_job(job_id)).state == "cancelled"
-        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "idle")
         shown = await client.retry_job(job_id, 1, dry_run=True)
         here = fleet.controllers["gantry"].position("X") / 1000
         assert 30 < here < 390
@@ -247,12 +247,12 @@ def test_an_ended_job_is_done_again_from_a_step() -> None:
     run_fleet(main)
 
 
-def test_after_a_stop_nothing_begins_by_itself() -> None:
+def test_after_a_stop_nothing_starts_by_itself() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client("anna")
+        client = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
         running, beside, queued = [await client.submit(each) for each in (GANTRY, STAGE, SHORT)]
-        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         await client.stop()
         assert [(await client.wait_for_job(each)).state for each in (running, beside)] == ["aborted", "aborted"]
         await asyncio.sleep(2.0)
@@ -264,9 +264,9 @@ def test_after_a_stop_nothing_begins_by_itself() -> None:
     run_fleet(main)
 
 
-def test_after_an_estop_and_its_reset_nothing_goes_on_by_itself() -> None:
+def test_after_an_estop_and_its_reset_nothing_continues_by_itself() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client("anna")
+        client = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
         waits = await client.submit(job("[{do: enable, axes: [gantry]}, {do: dwell, duration: 5 s}, {do: home}]"))
         queued = await client.submit(SHORT)

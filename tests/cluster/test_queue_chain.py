@@ -15,7 +15,7 @@ PREPARE = job("[{do: enable, axes: [line, turner, gantry]}, {do: home}]")
 
 
 @pytest.mark.parametrize("hold_ms", [0, 16])
-def test_jobs_on_units_of_one_chain_do_not_disturb_each_other(hold_ms: int) -> None:
+def test_jobs_on_controllers_of_one_chain_do_not_disturb_each_other(hold_ms: int) -> None:
     chain = load_fleet(EXAMPLES / "chain.fleet.yaml")
     plain = changed(chain).to_plain()
     for name in UNITS:
@@ -23,7 +23,7 @@ def test_jobs_on_units_of_one_chain_do_not_disturb_each_other(hold_ms: int) -> N
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        client, draw = fleet.client(), Random(hold_ms)
+        client, draw = fleet.make_client(), Random(hold_ms)
         origin_ns = origin_host_ns(fleet)
 
         spans: dict[str, list[tuple[int, int]]] = {name: [] for name in (*UNITS, "gantry")}

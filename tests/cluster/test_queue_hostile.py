@@ -1,4 +1,4 @@
-"""What hostile, broken and hasty clients do: every key answers with an error, and the fleet goes on."""
+"""Hostile, broken and hasty clients: every key answers with an error, and the fleet continues."""
 
 import asyncio
 import json
@@ -20,7 +20,7 @@ SHORT = job("[{do: move, by: {gantry.y: 1}}]")
 LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")
 HEAD = {"request_id": "r", "actor": "mallory"}
 
-# A good request of every key, to begin with. What is not here is asked with the head alone.
+# A valid request for every key, to begin with. A key that is not listed is requested with the head alone.
 SERVICE: dict[str, dict[str, Any]] = {
     "submit": {"job": SHORT.to_plain(), "client_key": "k", "terms": {"priority": 1}, "dry_run": False},
     "list": {"limit": 5, "state": "done", "name": "x", "since": "2026-01-01T00:00:00Z"},
@@ -102,8 +102,8 @@ def mutated(draw: Random, good: dict[str, Any]) -> bytes:
 
 
 async def ask(fleet: VirtualFleet, key: str, payload: bytes) -> None:
-    """Ask; whatever the answer is, it is one."""
-    bus = fleet.client("mallory").bus
+    """Send the request; any answer is valid, but there must be one."""
+    bus = fleet.make_client("mallory").bus
     try:
         answer = await bus.request(key, payload, timeout_s=120.0)
     except RequestRefused as refused:
@@ -121,8 +121,8 @@ def test_no_payload_ends_the_service(verb: str) -> None:
         good = HEAD | SERVICE[verb]
         payloads = [*RAW, *(mutated(draw, good) for _ in range(25))]
         for payload in payloads:
-            await ask(fleet, fleet.keys.svc(verb), payload)
-        client = fleet.client()
+            await ask(fleet, fleet.keys.service(verb), payload)
+        client = fleet.make_client()
         await client.release_jobs()
         while waiting := (await client.list_jobs(state="queued")).jobs:
             for each in waiting:
@@ -137,7 +137,7 @@ def test_every_key_of_the_service_is_tried() -> None:
         coordinator: Coordinator = fleet.coordinators["first"][1]
         assert set(SERVICE) == set(coordinator._requests._verbs)  # pyright: ignore[reportPrivateUsage]
         with pytest.raises(RequestRefused, match="unknown verb 'nothing'; known verbs: acquire-axes, cancel"):
-            await fleet.client().bus.request(fleet.keys.svc("nothing"), b"{}", timeout_s=1.0)
+            await fleet.make_client().bus.request(fleet.keys.service("nothing"), b"{}", timeout_s=1.0)
 
     run_fleet(main)
 
@@ -154,8 +154,8 @@ def test_no_payload_ends_an_adapter(controller: str) -> None:
                 # As if it were the coordinator itself that has lost its mind.
                 good |= {"epoch": throne.epoch, "coordinator": throne.coordinator}
             for payload in [*RAW, *(mutated(draw, good) for _ in range(20))]:
-                await ask(fleet, fleet.keys.cmd(controller, verb), payload)
-        await fleet.client().reset()
+                await ask(fleet, fleet.keys.command(controller, verb), payload)
+        await fleet.make_client().reset()
         assert (await outcome(fleet, PREPARE, SHORT)).state == "done"
 
     run_fleet(main)
@@ -163,11 +163,11 @@ def test_no_payload_ends_an_adapter(controller: str) -> None:
 
 def test_a_thousand_cancels_at_once() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         running = await client.submit(LONG)
         jobs = [running, *[await client.submit(SHORT) for _ in range(9)]]
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         asked = [client.cancel_job(jobs[number % 10]) for number in range(1000)]
         answers = await asyncio.gather(*asked, return_exceptions=True)
         assert all(each is None or isinstance(each, Refusal) for each in answers)
@@ -185,14 +185,14 @@ def test_a_client_that_vanishes_after_its_submission() -> None:
         await outcome(fleet, PREPARE)
         before = fleet.controllers["gantry"].position("Y")
         for number in range(5):
-            client = fleet.client("mayfly")
+            client = fleet.make_client("mayfly")
             submission = asyncio.ensure_future(client.submit(SHORT, f"mayfly-{number}"))
             # Before the request is there, on its way, and after the answer.
             await asyncio.sleep(0.0003 * number)
-            fleet.net.kill(client.bus.name)  # type: ignore[attr-defined]
+            fleet.net.kill_process(client.bus.name)  # type: ignore[attr-defined]
             submission.cancel()
         await asyncio.sleep(20)
-        jobs = (await fleet.client().list_jobs(state="done", name="test")).jobs
+        jobs = (await fleet.make_client().list_jobs(state="done", name="test")).jobs
         moved = len(jobs) - 1  # without the preparation
         assert 1 <= moved <= 5
         assert fleet.controllers["gantry"].position("Y") == before + 1000 * moved
@@ -200,13 +200,13 @@ def test_a_client_that_vanishes_after_its_submission() -> None:
     run_fleet(main)
 
 
-def test_a_journal_that_can_not_be_written_refuses_and_forgets_nothing() -> None:
+def test_a_journal_that_cannot_be_written_refuses_and_forgets_nothing() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
         moving, queued = await client.submit(LONG), await client.submit(SHORT, terms=QueueTerms(held=True))
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         db.execute("PRAGMA query_only=ON")
         for asked in (
             client.submit(SHORT),
@@ -221,9 +221,9 @@ def test_a_journal_that_can_not_be_written_refuses_and_forgets_nothing() -> None
                 await asked
             assert caught.value.code == "journal"
             assert "free space" in caught.value.remedy
-        # What moves can be stopped, whatever the journal says.
+        # A moving axis can be stopped in any state of the journal.
         await client.stop()
-        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "idle")
         await asyncio.sleep(30)
         db.execute("PRAGMA query_only=OFF")
         await asyncio.sleep(10)
@@ -235,12 +235,12 @@ def test_a_journal_that_can_not_be_written_refuses_and_forgets_nothing() -> None
 
 
 @pytest.mark.parametrize("begun", [True, False])
-def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pytest.MonkeyPatch, begun: bool) -> None:
+def test_a_job_does_not_start_while_the_journal_cannot_record_it(monkeypatch: pytest.MonkeyPatch, begun: bool) -> None:
     """One that has begun fails at its next step; one that was about to, and has its axes, waits, and takes them once
     more."""
 
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
         held = await client.submit(SHORT, terms=QueueTerms(held=True))
@@ -281,9 +281,11 @@ def test_no_quantity_is_too_large_to_be_refused(value: Any) -> None:
         for step in ({"do": "move", "to": {"gantry.x": value}}, {"do": "set-position", "axes": {"gantry.x": value}}):
             plain = {**SHORT.to_plain(), "steps": [step]}
             request = {**HEAD, "job": plain, "client_key": str(step)}
-            await ask(fleet, fleet.keys.svc("submit"), json.dumps(request).encode())
+            await ask(fleet, fleet.keys.service("submit"), json.dumps(request).encode())
         request = {**HEAD, "epoch": throne.epoch, "coordinator": throne.coordinator, "axes": ["x"], "holder": "h"}
-        await ask(fleet, fleet.keys.cmd("gantry", "set-position"), json.dumps({**request, "position": value}).encode())
+        await ask(
+            fleet, fleet.keys.command("gantry", "set-position"), json.dumps({**request, "position": value}).encode()
+        )
         assert (await outcome(fleet, SHORT)).state == "done"
 
     run_fleet(main)
@@ -292,7 +294,7 @@ def test_no_quantity_is_too_large_to_be_refused(value: Any) -> None:
 def test_a_reply_is_readable_as_a_refusal() -> None:
     async def main(fleet: VirtualFleet) -> None:
         payload = json.dumps({**HEAD, "job_id": "nothing"}).encode()
-        answer = await fleet.client().bus.request(fleet.keys.svc("cancel"), payload, timeout_s=1.0)
+        answer = await fleet.make_client().bus.request(fleet.keys.service("cancel"), payload, timeout_s=1.0)
         refused = Reply.model_validate_json(answer).refused
         assert refused is not None
         assert (refused.code, refused.text, refused.remedy) == ("unknown-job", "no job nothing", "see `tutti job ls`")

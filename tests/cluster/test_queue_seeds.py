@@ -1,5 +1,5 @@
-"""People who change the queue at random, and coordinators that die: no job is forgotten, none runs twice or beside
-another one on its controllers."""
+"""Users who change the queue at random, and coordinators that die: no job is forgotten, and none runs twice or at
+the same time as another one on its controllers."""
 
 import asyncio
 from contextlib import suppress
@@ -29,7 +29,7 @@ MOTORS = {"gantry": "Y", "stage": "1"}
 @pytest.mark.parametrize("seed", range(12))
 def test_no_seed_forgets_a_job_or_runs_it_twice(seed: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
-        draw, client = Random(seed), fleet.client("anna")
+        draw, client = Random(seed), fleet.make_client("anna")
         assert (await outcome(fleet, PREPARE)).state == "done"
         before = {name: fleet.controllers[name].position(motor) for name, motor in MOTORS.items()}
         accepted: dict[str, str] = {}
@@ -64,7 +64,7 @@ def test_no_seed_forgets_a_job_or_runs_it_twice(seed: int) -> None:
                     fleet.kill("coordinator/first")
                     await asyncio.sleep(1.5)
                     fleet.start_coordinator("first")
-                    await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+                    await fleet.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
                     await asyncio.sleep(2.0)
             await asyncio.sleep(draw.choice((0.0, 0.1, 0.7)))
         reports = await finish(fleet, list(accepted))
@@ -74,15 +74,15 @@ def test_no_seed_forgets_a_job_or_runs_it_twice(seed: int) -> None:
 
 
 async def finish(fleet: VirtualFleet, job_ids: list[str]) -> dict[str, JobReport]:
-    """Let everything go on to its end."""
-    client = fleet.client("ben")
+    """Let everything run to its end."""
+    client = fleet.make_client("ben")
     for _ in range(600):
         await client.release_jobs()
         for each in (await client.list_jobs(10_000)).jobs:
             if each.state not in FINISHED_STATES:
                 with suppress(Refusal):
                     await client.resume_job(each.id)
-        if not (await fleet.client().list_jobs(1, state="queued")).jobs and all(
+        if not (await fleet.make_client().list_jobs(1, state="queued")).jobs and all(
             (each.state in FINISHED_STATES) for each in (await client.list_jobs(10_000)).jobs
         ):
             break

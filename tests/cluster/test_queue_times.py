@@ -1,4 +1,4 @@
-"""Jobs with a time, and what stands in the queue when a coordinator starts anew."""
+"""Jobs with a time, and the state of the queue after a restart of the coordinator."""
 
 import asyncio
 from datetime import timedelta
@@ -32,19 +32,19 @@ async def restart(fleet: VirtualFleet, name: str, away_s: float) -> None:
     fleet.kill("coordinator/first")
     await asyncio.sleep(away_s)
     fleet.start_coordinator(name)
-    await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+    await fleet.wait_until(lambda states: all(state.mode == "idle" for state in states.values()))
     await asyncio.sleep(3.0)
 
 
-def test_a_job_begins_at_its_time() -> None:
+def test_a_job_starts_at_its_time() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         at = soon(fleet, 30)
         local = parse_utc(at).astimezone().isoformat()
         waits = await client.enqueue_job(SHORT, terms=QueueTerms(at=local, priority=9))
         assert (waits.terms.at, waits.reason) == (at, "submitted")
-        # It is in nobody's way until then.
+        # It blocks no other job until then.
         assert (await outcome(fleet, SHORT)).state == "done"
         assert (await entry(client, waits.id)).reason == f"begins at {at}"
         report = await client.wait_for_job(waits.id)
@@ -56,9 +56,9 @@ def test_a_job_begins_at_its_time() -> None:
     run_fleet(main)
 
 
-def test_a_time_that_is_past_or_that_nobody_can_tell_is_refused() -> None:
+def test_a_time_that_is_past_or_unknown_is_refused() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         with pytest.raises(Refusal, match="is in the past; it is now") as caught:
             await client.submit(SHORT, terms=QueueTerms(at=soon(fleet, -60)))
         assert caught.value.code == "past"
@@ -80,9 +80,9 @@ def test_a_time_that_is_past_or_that_nobody_can_tell_is_refused() -> None:
 @pytest.mark.parametrize(
     ("away_s", "missed", "state"), [(60, "skip", "cancelled"), (60, "run", "done"), (3, "skip", "done")]
 )
-def test_a_time_that_comes_while_nobody_reigns(away_s: float, missed: str, state: str) -> None:
+def test_a_time_that_comes_while_there_is_no_leader(away_s: float, missed: str, state: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client()
+        client = fleet.make_client()
         await outcome(fleet, PREPARE)
         terms = QueueTerms.model_validate({"at": soon(fleet, 2), "missed": missed})
         waits = await client.submit(SHORT, terms=terms)
@@ -97,7 +97,7 @@ def test_a_time_that_comes_while_nobody_reigns(away_s: float, missed: str, state
 
 def test_the_queue_outlives_the_coordinator() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        client = fleet.client("anna")
+        client = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
         running = await client.submit(LONG)
         a, b, c = [
@@ -105,7 +105,7 @@ def test_the_queue_outlives_the_coordinator() -> None:
         ]
         then = await client.submit(SHORT, terms=QueueTerms(after=running))
         await client.reorder_job(b, before=a)
-        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         await restart(fleet, "second", 2)
         assert (await client.wait_for_job(running)).state == "interrupted"
         assert (await client.wait_for_job(then)).reason.startswith(
@@ -126,14 +126,14 @@ def test_axes_taken_for_work_stay_taken_over_an_open_door_and_a_restart() -> Non
     guarded = changed(demo_fleet()).model_copy(update={"permits": {"door-closed": closed}})
 
     async def main(fleet: VirtualFleet) -> None:
-        anna, ben = fleet.client("anna"), fleet.client("ben")
+        anna, ben = fleet.make_client("anna"), fleet.make_client("ben")
         await outcome(fleet, PREPARE)
         taken, holder = await anna.reserve_axes(["gantry.x"], 3600, "new belt")
         assert taken == ["gantry.x", "gantry.y"]
         waiting = await ben.submit(SHORT)
-        # Who works at the machine opens the door, and closes it again.
+        # An operator at the machine opens the door, and closes it again.
         for level in (False, True):
-            fleet.within("gantry", lambda gantry, level=level: gantry.set_input(1, level))
+            fleet.act_on_controller("gantry", lambda gantry, level=level: gantry.set_input(1, level=level))
             await asyncio.sleep(2.0)
         assert (await entry(ben, waiting)).reason == "waits for gantry: in use by anna (new belt)"
         assert not (await ben.status())["gantry"].leases
@@ -155,7 +155,7 @@ def test_axes_taken_for_work_stay_taken_over_an_open_door_and_a_restart() -> Non
 
 def test_axes_taken_for_a_time_come_free_by_themselves() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        anna = fleet.client("anna")
+        anna = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
         await anna.reserve_axes(["gantry"], 10)
         heard: list[LeaseState] = []

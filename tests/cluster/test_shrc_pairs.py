@@ -1,4 +1,4 @@
-"""A slow step in which an SHRC-203 makes its part of two moves one behind the other, as a fleet."""
+"""A slow step in which an SHRC-203 of a fleet makes its part as a move and a follow-up move."""
 
 import pytest
 from cluster.worlds import changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
@@ -48,14 +48,13 @@ def test_all_end_together_as_was_predicted(seed: int) -> None:
 
 @pytest.mark.parametrize("fault", ["host-killed", "link-cut", "link-closed", "power-off", "stop"])
 @pytest.mark.parametrize("after_ms", [20, 2000])
-def test_whatever_fails_before_or_behind_the_loading_of_the_second_move_all_come_to_rest(
-    fault: str, after_ms: int
-) -> None:
-    """In the first moves, of 3 s at least: nobody goes on to the second ones once the step has failed."""
+def test_all_come_to_rest_whatever_fails_before_or_after_the_second_move_is_loaded(fault: str, after_ms: int) -> None:
+    """In the first moves, of 3 s at least: no controller continues with the follow-up move after the step has
+    failed."""
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        stage, client = fleet.controllers["stage"], fleet.client()
+        stage, client = fleet.controllers["stage"], fleet.make_client()
         before = len(stage.commanded_motions)
         job_id = await client.submit(SLOW)
         while len(stage.commanded_motions) == before:
@@ -70,14 +69,14 @@ def test_whatever_fails_before_or_behind_the_loading_of_the_second_move_all_come
             for link in list(wire.links):
                 link.hang_up()
         elif fault == "power-off":
-            fleet.within("stage", lambda unit: unit.set_power(False))
+            fleet.act_on_controller("stage", lambda unit: unit.set_power(on=False))
         else:
             await client.stop()
         report = await client.wait_for_job(job_id)
         assert report.state != "done"
         await sleep_ns(fleet.clock, 3 * NS_PER_S)
         assert fleet.controllers["gantry"].at_rest()
-        if fault != "link-cut":  # nobody reaches it there: it may end what it holds
+        if fault != "link-cut":  # it is unreachable there: it may finish the moves that it holds
             assert all(each.end_ns is not None for each in stage.commanded_motions)
             assert len({each.axis for each in stage.commanded_motions[before:]}) == len(
                 stage.commanded_motions[before:]

@@ -1,5 +1,6 @@
-"""T0 is settled when all have promised: what arming was given and has not taken, a step begins sooner, by whole ticks,
-and as exactly as it promises. Who is late to go is armed again, as long as nobody has begun."""
+"""T0 is settled when all members have promised: a step starts sooner by the lead that arming did not use, by whole
+ticks, and as exactly as promised. A member that receives `go` too late is armed again, as long as no member has
+started."""
 
 import json
 from collections.abc import Callable
@@ -9,7 +10,7 @@ import pytest
 from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
 
 from adapters.controller.participant import STOP_LEAD_NS, StepParticipant
-from orchestrator.bench.sync_fleets import smc2000, smc4000, sync_fleet
+from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000, make_sync_fleet
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.motion.negotiation import (
@@ -39,7 +40,7 @@ async def moved(fleet: VirtualFleet, axes: list[str], way: float, **more: object
 
 @pytest.fixture
 def sooner_ns(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """By how much each step has begun sooner than it was armed for."""
+    """How much sooner each step has started than it was armed for."""
     found: list[int] = []
     advance = StartNegotiation.advance
 
@@ -52,7 +53,7 @@ def sooner_ns(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def begins_as_promised(fleet: VirtualFleet, step: StepReport) -> None:
-    """Every member has begun where the budget of the step says, about the T0 that it tells."""
+    """Every member has started within the budget of the step about the T0 that the step reports."""
     assert step.budget is not None and step.t0_fleet_ns is not None
     for member, window in step.budget.members.items():
         after_ns = fleet.controllers[member].commanded_motions[-1].start_ns - origin_host_ns(fleet) - step.t0_fleet_ns
@@ -68,7 +69,7 @@ def begins_as_promised(fleet: VirtualFleet, step: StepReport) -> None:
         ("mixed", ["c1.x", "c2.x"], 10.0),
     ],
 )
-def test_a_step_begins_as_soon_as_all_can(name: str, axes: list[str], way: float, sooner_ns: list[int]) -> None:
+def test_a_step_starts_as_soon_as_all_members_can(name: str, axes: list[str], way: float, sooner_ns: list[int]) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet, axes)
         for k in range(4):
@@ -76,20 +77,20 @@ def test_a_step_begins_as_soon_as_all_can(name: str, axes: list[str], way: float
         # One that had to be armed again begins when it was armed to then.
         assert sooner_ns and max(sooner_ns) > 20 * NS_PER_MS
 
-    run_fleet(main, sync_fleet(name, 1))
+    run_fleet(main, make_sync_fleet(name, 1))
 
 
 @pytest.mark.parametrize(
     ("whole", "axes", "more"),
     [
         (load_fleet(EXAMPLES / "all.fleet.yaml"), ["gantry.x", "arm.r"], {}),
-        (sync_fleet("8 SMC-2000, own ports", 1), ["b0.x", "b1.x"], {}),
-        (sync_fleet("mixed, lines", 1), ["a1.x", "c1.x", "d1.x"], {"start": "line"}),
-        (sync_fleet("2 SMC-4000", 1), ["a0.x", "a1.x"], {"align": "1 s"}),
+        (make_sync_fleet("8 SMC-2000, own ports", 1), ["b0.x", "b1.x"], {}),
+        (make_sync_fleet("mixed, lines", 1), ["a1.x", "c1.x", "d1.x"], {"start": "line"}),
+        (make_sync_fleet("2 SMC-4000", 1), ["a0.x", "a1.x"], {"align": "1 s"}),
     ],
     ids=["a drive that SYNC starts", "a slow line", "a wired line", "ticks that were looked for"],
 )
-def test_who_begins_when_it_was_armed_to(
+def test_a_member_that_starts_at_its_original_t0(
     whole: Fleet, axes: list[str], more: dict[str, str], sooner_ns: list[int]
 ) -> None:
     async def main(fleet: VirtualFleet) -> None:
@@ -123,8 +124,11 @@ def test_ticks_that_differ_are_brought_forward_as_far_as_they_keep_together() ->
 
 
 @pytest.mark.parametrize("late_by_ms", [-50, 5])
-def test_who_is_late_to_go_is_armed_again_if_nobody_has_begun(monkeypatch: pytest.MonkeyPatch, late_by_ms: int) -> None:
-    """The decision is taken back, and the next one is the step's only one. Who may have begun is not moved again."""
+def test_a_member_that_gets_go_too_late_is_rearmed_if_no_member_has_started(
+    monkeypatch: pytest.MonkeyPatch, late_by_ms: int
+) -> None:
+    """The decision is withdrawn, and the next one is the step's only one. A member that may have started is not
+    moved again."""
     go, slow = StepParticipant.start_step, ["stage"]
 
     async def slowly(member: StepParticipant, request: GoRequest) -> Reply:
@@ -153,12 +157,12 @@ def test_who_is_late_to_go_is_armed_again_if_nobody_has_begun(monkeypatch: pytes
     run_fleet(main)
 
 
-@pytest.mark.parametrize("make", [smc4000, smc2000])
+@pytest.mark.parametrize("make", [make_smc4000, make_smc2000])
 @pytest.mark.parametrize("period_us", [250, 2000, 5000])
-def test_with_another_servo_period_a_step_begins_as_promised_too(
+def test_a_step_starts_as_promised_with_another_servo_period(
     period_us: int, make: Callable[[int], dict[str, Any]]
 ) -> None:
-    """TM: what is told before the start takes its time, however many samples that is."""
+    """TM: the commands before the start take their time, regardless of the number of samples."""
     plain = {f"a{k}": {**make(k), "options": {"servo_period_us": period_us}} for k in range(2)}
 
     async def main(clock: VirtualClock) -> None:

@@ -1,4 +1,4 @@
-"""A second coordinator on the same journal: it takes over when the first one dies or hangs, and goes on with the queue."""
+"""A second coordinator on the same journal: it takes over when the first one dies or hangs, and continues the queue."""
 
 import pytest
 from cluster.worlds import MOVE, PREPARE, job, outcome, run_fleet
@@ -11,23 +11,23 @@ TAKE_OVER_NS = 2 * NS_PER_S
 
 
 @pytest.mark.parametrize("how", ["kill", "freeze"])
-def test_the_one_that_stands_by_takes_over_within_two_seconds_and_goes_on_with_the_queue(how: str) -> None:
+def test_the_standby_takes_over_within_two_seconds_and_continues_the_queue(how: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         fleet.start_coordinator("second", standby=True)
         await outcome(fleet, PREPARE)
-        client = fleet.client()
+        client = fleet.make_client()
         running, queued = await client.submit(MOVE), await client.submit(THEN)
         await sleep_ns(fleet.clock, 4 * NS_PER_S)
         assert not fleet.coordinators["second"][1].leadership.epoch
         getattr(fleet, how)("coordinator/first")
         lost_ns = fleet.clock.now_ns()
         second = fleet.coordinators["second"][1].leadership
-        await fleet.until(lambda states: all(each.epoch == second.epoch > 0 for each in states.values()))
+        await fleet.wait_until(lambda states: all(each.epoch == second.epoch > 0 for each in states.values()))
         assert fleet.clock.now_ns() - lost_ns < TAKE_OVER_NS
         assert (await client.wait_for_job(running)).state == "interrupted"
         assert (await client.wait_for_job(queued)).state == "done"
         assert fleet.controllers["gantry"].position("X") == 20_000
-        # Who wakes later finds itself ended, and does nothing.
+        # A coordinator that wakes later detects that it is no longer the leader, and does nothing.
         assert not fleet.coordinators["first"][0].alive
 
     run_fleet(main)
@@ -39,7 +39,7 @@ def test_the_one_that_stands_by_keeps_quiet_while_the_first_one_lives() -> None:
         assert (await outcome(fleet, PREPARE, THEN)).state == "done"
         await sleep_ns(fleet.clock, 30 * NS_PER_S)
         assert not fleet.coordinators["second"][1].leadership.epoch
-        states = await fleet.client().status()
+        states = await fleet.make_client().status()
         assert {each.epoch for each in states.values()} == {fleet.coordinators["first"][1].leadership.epoch}
 
     run_fleet(main)

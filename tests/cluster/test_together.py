@@ -1,5 +1,5 @@
-"""Several controllers of a host asked in one request: each answers for itself, and who is wrong or slow keeps nobody's
-answer from the others."""
+"""Requests to several controllers of a host in one message: each answers for itself, and a wrong or slow one does
+not delay the answers of the others."""
 
 import asyncio
 import json
@@ -27,9 +27,9 @@ TRACE = {**HEAD, "request_id": "t"}
 async def together(fleet: VirtualFleet, verb: str, requests: dict[str, Any], within_ms: int = 1000) -> BatchReply:
     texts = {name: each if isinstance(each, str) else json.dumps(each) for name, each in requests.items()}
     payload = json.dumps({"requests": texts, "answer_within_ns": within_ms * NS_PER_MS}).encode()
-    bus = fleet.client("asker").bus
+    bus = fleet.make_client("asker").bus
     try:
-        said = await bus.request(fleet.keys.together("local", verb), payload, timeout_s=5.0)
+        said = await bus.request(fleet.keys.batch_command("local", verb), payload, timeout_s=5.0)
         return BatchReply.model_validate_json(said)
     finally:
         await bus.close()
@@ -52,16 +52,16 @@ def test_no_payload_ends_a_host(verb: str) -> None:
         inner = json.dumps(HEAD | COMMANDS.get(verb, {}))
         good = {"requests": {"gantry": inner, "stage": inner}, "answer_within_ns": 10**9}
         payloads = [*RAW, *(mutated(draw, good) for _ in range(25))]
-        # Broken inside, too: what one controller is asked.
+        # Malformed inside, too: the request for one controller.
         payloads += [
             json.dumps({**good, "requests": {"gantry": each.decode("latin-1"), "stage": inner}}).encode()
             for each in (mutated(draw, HEAD | COMMANDS.get(verb, {})) for _ in range(25))
         ]
         for payload in payloads:
-            await ask(fleet, fleet.keys.together("local", verb), payload)
-        # Who was not waited for goes on: what stops a controller is to have come to its end.
+            await ask(fleet, fleet.keys.batch_command("local", verb), payload)
+        # A controller that was not waited for continues: a stop must run to its end.
         await sleep_ns(fleet.clock, 2 * NS_PER_S)
-        await fleet.client().reset()
+        await fleet.make_client().reset()
         for each in (PREPARE, SHORT):
             report = await outcome(fleet, each)
             assert report.state == "done", report.reason
@@ -97,7 +97,7 @@ def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     run_fleet(main)
 
 
-def test_who_is_slow_is_left_out_and_its_answer_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_host_is_left_out_and_its_answer_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
 
     async def slow(commands: ControllerCommands, _: Asked) -> TraceReply:
@@ -154,7 +154,7 @@ def test_a_step_asks_each_host_once_a_stage(monkeypatch: pytest.MonkeyPatch) -> 
     run_on({"stage": "other"}, [(stage, name) for stage in stages for name in ("gantry", "stage")])
 
 
-def test_what_a_host_does_not_say_is_a_refusal_that_names_the_member(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_missing_from_a_host_is_a_refusal_that_names_the_member(monkeypatch: pytest.MonkeyPatch) -> None:
     commit = StepParticipant.commit_step
 
     async def silent(member: StepParticipant, request: CommitRequest) -> Reply:

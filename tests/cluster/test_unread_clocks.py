@@ -1,4 +1,5 @@
-"""Units whose crystals can not be read, as a fleet: they end nearer and nearer to the plan; truth is the simulators'."""
+"""Controllers whose clocks cannot be read, as a fleet: their ends approach the plan from step to step; the
+simulators provide the ground truth."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,20 +7,20 @@ from typing import Any
 import pytest
 from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
-from orchestrator.bench.sync_fleets import ppsmc, shrc203, smc30
+from orchestrator.bench.sync_fleets import make_ppsmc, make_shrc203, make_smc30
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
 
 HOME = job("[{do: enable, axes: [u]}, {do: home}]")
-LIVE = smc30(1, 1)
-LIVE["simulate"]["options"]["live_verify"] = True  # its firmware tells in motion where it is
+LIVE = make_smc30(1, 1)
+LIVE["simulate"]["options"]["live_verify"] = True  # its firmware reports its position in motion
 # Half a minute each: a controller, how far, at which part of its speed.
 UNITS: Mapping[str, tuple[dict[str, Any], float, float]] = {
-    "shrc203": (shrc203(1), 30, 0.125),
+    "shrc203": (make_shrc203(1), 30, 0.125),
     "smc30": (LIVE, 60, 0.2),
-    "ppsmc": (ppsmc(1), 300_000, 0.125),
+    "ppsmc": (make_ppsmc(1), 300_000, 0.125),
 }
 FAST_PPM = 40.0
 
@@ -57,22 +58,22 @@ def test_after_a_minute_of_motion_a_move_ends_within_tenths_of_a_millisecond(
         errors_ms = [await moved(world, 0 if number % 2 else way, speed) for number in range(5)]
         assert errors_ms[0] == pytest.approx(-1.2, abs=0.05)
         assert all(abs(each) < least_ms for each in errors_ms[2:])
-        crystal = (await query_clocks(world.client()))["u"].crystal
+        crystal = (await query_clocks(world.make_client()))["u"].crystal
         assert crystal is not None and crystal.consistent and crystal.moves == 5
         assert abs(crystal.rate_ppm - FAST_PPM) < min(20, crystal.bound_ppm)
 
     run_fleet(main, fleet(name), seed)
 
 
-def test_a_unit_that_was_off_is_learned_anew() -> None:
+def test_the_clock_of_a_controller_that_was_off_is_estimated_again() -> None:
     async def main(world: VirtualFleet) -> None:
         _, way, speed = UNITS["shrc203"]
         await outcome(world, HOME)
         await moved(world, way, speed)
         assert abs(await moved(world, 0, speed)) < 0.1
-        world.within("u", lambda unit: unit.set_power(False))
+        world.act_on_controller("u", lambda unit: unit.set_power(on=False))
         await sleep_ns(world.clock, 3 * NS_PER_S)
-        world.within("u", lambda unit: unit.set_power(True))
+        world.act_on_controller("u", lambda unit: unit.set_power(on=True))
         await sleep_ns(world.clock, 10 * NS_PER_S)
         await outcome(world, HOME)
         assert await moved(world, way, speed) == pytest.approx(-1.2, abs=0.05)

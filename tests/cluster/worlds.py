@@ -4,7 +4,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
 
-from orchestrator.bus.base import Sample
+from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.files import load_fleet, load_job, parse_document
@@ -36,7 +36,7 @@ def job(steps: str, **fields: str) -> Job:
 PREPARE = job("[{do: enable, axes: [gantry, stage]}, {do: home}]")
 MOVE = job(
     "[{do: move, to: {gantry.x: 300, gantry.y: 50, stage.u: 12, stage.focus: 2000}, speed: 0.15}]"
-)  # some ten seconds: nobody is there by chance
+)  # some ten seconds: no position is reached by chance
 
 
 def run_fleet(
@@ -45,7 +45,7 @@ def run_fleet(
     seed: int = 1,
     wired: Fleet | None = None,
 ) -> T:
-    """Run `main` with a started virtual fleet. wired: how it is really wired, if not as its file says."""
+    """Run `main` with a started virtual fleet. wired: the real wiring, if it differs from the fleet file."""
 
     async def run(clock: VirtualClock) -> T:
         virtual = VirtualFleet(fleet or demo_fleet(), clock, seed, wired=wired)
@@ -80,7 +80,7 @@ async def first_leases_ns(fleet: VirtualFleet, client: Tutti, controller: str) -
     """By holder, when `controller` was leased to them first; filled from now on."""
     leased_ns: dict[str, int] = {}
 
-    def look(sample: Sample) -> None:
+    def look(sample: BusSample) -> None:
         holder = LeaseState.model_validate_json(sample.payload).holder
         leased_ns.setdefault(holder or "", fleet.clock.now_ns())
 
@@ -96,7 +96,7 @@ def rested(fleet: VirtualFleet, controller: str, at_ns: int) -> bool:
 
 async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
     """Run jobs one after the other; the report of the last one."""
-    client = fleet.client()
+    client = fleet.make_client()
     report = None
     for each in jobs:
         report = await client.wait_for_job(await client.submit(each))

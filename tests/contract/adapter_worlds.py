@@ -40,11 +40,12 @@ YASKAWA = {"home_edge": {"X": -2000, "Y": -1500}, "index_every": {"X": 200, "Y":
 
 @dataclass(frozen=True)
 class Case:
-    """A controller as in a fleet file, its simulator's options, the port of it that the link leads to.
+    """A controller as in a fleet file, its simulator's options, and its port that the link leads to.
 
-    beside: addresses of controllers like it on the same line, which are polled all the while. led: its motion is led by
-    the adapter, position by position, and ends with the connection. also: controllers of the same make, each on a wire
-    of its own, with axes of other names, that take part in every step.
+    beside: addresses of controllers of the same make on the same line, which are polled all the time.
+    led: its motion is streamed by the adapter, position by position, and ends with the connection.
+    also: controllers of the same make, each on a link of its own, with axes of other names, that take part in every
+    step.
     """
 
     config: Mapping[str, Any]
@@ -182,8 +183,8 @@ CASES = {
 
 @dataclass(frozen=True)
 class Unit:
-    """A controller of the step and its driver, with the wire between them. beside: drivers of the others on the wire,
-    by name."""
+    """A controller of the step and its driver, with the link between them. beside: drivers of the other controllers
+    on the link, by name."""
 
     config: Controller
     controller: SimulatedController
@@ -208,7 +209,8 @@ class World:
 
     @property
     def hit(self) -> Unit:
-        """What faults befall, and what has the wired line. What is on other wires has to cope with it."""
+        """The controller that is subject to faults, and that has the wired trigger line. Those on other links have
+        to cope with it."""
         return self.units[0]
 
     @property
@@ -256,15 +258,15 @@ class World:
     # What an adapter does with it
 
     async def ready(self, polls: int = 40) -> None:
-        """Reached, compared, enabled, its clock known."""
+        """Connected, compared, enabled, and its clock estimated."""
         await self.driver.connect()
         await self.driver.configure()
         await self.driver.load_soft_limits(dict.fromkeys(self.axes))
-        await self.driver.set_enabled(self.axes, True)
+        await self.driver.set_enabled(self.axes, on=True)
         await self.poll(polls)
 
     async def leave(self) -> None:
-        """Close the driver, and wait until the other side has heard of it."""
+        """Close the driver, and wait until the other side has detected it."""
         await self.driver.close()
         await sleep_ns(self.clock, 20 * NS_PER_MS)
 
@@ -286,7 +288,7 @@ class World:
             velocity, acceleration = limits.velocity * scale, limits.acceleration * scale
             moves.append(AxisMove(name, here, round(target), velocity, acceleration, jerk, order=order))
         plan = plan_step(moves)
-        return dict(plan.stretched(plan.duration_s * stretch).profiles)
+        return dict(plan.stretch_to(plan.duration_s * stretch).profiles)
 
     async def arm(self, profiles: Mapping[str, Profile], how: StartOptions = AUTO) -> tuple[Lowered, int]:
         """Lowered and loaded; with T0, which is as near as the make allows."""
@@ -312,7 +314,7 @@ class World:
 
     def line(self, active: bool) -> None:
         """Make the wired input active, or passive."""
-        self.hit.controller.set_input(1, active == (self.hit.config.inputs["line"].active == "high"))
+        self.hit.controller.set_input(1, level=active == (self.hit.config.inputs["line"].active == "high"))
 
     async def rest(self, within_ns: int) -> None:
         """Wait until no axis moves."""
@@ -344,7 +346,7 @@ def build(clock: VirtualClock, chosen: Case, name: str, firer: TimedWriter, seed
     if config.link.kind == "can":
         model = can_wire()
     if config.link.kind == "tcp" and chosen.port == "serial":
-        # A bridge hands bytes on as quickly as its serial side takes them.
+        # A bridge forwards bytes as quickly as its serial side takes them.
         model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
     wire = MemoryWire(clock, model, line.endpoint, chosen.port, config.link.endpoint, copy_context(), seed)
     options = make.options_model.model_validate(config.options)
@@ -355,7 +357,7 @@ def build(clock: VirtualClock, chosen: Case, name: str, firer: TimedWriter, seed
         if each != name:
             link = link.model_copy(update={"address": addresses[each]})
         its = config.model_copy(update={"link": link})
-        return make.create_driver(DriverSetup(each, its, options, clock, wire.open, firer, shared))
+        return make.create_driver(DriverSetup(each, its, options, clock, wire.open_link, firer, shared))
 
     driver, *beside = [driver_of(each) for each in addresses]
     others = dict(zip(list(addresses)[1:], beside, strict=True))
@@ -397,7 +399,7 @@ def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm:
 
 
 async def poll_for_ever(clock: VirtualClock, driver: Driver, polled: Callable[[], None]) -> None:
-    """What another controller's unit does on the same line, whatever becomes of it. polled: told of each reading."""
+    """The activity of another controller on the same line, with any result. polled: called with each reading."""
     while True:
         try:
             await driver.connect()

@@ -1,13 +1,13 @@
-"""The processes that the bus contract is tested with. Ends when its standard input does.
+"""The processes that the bus contract is tested with. They end when their standard input does.
 
-`bus_child.py router ENDPOINT` or `bus_child.py peer ENDPOINT NAME`; says `up` when it is ready.
+`bus_child.py router ENDPOINT` or `bus_child.py peer ENDPOINT NAME`; prints `up` when it is ready.
 """
 
 import asyncio
 import sys
 import threading
 
-from orchestrator.bus.base import Bus, Priority, RequestRefused, Sample
+from orchestrator.bus.base import Bus, BusSample, Priority, RequestRefused
 
 
 async def behave(bus: Bus, name: str) -> None:
@@ -15,24 +15,24 @@ async def behave(bus: Bus, name: str) -> None:
     latest = b""
     count = 0
 
-    def take(sample: Sample) -> None:
+    def take(sample: BusSample) -> None:
         nonlocal latest, count
         latest = sample.payload
         count += 1
 
-    async def answer_latest(_: Sample) -> bytes:
+    async def answer_latest(_: BusSample) -> bytes:
         return latest
 
-    async def answer_count(_: Sample) -> bytes:
+    async def answer_count(_: BusSample) -> bytes:
         return str(count).encode()
 
-    async def echo(sample: Sample) -> bytes:
+    async def echo(sample: BusSample) -> bytes:
         return name.encode() + b":" + sample.payload
 
-    async def refuse(sample: Sample) -> bytes:
+    async def refuse(sample: BusSample) -> bytes:
         raise RequestRefused(f"{name} will not, whatever {sample.payload.decode()} says")
 
-    async def say(sample: Sample) -> bytes:
+    async def say(sample: BusSample) -> bytes:
         bus.put(f"t/{name}/said", sample.payload, Priority.EVENT)
         return b""
 

@@ -11,31 +11,31 @@ from typing import Any, Protocol
 
 from bus_child import behave
 
-from orchestrator.bus.base import Bus, Priority, Sample
+from orchestrator.bus.base import Bus, BusSample, Priority
 from orchestrator.bus.memory.bus import MemoryNet
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 
 LIMIT_S = 20.0
-"""Generous: what takes so long will not happen."""
+"""Generous: an event that takes longer does not occur."""
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    """Wait for `condition`, which somebody else's action makes true."""
+    """Wait for `condition`, which another task or process makes true."""
     async with asyncio.timeout(LIMIT_S):
         while not condition():
             await asyncio.sleep(0.002)
 
 
 async def request_until(bus: Bus, key: str, wanted: bytes) -> None:
-    """Ask until the answer is `wanted`."""
+    """Repeat the query until the answer is `wanted`."""
     async with asyncio.timeout(LIMIT_S):
         while await bus.request(key, b"", LIMIT_S) != wanted:
             await asyncio.sleep(0.002)
 
 
 async def linked(sender: Bus, receiver: Bus) -> None:
-    """Wait until what `receiver` declared before is known to `sender`, for every priority."""
-    seen: list[Sample] = []
+    """Wait until the earlier declarations of `receiver` have reached `sender`, for every priority."""
+    seen: list[BusSample] = []
     fence = await receiver.subscribe("t/fence", seen.append)
     async with asyncio.timeout(LIMIT_S):
         for priority in Priority:
@@ -53,7 +53,7 @@ class World(Protocol):
         ...
 
     async def peer(self, name: str) -> None:
-        """Another process that behaves as `bus_child.behave` says; it is ready when this returns."""
+        """Another process that runs `bus_child.behave`; it is ready when this returns."""
         ...
 
     def kill(self, name: str) -> None: ...
@@ -71,25 +71,25 @@ class MemoryWorld:
 
     async def join(self, name: str) -> Bus:
         self._names.append(name)
-        return self.net.join(name)
+        return self.net.join_process(name)
 
     async def peer(self, name: str) -> None:
         await behave(await self.join(name), name)
 
     def kill(self, name: str) -> None:
-        self.net.kill(name)
+        self.net.kill_process(name)
 
     def hang(self, name: str) -> None:
-        self.net.hang(name)
+        self.net.suspend_process(name)
 
     def resume(self, name: str) -> None:
-        self.net.resume(name)
+        self.net.resume_process(name)
 
     def cut(self) -> None:
-        self.net.partition(*({name} for name in self._names))
+        self.net.partition_net(*({name} for name in self._names))
 
     def heal(self) -> None:
-        self.net.heal()
+        self.net.heal_partition()
 
 
 class LiveWorld:

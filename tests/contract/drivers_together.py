@@ -50,8 +50,8 @@ class LoweredTogether(Lowered):
 
 
 class Together(Driver):
-    """Drivers alike, of a make whose clock can not be read: no mapping would be that of all. All calls go to all of
-    them that they concern, at the same instant. Inputs and outputs are those of the first one."""
+    """Drivers of the same make whose clock cannot be read: no mapping would apply to all. Each call goes to all
+    drivers that it concerns, at the same instant. Inputs and outputs are those of the first one."""
 
     def __init__(self, drivers: Mapping[Driver, Sequence[str]]) -> None:
         """drivers: with their axes, which are no other's."""
@@ -154,10 +154,10 @@ class Together(Driver):
         return MoveOutcome(worst.state, {axis: at for each in found for axis, at in each.ended.items()}, worst.reason)
 
     async def stop(self, abort: bool) -> None:
-        await at_once(each.stop(abort) for each in self._drivers)
+        await at_once(each.stop(abort=abort) for each in self._drivers)
 
     async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
-        await at_once(one.set_enabled(own, on) for one, own in self._of(axes))
+        await at_once(one.set_enabled(own, on=on) for one, own in self._of(axes))
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
         missed = await at_once(one.home_axes(own, found) for one, own in self._of(axes))
@@ -173,7 +173,7 @@ class Together(Driver):
         await at_once(one.load_soft_limits({axis: limits[axis] for axis in own}) for one, own in self._of(list(limits)))
 
     async def set_output(self, number: int, on: bool) -> None:
-        await self._drivers[0].set_output(number, on)
+        await self._drivers[0].set_output(number, on=on)
 
     async def clear_faults(self) -> None:
         await at_once(each.clear_faults() for each in self._drivers)

@@ -45,12 +45,12 @@ def test_reached_identified_compared_and_read(name: str) -> None:
 def test_motors_are_switched_and_references_found(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.set_enabled(world.axes, False)
+        await world.driver.set_enabled(world.axes, on=False)
         assert not any(axis.enabled for axis in (await world.driver.poll()).axes.values())
         with pytest.raises(Refusal, match="enable"):
             await world.driver.home_axes(world.axes, lambda _: None)
         assert not world.motions
-        await world.driver.set_enabled(world.axes, True)
+        await world.driver.set_enabled(world.axes, on=True)
         assert all(axis.enabled for axis in (await world.driver.poll()).axes.values())
         found: list[str] = []
         assert await world.driver.home_axes(world.axes, found.append) == {}
@@ -62,7 +62,7 @@ def test_motors_are_switched_and_references_found(name: str) -> None:
 
 
 @pytest.mark.parametrize(("seed", "ppm"), [(0, -100.0), (1, 100.0), (2, 0.0), (3, 100.0)])
-def test_a_step_does_what_was_lowered_and_its_evidence_holds_the_truth(name: str, seed: int, ppm: float) -> None:
+def test_a_step_does_what_was_lowered_and_its_evidence_contains_the_truth(name: str, seed: int, ppm: float) -> None:
     async def main(world: World) -> None:
         await world.ready(60)
         for factor in (1.0, -0.4, 2.0):
@@ -84,7 +84,7 @@ def test_a_step_does_what_was_lowered_and_its_evidence_holds_the_truth(name: str
 
 
 @pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
-def test_a_step_can_begin_sooner_than_it_was_armed_for(name: str, ppm: float) -> None:
+def test_a_step_can_start_sooner_than_it_was_armed_for(name: str, ppm: float) -> None:
     async def main(world: World) -> None:
         await world.ready(60)
         for factor in (1.0, -0.4):
@@ -111,7 +111,7 @@ def test_a_step_can_begin_sooner_than_it_was_armed_for(name: str, ppm: float) ->
     run(name, main, 0, ppm)
 
 
-def test_lowering_is_pure_and_refuses_what_it_can_not(name: str) -> None:
+def test_lowering_is_pure_and_refuses_what_it_cannot_do(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         profiles, mapping = await world.plan(targets(world)), world.driver.clock_mapping()
@@ -187,7 +187,7 @@ def test_a_line_that_is_active_already_is_refused_and_a_disarmed_move_does_not_w
             await world.driver.verify_armed()
             if released:
                 await world.driver.go()
-                await world.driver.stop(False)
+                await world.driver.stop(abort=False)
             await world.driver.disarm_move()
             world.line(True)
             await sleep_ns(world.clock, NS_PER_S)
@@ -234,7 +234,7 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
         lowered, t0_ns = await world.arm({}, how)
         await world.driver.verify_armed()
         await world.driver.go()
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         await world.until(t0_ns + NS_PER_S)
         assert not any(level for _, level in changes)
 
@@ -242,7 +242,7 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
 
 
 @pytest.mark.parametrize("stage", ["arm", "verify", "go"])
-def test_what_is_disarmed_never_starts(name: str, stage: str) -> None:
+def test_a_disarmed_move_never_starts(name: str, stage: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         before = world.positions()
@@ -288,7 +288,7 @@ def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str,
             await world.driver.go()
             following = asyncio.get_running_loop().create_task(follow(world))
             await world.until(max(world.clock.now_ns(), t0_ns + when_ms * NS_PER_MS))
-            await world.driver.stop(abort)
+            await world.driver.stop(abort=abort)
             await sleep_ns(world.clock, lowered.costs.stop_ns)
             assert world.at_rest
             rests = world.positions()
@@ -296,7 +296,7 @@ def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str,
             await world.until(max(world.clock.now_ns(), t0_ns) + 2 * NS_PER_S)
             assert world.positions() == rests
             await world.driver.clear_faults()
-            await world.driver.set_enabled(world.axes, True)
+            await world.driver.set_enabled(world.axes, on=True)
             await world.poll(5)
             _, _, outcome, _, _ = await world.move(targets(world, factor))
             assert outcome.state == "done"
@@ -305,25 +305,25 @@ def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str,
 
 
 @pytest.mark.parametrize("when_ms", [0, 1, 4, 9, 16, 25, 40, 70, 130])
-def test_a_stop_at_any_moment_ends_a_search_for_references_or_keeps_it_from_beginning(name: str, when_ms: int) -> None:
+def test_a_stop_at_any_moment_ends_a_homing_or_prevents_its_start(name: str, when_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         found: list[str] = []
         searching = asyncio.get_running_loop().create_task(world.driver.home_axes(world.axes, found.append))
         await sleep_ns(world.clock, when_ms * NS_PER_MS + 1)
         if searching.done():
-            return  # a drive whose reference is where it stands
+            return  # a drive whose reference is its present position
         stopped_ns = world.clock.now_ns()
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         with contextlib.suppress(Refusal):
             failed = await searching
             assert sorted([*found, *failed]) == sorted(world.axes)
         await sleep_ns(world.clock, 3 * NS_PER_S)
         assert world.at_rest
-        # What was on the wire before the stop may still begin, and stops behind it.
+        # Bytes that were on the line before the stop may still start a motion, which the stop after them ends.
         assert not [motion for _, motion in world.motions if motion.start_ns > stopped_ns + 100 * NS_PER_MS]
         await world.driver.clear_faults()
-        await world.driver.set_enabled(world.axes, True)
+        await world.driver.set_enabled(world.axes, on=True)
         await world.poll(5)
         assert await world.driver.home_axes(world.axes, found.append) == {}
 
@@ -331,13 +331,13 @@ def test_a_stop_at_any_moment_ends_a_search_for_references_or_keeps_it_from_begi
 
 
 async def follow(world: World) -> None:
-    """What everybody does who has started something: wait for its start and its end, whatever they are."""
+    """Wait for the start and the end of a motion, whatever they are, as every caller that has started one does."""
     with contextlib.suppress(ControllerFault, Refusal):
         await world.driver.wait_for_start()
         assert (await world.driver.wait_for_end()).state != "done"
 
 
-def test_polls_beside_a_step_disturb_nothing(name: str) -> None:
+def test_polls_during_a_step_disturb_nothing(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         profiles = await world.plan(targets(world, 3))
@@ -386,7 +386,7 @@ def test_a_jog_keeps_to_its_speed_and_its_end(name: str) -> None:
         await sleep_ns(world.clock, 400 * NS_PER_MS)
         assert not world.moving(axis)
         assert all(world.moving(other) for other in others)
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         await world.rest(world.driver.capabilities.costs.stop_ns)
         await world.poll(3)
         _, _, outcome, _, _ = await world.move(targets(world))
@@ -410,11 +410,11 @@ def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str
             "connect": lambda: world.driver.connect(),
             "configure": lambda: world.driver.configure(),
             "poll": lambda: world.driver.poll(),
-            "enable": lambda: world.driver.set_enabled(world.axes, False),
+            "enable": lambda: world.driver.set_enabled(world.axes, on=False),
             "home": lambda: world.driver.home_axes(world.axes, lambda _: None),
             "arm": lambda: world.driver.arm_move(lowered, t0_ns, mapping),
             "verify": lambda: world.driver.verify_armed(),
-            "set_output": lambda: world.driver.set_output(1, True),
+            "set_output": lambda: world.driver.set_output(1, on=True),
         }
         began_ns = world.clock.now_ns()
         with pytest.raises((ControllerFault, LinkClosed, LinkRefused)) as caught:
@@ -434,7 +434,7 @@ def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_is_said_and_survived(name: str, seed: int) -> None:
+def test_noise_is_reported_and_survived(name: str, seed: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         before = world.positions()
@@ -471,23 +471,23 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
         await world.arm(await world.plan(targets(world)))
         await world.driver.verify_armed()
         await world.driver.go()
-        world.hit.controller.set_power(False)
+        world.hit.controller.set_power(on=False)
         await sleep_ns(world.clock, NS_PER_S)
-        world.hit.controller.set_power(True)
+        world.hit.controller.set_power(on=True)
         await sleep_ns(world.clock, 5 * NS_PER_S)
         noticed = False
         for _ in range(5):
             try:
                 noticed = noticed or (await world.driver.poll()).restarted
             except (ControllerFault, LinkClosed, LinkRefused):
-                # Its links have died with it; after that it is asked again.
+                # Its links are lost with it; after that it is queried again.
                 await world.leave()
                 await world.driver.connect()
                 await world.driver.configure()
         assert noticed
         assert world.at_rest
         assert not any(motion.end_counts != motion.start_counts for motion in world.hit.controller.commanded_motions)
-        await world.driver.set_enabled(world.axes, True)
+        await world.driver.set_enabled(world.axes, on=True)
         await world.poll(40)
         _, _, outcome, _, _ = await world.move(targets(world))
         assert outcome.state == "done"
@@ -495,7 +495,7 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
     run(name, main)
 
 
-def test_a_power_cycle_while_nobody_was_connected_is_noticed_once(name: str) -> None:
+def test_a_power_cycle_while_disconnected_is_noticed_once(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         assert await world.driver.home_axes(world.axes, lambda _: None) == {}
@@ -503,14 +503,14 @@ def test_a_power_cycle_while_nobody_was_connected_is_noticed_once(name: str) -> 
         assert outcome.state == "done"
         before, positions = world.places(), world.positions()
         await world.leave()
-        world.hit.controller.set_power(False)
+        world.hit.controller.set_power(on=False)
         await sleep_ns(world.clock, NS_PER_S)
-        world.hit.controller.set_power(True)
+        world.hit.controller.set_power(on=True)
         await sleep_ns(world.clock, 5 * NS_PER_S)
         # The axes stand where they did, though their units call that something else now.
         assert world.places() == pytest.approx(before, abs=1) and world.positions() != positions
         for noticed in (True, False):
-            # What was noticed is told although the link breaks before the next poll.
+            # A detected restart is reported although the link breaks before the next poll.
             for _ in range(2 if noticed else 1):
                 await world.driver.connect()
                 await world.driver.configure()
@@ -523,7 +523,7 @@ def test_a_power_cycle_while_nobody_was_connected_is_noticed_once(name: str) -> 
     run(name, main)
 
 
-def test_a_controller_that_somebody_moves_is_not_stopped_by_being_reached(name: str) -> None:
+def test_a_controller_that_is_moved_by_others_is_not_stopped_by_connecting(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await world.arm(await world.plan(targets(world, 2)))
@@ -537,7 +537,7 @@ def test_a_controller_that_somebody_moves_is_not_stopped_by_being_reached(name: 
             assert error.remedy
         await world.rest(60 * NS_PER_S)
         if CASES[name].led:
-            # Nobody led it any further, and it needs no reset for that.
+            # It received no further setpoints, and needs no reset for that.
             assert all(0 < abs(place) < abs(targets(world, 2)[axis]) for axis, place in world.positions().items())
             await world.driver.configure()
             assert all(axis.enabled for axis in (await world.driver.poll()).axes.values())

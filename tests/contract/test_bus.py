@@ -11,9 +11,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from bus_worlds import LIMIT_S, Body, World, linked, request_until, run_live, run_memory, until
 
-from orchestrator.bus.base import BusClosed, NoReply, Priority, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.base import BusClosed, BusSample, NoReply, Priority, RequestRefused, RequestTimeout
 from orchestrator.bus.estop import put_estop
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.messages import EstopMessage
 
 Run = Callable[[Body], None]
@@ -27,7 +27,7 @@ def run(request: pytest.FixtureRequest) -> Run:
 def test_samples_are_in_order_per_key_and_priority(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
-        got: list[Sample] = []
+        got: list[BusSample] = []
         await b.subscribe("t/n/*", got.append)
         await linked(a, b)
         for number in range(300):
@@ -55,15 +55,15 @@ def test_an_estop_overtakes_what_is_queued(run: Run) -> None:
     run(body)
 
 
-def test_an_estop_of_no_fleet_is_heard_by_all_without_waiting_for_them(run: Run) -> None:
+def test_an_estop_without_a_fleet_reaches_all_without_waiting_for_them(run: Run) -> None:
     async def body(world: World) -> None:
         hearers = [await world.join(name) for name in "ab"]
-        got: dict[str, list[Sample]] = {"one": [], "two": []}
+        got: dict[str, list[BusSample]] = {"one": [], "two": []}
         for hearer, fleet in zip(hearers, got, strict=True):
-            await hearer.subscribe(Keys(fleet).estop, got[fleet].append)
+            await hearer.subscribe(FleetKeys(fleet).estop, got[fleet].append)
         for hearer in hearers:
             await linked(hearer, hearer)
-        # Whoever puts it has only just come: nobody is known to it yet.
+        # The publisher has just joined: it has not discovered any other session yet.
         put_estop(await world.join("c"), None, "e1", "anna", "smoke")
         await until(lambda: all(got.values()))
         heard = [EstopMessage.model_validate_json(sample.payload) for samples in got.values() for sample in samples]
@@ -72,7 +72,7 @@ def test_an_estop_of_no_fleet_is_heard_by_all_without_waiting_for_them(run: Run)
     run(body)
 
 
-def test_only_an_estop_goes_on_an_expression(run: Run) -> None:
+def test_only_an_estop_is_sent_on_a_key_expression(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         for priority in (Priority.STATE, Priority.EVENT):
@@ -85,7 +85,7 @@ def test_only_an_estop_goes_on_an_expression(run: Run) -> None:
 def test_own_samples_are_seen(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
-        got: list[Sample] = []
+        got: list[BusSample] = []
         await a.subscribe("t/own/**", got.append)
         await linked(a, a)
         for priority in Priority:
@@ -99,7 +99,7 @@ def test_own_samples_are_seen(run: Run) -> None:
 def test_a_put_from_inside_a_callback_works(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
-        back: list[Sample] = []
+        back: list[BusSample] = []
         await b.subscribe("t/ping", lambda sample: b.put("t/pong", sample.payload, Priority.EVENT))
         await a.subscribe("t/pong", back.append)
         await linked(a, b)
@@ -114,7 +114,7 @@ def test_a_put_from_inside_a_callback_works(run: Run) -> None:
 def test_nothing_is_called_after_undeclare(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
-        got: list[Sample] = []
+        got: list[BusSample] = []
         subscription = await b.subscribe("t/x", got.append)
         await linked(a, b)
         a.put("t/x", b"", Priority.EVENT)
@@ -128,11 +128,11 @@ def test_nothing_is_called_after_undeclare(run: Run) -> None:
     run(body)
 
 
-def test_a_stopped_receiver_loses_state_and_holds_up_nobody(run: Run) -> None:
+def test_a_stopped_receiver_loses_state_and_delays_no_other(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
         await world.peer("p")
-        seen: list[Sample] = []
+        seen: list[BusSample] = []
         await b.subscribe("t/in", lambda sample: seen.append(sample) if sample.payload == b"last" else None)
         await linked(a, b)
         world.hang("p")
@@ -203,7 +203,7 @@ def test_the_first_valid_reply_counts(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
 
-        async def refuse(sample: Sample) -> bytes:
+        async def refuse(sample: BusSample) -> bytes:
             raise RequestRefused("not I")
 
         await b.serve("t/shared", refuse)
@@ -220,7 +220,7 @@ def test_the_first_valid_reply_counts(run: Run) -> None:
     run(body)
 
 
-def test_all_who_serve_are_asked(run: Run) -> None:
+def test_all_servers_of_a_key_are_queried(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         await world.peer("p")
@@ -237,7 +237,7 @@ def test_requests_are_handled_concurrently(run: Run) -> None:
         a, b = await world.join("a"), await world.join("b")
         both = asyncio.Barrier(2)
 
-        async def meet(sample: Sample) -> bytes:
+        async def meet(sample: BusSample) -> bytes:
             await both.wait()
             return sample.key.encode()
 
@@ -263,7 +263,7 @@ def test_a_late_joiner_gets_the_last_value_by_asking(run: Run) -> None:
     run(body)
 
 
-def test_presence_is_seen_from_its_beginning_to_a_death(run: Run) -> None:
+def test_presence_is_seen_from_declaration_to_death(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
         await world.peer("early")
@@ -286,7 +286,7 @@ def test_presence_is_seen_from_its_beginning_to_a_death(run: Run) -> None:
     run(body)
 
 
-def test_who_is_seen_can_be_asked(run: Run) -> None:
+def test_a_visible_server_can_be_queried(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         present: dict[str, bool] = {}
@@ -299,12 +299,12 @@ def test_who_is_seen_can_be_asked(run: Run) -> None:
     run(body)
 
 
-def test_a_cut_loses_everything_and_its_end_brings_all_back(run: Run) -> None:
+def test_a_partition_loses_everything_and_its_end_restores_all(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         await world.peer("p")
         changes: list[bool] = []
-        said: list[Sample] = []
+        said: list[BusSample] = []
         await a.watch("t/live/p", lambda _, present: changes.append(present))
         await a.subscribe("t/p/said", said.append)
         await until(lambda: changes == [True])
@@ -367,10 +367,10 @@ def test_close_may_be_called_twice_and_ends_all(run: Run) -> None:
     run(body)
 
 
-def test_what_was_put_before_close_goes_out(run: Run) -> None:
+def test_data_that_was_put_before_close_is_sent(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
-        got: list[Sample] = []
+        got: list[BusSample] = []
         await b.subscribe("t/x", got.append)
         await linked(a, b)
         for _ in range(100):

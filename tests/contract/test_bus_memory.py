@@ -5,15 +5,15 @@ from contextvars import ContextVar
 
 import pytest
 
-from orchestrator.bus.base import NoReply, Priority, RequestTimeout, Sample
+from orchestrator.bus.base import BusSample, NoReply, Priority, RequestTimeout
 from orchestrator.bus.memory.bus import LEASE_NS, MemoryBus, MemoryNet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
-from orchestrator.clock.virtual import Process, VirtualClock, run_virtual
+from orchestrator.clock.virtual import VirtualClock, VirtualProcess, run_virtual
 
 WHO: ContextVar[str] = ContextVar("who", default="medium")
 
 
-async def _echo(sample: Sample) -> bytes:
+async def _echo(sample: BusSample) -> bytes:
     return sample.payload
 
 
@@ -23,7 +23,7 @@ def test_a_sample_takes_time_and_one_seed_gives_one_outcome() -> None:
 
         async def main(clock: VirtualClock) -> None:
             net = MemoryNet(clock, seed=seed)
-            a, b = net.join("a"), net.join("b")
+            a, b = net.join_process("a"), net.join_process("b")
             await b.subscribe("**", lambda sample: log.append((clock.now_ns(), sample.key, sample.payload)))
             for number in range(500):
                 a.put(f"k/{number % 3}", str(number).encode())
@@ -48,9 +48,9 @@ def test_everything_runs_in_the_context_that_declared_it() -> None:
 
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
-        a, b = net.join("a"), net.join("b")
+        a, b = net.join_process("a"), net.join_process("b")
 
-        async def handle(sample: Sample) -> bytes:
+        async def handle(sample: BusSample) -> bytes:
             ran.append(("handler", WHO.get()))
             await sleep_ns(clock, NS_PER_MS)
             ran.append(("handler", WHO.get()))
@@ -76,31 +76,31 @@ def test_everything_runs_in_the_context_that_declared_it() -> None:
     assert sorted(ran) == [("asker", "a"), ("callback", "b"), ("handler", "b"), ("handler", "b"), ("watch", "b")]
 
 
-def test_what_a_process_sent_before_it_died_or_froze_arrives() -> None:
+def test_data_sent_before_a_process_died_or_froze_arrives() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
         got: list[bytes] = []
-        await net.join("test").subscribe("k", lambda sample: got.append(sample.payload))
-        processes: dict[str, Process] = {}
+        await net.join_process("test").subscribe("k", lambda sample: got.append(sample.payload))
+        processes: dict[str, VirtualProcess] = {}
         for name in ("a", "b"):
-            process = processes[name] = Process(clock.loop, name)
-            bus = process.run(lambda name=name: net.join(name))
+            process = processes[name] = VirtualProcess(clock.loop, name)
+            bus = process.run_inside(lambda name=name: net.join_process(name))
 
             async def put_and_serve(name: str = name, bus: MemoryBus = bus) -> None:
                 await bus.serve(f"q/{name}", _echo)
                 bus.put("k", name.encode(), Priority.EVENT)
 
-            await process.start(put_and_serve())
+            await process.start_task(put_and_serve())
         processes["a"].kill()
-        net.kill("a")
+        net.kill_process("a")
         processes["b"].freeze()
-        net.hang("b")
+        net.suspend_process("b")
         await sleep_ns(clock, NS_PER_S)
         assert sorted(got) == [b"a", b"b"]
         with pytest.raises(NoReply):
-            await net.join("c").request("q/a", b"", 1.0)
+            await net.join_process("c").request("q/a", b"", 1.0)
         with pytest.raises(RequestTimeout):
-            await net.join("d").request("q/b", b"", 1.0)
+            await net.join_process("d").request("q/b", b"", 1.0)
 
     run_virtual(main)
 
@@ -108,10 +108,10 @@ def test_what_a_process_sent_before_it_died_or_froze_arrives() -> None:
 def test_a_hung_process_gets_estops_first_and_state_up_to_the_limit() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock, queue_limit=10)
-        a, b = net.join("a"), net.join("b")
-        got: list[Sample] = []
+        a, b = net.join_process("a"), net.join_process("b")
+        got: list[BusSample] = []
         await b.subscribe("**", got.append)
-        net.hang("b")
+        net.suspend_process("b")
         for number in range(20):
             a.put("state", str(number).encode())
             a.put("event", str(number).encode(), Priority.EVENT)
@@ -119,7 +119,7 @@ def test_a_hung_process_gets_estops_first_and_state_up_to_the_limit() -> None:
         a.put("estop", b"", Priority.ESTOP)
         await sleep_ns(clock, NS_PER_S)
         assert got == []
-        net.resume("b")
+        net.resume_process("b")
         await sleep_ns(clock, NS_PER_S)
         assert got[0].key == "estop"
         assert [int(sample.payload) for sample in got if sample.key == "state"] == list(range(10))
@@ -128,17 +128,17 @@ def test_a_hung_process_gets_estops_first_and_state_up_to_the_limit() -> None:
     run_virtual(main)
 
 
-def test_what_a_hung_process_puts_waits_as_backlog() -> None:
+def test_data_put_by_a_hung_process_waits_as_backlog() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
-        a, b = net.join("a"), net.join("b")
+        a, b = net.join_process("a"), net.join_process("b")
         got: list[bytes] = []
         await b.subscribe("k", lambda sample: got.append(sample.payload))
-        net.hang("a")
+        net.suspend_process("a")
         for number in range(3):
             a.put("k", str(number).encode(), Priority.EVENT)
         assert a.backlog == 3
-        net.resume("a")
+        net.resume_process("a")
         assert a.backlog == 0
         await sleep_ns(clock, NS_PER_S)
         assert got == [b"0", b"1", b"2"]
@@ -149,12 +149,12 @@ def test_what_a_hung_process_puts_waits_as_backlog() -> None:
 def test_a_hang_is_presence_for_a_lease_and_then_absence() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
-        a, b = net.join("a"), net.join("b")
+        a, b = net.join_process("a"), net.join_process("b")
         seen: list[tuple[int, bool]] = []
         await a.watch("live/b", lambda _, present: seen.append((clock.now_ns(), present)))
         await b.announce("live/b")
         await b.serve("q", _echo)
-        net.hang("b")
+        net.suspend_process("b")
         await sleep_ns(clock, LEASE_NS - NS_PER_S)
         with pytest.raises(RequestTimeout):
             await a.request("q", b"", 0.5)
@@ -164,7 +164,7 @@ def test_a_hang_is_presence_for_a_lease_and_then_absence() -> None:
         assert seen[1][0] >= LEASE_NS
         with pytest.raises(NoReply):
             await a.request("q", b"", 0.5)
-        net.resume("b")
+        net.resume_process("b")
         await sleep_ns(clock, NS_PER_S)
         assert [present for _, present in seen] == [True, False, True]
         assert await a.request("q", b"x", 0.5) == b"x"
@@ -172,10 +172,10 @@ def test_a_hang_is_presence_for_a_lease_and_then_absence() -> None:
     run_virtual(main)
 
 
-def test_a_partition_parts_the_sides_and_nobody_else() -> None:
+def test_a_partition_separates_only_its_two_sides() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
-        a, b, c, d = (net.join(name) for name in "abcd")
+        a, b, c, d = (net.join_process(name) for name in "abcd")
         got: dict[str, list[bytes]] = {"a": [], "b": [], "c": [], "d": []}
         present: dict[str, dict[str, bool]] = {"a": {}, "c": {}}
         for bus in (a, b, c, d):
@@ -187,7 +187,7 @@ def test_a_partition_parts_the_sides_and_nobody_else() -> None:
         await c.watch("live/*", present["c"].__setitem__)
         await sleep_ns(clock, NS_PER_S)
         a.put("k", b"first", Priority.EVENT)
-        net.partition({"a", "b"}, {"c"})
+        net.partition_net({"a", "b"}, {"c"})
         a.put("k", b"second", Priority.EVENT)
         c.put("k", b"from c", Priority.EVENT)
         with pytest.raises(RequestTimeout):
@@ -200,7 +200,7 @@ def test_a_partition_parts_the_sides_and_nobody_else() -> None:
         await sleep_ns(clock, LEASE_NS)
         assert present["a"] == {"live/a": True, "live/b": True, "live/c": False, "live/d": True}
         assert present["c"] == {"live/a": False, "live/b": False, "live/c": True, "live/d": True}
-        net.heal()
+        net.heal_partition()
         assert await a.request("q", b"x", 1.0) == b"x"
         await sleep_ns(clock, NS_PER_S)
         assert all(present["a"].values())
@@ -212,7 +212,7 @@ def test_a_partition_parts_the_sides_and_nobody_else() -> None:
 def test_a_death_is_known_within_milliseconds_and_the_name_is_free_again() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
-        a, b = net.join("a"), net.join("b")
+        a, b = net.join_process("a"), net.join_process("b")
         seen: list[tuple[int, str, bool]] = []
         await a.watch("live/*", lambda key, present: seen.append((clock.now_ns(), key, present)))
         await b.announce("live/1")
@@ -221,32 +221,32 @@ def test_a_death_is_known_within_milliseconds_and_the_name_is_free_again() -> No
         asked = asyncio.ensure_future(a.request("q", b"", 5.0))
         await sleep_ns(clock, NS_PER_MS)
         killed_ns = clock.now_ns()
-        net.kill("b")
+        net.kill_process("b")
         with pytest.raises(NoReply):
             await asked
-        again = net.join("b")
+        again = net.join_process("b")
         await again.announce("live/2")
         await sleep_ns(clock, NS_PER_S)
         assert [(key, present) for _, key, present in seen] == [("live/1", True), ("live/1", False), ("live/2", True)]
         assert 0 < seen[1][0] - killed_ns < 10 * NS_PER_MS
         with pytest.raises(ValueError, match="on the bus already"):
-            net.join("b")
+            net.join_process("b")
 
     run_virtual(main)
 
 
-def test_who_has_left_cannot_be_hurt() -> None:
+def test_a_closed_session_receives_nothing_more() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
-        await net.join("a").close()
-        net.hang("a")
-        net.resume("a")
-        net.kill("a")
-        await net.join("a").close()
+        await net.join_process("a").close()
+        net.suspend_process("a")
+        net.resume_process("a")
+        net.kill_process("a")
+        await net.join_process("a").close()
 
     run_virtual(main)
 
 
-async def _never(_: Sample) -> bytes:
+async def _never(_: BusSample) -> bytes:
     await asyncio.Event().wait()
     return b""

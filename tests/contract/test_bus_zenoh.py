@@ -16,10 +16,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from bus_worlds import LIMIT_S, LiveWorld, linked, run_live, until
 
-from orchestrator.bus.base import NoReply, Priority, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.base import BusSample, NoReply, Priority, RequestRefused, RequestTimeout
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable, open_router
-from orchestrator.bus.zenoh.threads import off_loop
+from orchestrator.bus.zenoh.threads import run_in_thread
 
 FLOOD = 1000
 """Samples of 60 kB that the kernel's socket buffers surely do not hold."""
@@ -47,7 +47,9 @@ def test_a_router_that_is_still_being_started_is_waited_for() -> None:
 
 def test_a_taken_endpoint_is_named_with_the_remedy() -> None:
     async def body(world: LiveWorld) -> None:
-        with pytest.raises(RouterRefused, match=f"{world.endpoint}: another process does. Stop that one, or choose"):
+        with pytest.raises(
+            RouterRefused, match=f"{world.endpoint}: it is in use by another process. Stop that one, or choose"
+        ):
             open_router(world.endpoint)
 
     run_live(body)
@@ -114,15 +116,15 @@ def test_processes_that_leave_in_the_middle_end_well() -> None:
     """One in ten of them ended by SIGABRT."""
     program = """
 import asyncio, sys
-from orchestrator.bus import zenoh_bus
+from orchestrator.bus.zenoh import bus
 
-zenoh_bus.CLOSE_TIMEOUT_S = 0.003
+bus.CLOSE_TIMEOUT_S = 0.003
 
 async def main():
-    bus = await zenoh_bus.open_bus(sys.argv[1])
+    opened = await bus.open_bus(sys.argv[1])
     for _ in range(300):
-        bus.put("t/x", b"x" * 100)
-    await bus.close()
+        opened.put("t/x", b"x" * 100)
+    await opened.close()
 
 asyncio.run(main())
 """
@@ -148,8 +150,8 @@ def test_a_bus_has_no_threads_but_its_own() -> None:
     run_live(body)
 
 
-def test_what_is_called_off_the_loop_is_let_go_before_its_waiter_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last one who holds a session must not let go of it while the interpreter ends, for the same reason."""
+def test_an_object_used_off_the_loop_is_dropped_before_its_waiter_continues(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last owner of a session must not drop it while the interpreter ends, for the same reason."""
 
     class Call:
         def __call__(self) -> None:
@@ -158,7 +160,7 @@ def test_what_is_called_off_the_loop_is_let_go_before_its_waiter_goes_on(monkeyp
     async def main() -> None:
         call = Call()
         let_go = weakref.ref(call)
-        made = off_loop("call", call)
+        made = run_in_thread("call", call)
         del call
         loop = asyncio.get_running_loop()
         wake, held = loop.call_soon_threadsafe, list[bool]()
@@ -180,13 +182,13 @@ def test_a_fault_of_a_handler_is_answered_and_reported() -> None:
         reported: list[dict[str, Any]] = []
         asyncio.get_running_loop().set_exception_handler(lambda _, context: reported.append(context))
 
-        async def fail(sample: Sample) -> bytes:
+        async def fail(sample: BusSample) -> bytes:
             raise KeyError("axis")
 
-        def stumble(sample: Sample) -> None:
+        def stumble(sample: BusSample) -> None:
             raise KeyError(sample.key)
 
-        got: list[Sample] = []
+        got: list[BusSample] = []
         await a.subscribe("t/x", stumble)
         await a.subscribe("t/x", got.append)
         await a.serve("t/fail", fail)
@@ -200,7 +202,7 @@ def test_a_fault_of_a_handler_is_answered_and_reported() -> None:
     run_live(body)
 
 
-def test_what_was_declared_stands_though_nobody_holds_it() -> None:
+def test_a_declaration_stays_without_a_reference_to_it() -> None:
     async def body(world: LiveWorld) -> None:
         a, b = await world.join("a"), await world.join("b")
         got: list[object] = []

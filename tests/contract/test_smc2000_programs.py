@@ -1,4 +1,4 @@
-"""Complete example programs of the SMC-2000's manual: downloaded, run, and what the manual says of them."""
+"""Complete example programs of the SMC-2000's manual: downloaded, run, and compared with the manual."""
 
 from dataclasses import dataclass, field
 from typing import Any

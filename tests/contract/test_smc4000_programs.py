@@ -1,7 +1,7 @@
-"""Complete example programs of the SMC-4000's manual: downloaded, run, and what the manual says of them.
+"""Complete example programs of the SMC-4000's manual: downloaded, run, and compared with the manual.
 
-They run on the serial port, where the messages of programs go (L3556). What the print has garbled is written as meant:
-straight quotes, `TC1` for `TCI`, `WT` for `WI`, `*` for the printed sign.
+They run on the serial port, where the messages of programs go (L3556). Garbled print is written as meant: straight
+quotes, `TC1` for `TCI`, `WT` for `WI`, `*` for the printed sign.
 """
 
 from dataclasses import dataclass, field

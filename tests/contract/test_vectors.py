@@ -26,7 +26,7 @@ def test_replies_are_compared_as_the_vector_says() -> None:
     assert same_reply("a\r\nb", " a\nb \r\n", "lines")
 
 
-def test_a_vector_that_does_not_hold_is_told(tmp_path: Path) -> None:
+def test_a_vector_that_does_not_hold_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "wrong.jsonl"
     file.write_text('{"id": "smc4000-x", "lines": "L1", "send": "MG 1+1\\r", "expect": {"reply": "3\\r\\n:"}}\n')
     failure = check_file("smc4000", file).failures["smc4000-x"][0]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 LIMIT_S = 30.0
-"""Generous: what takes so long will not happen."""
+"""Generous: an event that takes longer does not occur."""
 
 HERE = Path(__file__).parent
 
@@ -71,7 +71,7 @@ class Children:
 
 
 def ready(process: "subprocess.Popen[str]") -> str:
-    """The first line that the process says."""
+    """The first line that the process prints."""
     assert process.stdout is not None
     line = process.stdout.readline()
     if not line:

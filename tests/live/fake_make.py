@@ -1,4 +1,4 @@
-"""A make for tests of hosts and guardians: it holds a link, and knows nothing but how to stop."""
+"""A make for tests of hosts and guardians: it holds a link, and can only stop."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -72,12 +72,12 @@ class FakeDriver(Driver):
     async def wait_for_end(self) -> MoveOutcome:
         raise NotImplementedError
 
-    async def stop(self, abort: bool) -> None:
+    async def stop(self, *, abort: bool) -> None:
         if self._link is None:
             raise LinkClosed("not connected")
         self._link.write(DRIVER_STOP)
 
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         pass
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
@@ -89,7 +89,7 @@ class FakeDriver(Driver):
     async def stop_axes(self, axes: Sequence[str]) -> None:
         raise NotImplementedError
 
-    async def set_output(self, number: int, on: bool) -> None:
+    async def set_output(self, number: int, *, on: bool) -> None:
         pass
 
     async def clear_faults(self) -> None:

@@ -36,7 +36,7 @@ READY: Steps = [
     {"do": "home"},
     {"do": "move", "to": {"gantry.x": 1, "gantry.y": 1, "stage.u": 1, "stage.v": 1}},
 ]
-# Takes 40 s: whatever is at rest before was stopped.
+# Takes 40 s: an axis that is at rest before was stopped.
 SLOW: Steps = [{"do": "move", "to": {"gantry.x": 201, "stage.u": 21}, "speed": 0.05}]
 SLOW_AXES = {"gantry": "X", "stage": "1"}
 
@@ -74,7 +74,7 @@ class RunningFleet:
         return self.said.read_text()
 
     def works(self) -> None:
-        """Wait until a coordinator reigns and every adapter obeys it."""
+        """Wait until there is a leader that every adapter has adopted."""
 
         def adopted() -> bool:
             states = self.status()
@@ -83,7 +83,7 @@ class RunningFleet:
         wait_until(adopted, "adopted and idle")
 
     def epoch(self) -> int:
-        """The newest reign that the log of this fleet's own coordinator tells of."""
+        """The newest epoch in the log of this fleet's own coordinator."""
         return max((entry.get("epoch") or 0 for entry in self.log("coordinator")), default=0)
 
     def log(self, name: str) -> list[Entry]:
@@ -101,7 +101,7 @@ class RunningFleet:
         return {pid: living[pid][1] for pid in self._known if pid in living}
 
     def pid(self, words: str) -> int:
-        """The process id of the descendant whose command line holds `words`."""
+        """The process id of the descendant whose command line contains `words`."""
         found = [pid for pid, command in self.family().items() if words in command]
         assert len(found) == 1, f"{words}: {found}"
         return found[0]
@@ -123,7 +123,7 @@ class RunningFleet:
         return code
 
     def close(self) -> None:
-        """Clean up whatever a test has left."""
+        """Clean up after a test."""
         self.family()
         if self.up.poll() is None:
             self.up.terminate()
@@ -170,7 +170,7 @@ class RunningFleet:
         return self.wait(self.submit(steps))
 
     def ready(self) -> None:
-        """Bring all axes to the beginning, whatever was before: the fleet works."""
+        """Bring all axes to the beginning from any position: the fleet works."""
         self.works()
         report = self.run(READY)
         assert report.state == "done", report.reason
@@ -201,7 +201,7 @@ class RunningFleet:
         return job_id
 
     def at_rest(self, controller: str) -> Entry:
-        """How its last motion ended; waited for, also when it rests: the simulator writes down a little later."""
+        """How its last motion ended; also waited for at rest: the simulator records it a little later."""
         wait_until(lambda: self.truth(controller)[-1]["event"] == "end", f"{controller} comes to rest")
         return self.truth(controller)[-1]
 

@@ -43,14 +43,14 @@ async def ask(link: Link, command: bytes, end: bytes) -> bytes:
     return answer
 
 
-def test_tcp_carries_an_exchange_and_says_when_the_controller_is_gone(children: Children) -> None:
+def test_tcp_carries_an_exchange_and_reports_when_the_controller_is_gone(children: Children) -> None:
     process, place = children.simulator("smc4000", "tcp:127.0.0.1:0")
 
     async def test() -> None:
         link = await opened(TcpLink(host=place["host"], port=place["port"]))
         assert float((await ask(link, b"MG 3\r", b":")).split()[0]) == 3
         assert link.char_ns == 0
-        assert link.place == place["place"]
+        assert link.endpoint == place["place"]
         tell(process, power=False)
         with pytest.raises(LinkClosed, match=r"tcp 127\.0\.0\.1:\d+: closed by the other side"):
             await link.read()
@@ -117,7 +117,9 @@ def test_a_full_buffer_closes_the_link_with_its_reason() -> None:
         (SerialLink(kind="serial", device="/etc/hostname"), "is not a serial port"),
     ],
 )
-def test_what_can_not_be_opened_says_where_why_and_what_to_do(model: TcpLink | SerialLink, reason: str) -> None:
+def test_a_link_that_cannot_be_opened_reports_where_why_and_what_to_do(
+    model: TcpLink | SerialLink, reason: str
+) -> None:
     async def test() -> None:
         with pytest.raises(LinkRefused) as refusal:
             await opened(model)

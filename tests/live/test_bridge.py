@@ -51,7 +51,7 @@ def test_an_exchange_takes_its_time_on_the_serial_side(children: Children) -> No
     assert (len(b"*IDN?\r\n") + len(answer)) * CHAR_S <= took_s < 1.5
 
 
-def test_connections_share_the_line_and_one_that_goes_leaves_the_others(children: Children) -> None:
+def test_connections_share_the_line_and_closing_one_keeps_the_others(children: Children) -> None:
     _, place = bridge(children)
     with client(place) as one:
         with client(place) as other:

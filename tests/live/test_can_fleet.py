@@ -55,7 +55,7 @@ def fleet(tmp_path: Path) -> Iterator[RunningFleet]:
         fleet.close()
 
 
-def test_one_job_moves_both_drives_and_the_report_covers_what_they_did(fleet: RunningFleet) -> None:
+def test_one_job_moves_both_drives_and_the_report_covers_both(fleet: RunningFleet) -> None:
     report = fleet.run([*READY, {"do": "move", "to": {"left.a": 30, "right.b": -20}}])
     assert report.state == "done", report.reason
     step = report.steps[-1]

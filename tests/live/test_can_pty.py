@@ -1,4 +1,4 @@
-"""A simulated CiA 402 drive on an slcan pseudo-terminal, driven by clients that nobody here wrote, and by our own link."""
+"""A simulated CiA 402 drive on an slcan pseudo-terminal, driven by third-party clients and by our own link."""
 
 import asyncio
 import json
@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import canopen
@@ -16,7 +17,7 @@ from children import LIMIT_S, Children, tell, wait_until
 from adapters.link.can import open_can
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.link.can import CanFrame, CanLink, encode
+from orchestrator.link.can import CanFrame, CanLink, encode_frames
 from orchestrator.model.links import CanBusLink
 from sim.cia402.dictionary import EDS
 
@@ -47,13 +48,14 @@ def network(port: Path) -> Iterator[canopen.Network]:
     network.disconnect()
 
 
-def drive_on(network: canopen.Network, node: int) -> BaseNode402:
-    drive = BaseNode402(node, str(EDS))
+def drive_on(network: canopen.Network, node: int) -> Any:
+    """The client's own node. Any: what its dictionary yields depends on the EDS, and the library types it as a union."""
+    drive: Any = BaseNode402(node, str(EDS))
     drive.TIMEOUT_CHECK_TPDO = LIMIT_S
     network.add_node(drive)
     # By default an answer has 0.3 s; the suite keeps both processors busier than that.
     drive.sdo.RESPONSE_TIMEOUT = LIMIT_S
-    # Told by the heartbeat: the boot-up message came before anybody listened.
+    # Reported by the heartbeat: the boot-up message was sent before any client listened.
     drive.sdo[0x1017].raw = 20
     # A node of this client takes PDOs that have come twice for periodic ones, and waits for the next.
     drive.sdo[0x1800][5].raw = drive.sdo[0x1801][5].raw = 50
@@ -75,11 +77,11 @@ def test_canopens_own_profile_402_node_homes_and_moves_a_drive(network: canopen.
     drive.sdo[0x6099][1].raw = 40_000
     drive.sdo[0x6099][2].raw = 5_000
     assert drive.homing(timeout=LIMIT_S)
-    # Homed at the edge of the limit switch, and at rest beyond it: on a busy machine the simulator is told late of the
-    # edge, and it brakes 5 counts later for each millisecond. How far exactly is tested in virtual time.
+    # Homed at the edge of the limit switch, and at rest beyond it: on a busy machine the simulator receives the edge
+    # late, and it brakes 5 counts later for each millisecond. The exact distance is tested in virtual time.
     wait_until(lambda: drive.sdo[0x606C].raw == 0, "it rests")
     assert 0 <= drive.sdo[0x6064].raw <= 200 + 5 * BUSY_MS
-    # Its mode goes by RPDO 2, whose controlword this client leaves at 0: the drive is switched off by that.
+    # Its mode is written by RPDO 2, whose controlword this client leaves at 0: that switches the drive off.
     drive.op_mode = "PROFILED POSITION"
     drive.state = "OPERATION ENABLED"
     drive.sdo[0x6081].raw = 50_000
@@ -131,27 +133,27 @@ def test_a_reset_fault_and_an_emergency_reach_a_client(children: Children) -> No
 def test_our_link_speaks_to_the_drives(port: Path) -> None:
     async def main() -> None:
         link = CanLink(await open_can(model(port), LiveClock()), 1_000_000)
-        before_ns = link.send(CanFrame(0x600 + NODE, bytes.fromhex("4018100400000000")))
+        before_ns = link.send_frames(CanFrame(0x600 + NODE, bytes.fromhex("4018100400000000")))
         async with asyncio.timeout(LIMIT_S):
-            while (received := await link.read()).frame.id != 0x580 + NODE:
+            while (received := await link.read_frame()).frame.id != 0x580 + NODE:
                 pass
         assert received.frame == CanFrame(0x580 + NODE, bytes.fromhex("4318100401000000"))
         assert before_ns < received.at_ns <= raw_ns()
         await link.close()
         with pytest.raises(LinkClosed):
-            await link.read()
+            await link.read_frame()
         with pytest.raises(LinkClosed):
-            link.send(CanFrame(0x80))
+            link.send_frames(CanFrame(0x80))
 
     asyncio.run(main())
 
 
-def test_what_a_firing_process_writes_to_our_link_is_sent(port: Path) -> None:
+def test_bytes_from_a_firing_process_are_sent_on_our_link(port: Path) -> None:
     async def main() -> None:
         link = CanLink(await open_can(model(port), LiveClock()), 1_000_000)
-        os.write(link.link.fileno(), encode(CanFrame(0x600 + NODE, bytes.fromhex("4018100400000000"))))
+        os.write(link.byte_link.fileno(), encode_frames(CanFrame(0x600 + NODE, bytes.fromhex("4018100400000000"))))
         async with asyncio.timeout(LIMIT_S):
-            while (await link.read()).frame.id != 0x580 + NODE:
+            while (await link.read_frame()).frame.id != 0x580 + NODE:
                 pass
         await link.close()
 
@@ -180,7 +182,7 @@ def test_a_bus_that_goes_away_closes_our_link(children: Children) -> None:
         async with asyncio.timeout(LIMIT_S):
             with pytest.raises(LinkClosed, match="can "):
                 while True:
-                    await link.read()
+                    await link.read_frame()
         await link.close()
 
     asyncio.run(main())

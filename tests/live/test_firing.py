@@ -76,7 +76,7 @@ def test_it_writes_at_its_instant() -> None:
     assert late_ns[20] < 5 * NS_PER_MS
 
 
-def test_what_is_cancelled_is_not_sent() -> None:
+def test_cancelled_bytes_are_not_sent() -> None:
     async def test(bench: Bench) -> None:
         at_ns = raw_ns() + GENEROUS_NS
         order = bench.firer.schedule_write(bench.link, b"cancelled", at_ns, at_ns + GENEROUS_NS)
@@ -90,7 +90,7 @@ def test_what_is_cancelled_is_not_sent() -> None:
     run(test)
 
 
-def test_what_is_late_is_not_sent() -> None:
+def test_late_bytes_are_not_sent() -> None:
     async def test(bench: Bench) -> None:
         past_ns = raw_ns() - SOON_NS
         fired = await bench.firer.schedule_write(bench.link, b"late", past_ns, past_ns + 1).wait_until_written()
@@ -102,7 +102,7 @@ def test_what_is_late_is_not_sent() -> None:
     run(test)
 
 
-def test_a_link_closed_meanwhile_is_told() -> None:
+def test_a_link_closed_meanwhile_is_reported() -> None:
     async def test(bench: Bench) -> None:
         at_ns = raw_ns() + SOON_NS
         order = bench.firer.schedule_write(bench.link, b"into the void", at_ns, at_ns + GENEROUS_NS)

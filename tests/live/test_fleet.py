@@ -24,7 +24,7 @@ from fleet import (
 )
 
 from orchestrator.clock.live import raw_ns
-from orchestrator.clock.realtime import Urgency
+from orchestrator.clock.realtime import RealtimePriority
 from orchestrator.coordinator.journal.journal import Journal
 
 pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
@@ -113,7 +113,7 @@ def test_the_demo_prints_one_object_with_every_step() -> None:
 
 
 def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
-    """How well is a matter of this machine; that they do, and that the budget names everybody, is not."""
+    """The precision depends on this machine; that they start, and that the budget names every member, does not."""
     done = run_tutti("demo", "--fleet", "all", "--headless", "--json")
     assert done.stdout, done.stderr
     report = json.loads(done.stdout)
@@ -128,14 +128,14 @@ def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
     assert len(report["truth"]) == 3
 
 
-def test_what_machines_wait_for_goes_first_or_the_user_is_told(shared: RunningFleet) -> None:
+def test_processes_that_controllers_wait_for_get_priority_or_the_user_is_warned(shared: RunningFleet) -> None:
     urgencies = {
-        "bus.router_process": Urgency.BUS,
-        "adapters.host.guardian": Urgency.GUARDIAN,
-        "adapters.host.host_process": Urgency.SERVICE,
-        "adapters.host.firing_process": Urgency.FIRING,
-        "sim.link.process --model smc4000": Urgency.BUS,
-        "coordinator.process": Urgency.SERVICE,
+        "orchestrator.bus.zenoh.router": RealtimePriority.BUS,
+        "adapters.host.guardian": RealtimePriority.GUARDIAN,
+        "adapters.host.host_process": RealtimePriority.SERVICE,
+        "adapters.host.firing_process": RealtimePriority.FIRING,
+        "sim.link.process --model smc4000": RealtimePriority.BUS,
+        "coordinator.process": RealtimePriority.SERVICE,
     }
     found = {words: priorities(shared.pid(words)) for words in urgencies}
     if "no permission for real-time processes" in shared.output():
@@ -150,7 +150,7 @@ def priorities(pid: int) -> set[int]:
     return {os.sched_getparam(task).sched_priority for task, name in tasks.items() if task == pid or "rx-" in name}
 
 
-def test_clocks_are_listed_and_a_fleet_without_wires_says_so(shared: RunningFleet) -> None:
+def test_clocks_are_listed_and_a_fleet_without_wires_is_reported(shared: RunningFleet) -> None:
     listed = json.loads(shared.tutti("clock", "ls", "--json").stdout)
     assert listed["gantry"]["mapping"]["samples"] > 1
     assert listed["stage"]["mapping"] is None
@@ -169,7 +169,9 @@ def test_clocks_are_listed_and_a_fleet_without_wires_says_so(shared: RunningFlee
         ("orchestrator.coordinator.process", COORDINATOR_LOST_S),
     ],
 )
-def test_a_killed_process_stops_everything_and_work_goes_on(shared: RunningFleet, victim: str, bound_s: float) -> None:
+def test_a_killed_process_stops_everything_and_work_continues(
+    shared: RunningFleet, victim: str, bound_s: float
+) -> None:
     bring_back(shared)
     job_id = shared.slow_move()
     killed_ns = shared.kill(victim)
@@ -202,7 +204,7 @@ def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: Runn
     note("job", f"{report.state} {report.reason}")
 
 
-def test_a_hung_router_stops_everything_and_work_goes_on(shared: RunningFleet) -> None:
+def test_a_hung_router_stops_everything_and_work_continues(shared: RunningFleet) -> None:
     bring_back(shared)
     job_id = shared.slow_move()
     router = shared.pid("orchestrator.bus.zenoh.router")
@@ -311,7 +313,7 @@ def test_bad_jobs_and_absent_fleets_have_their_exit_codes(shared: RunningFleet, 
     assert endpoint in absent.stderr
 
 
-def test_axes_and_outputs_by_hand(shared: RunningFleet) -> None:
+def test_axes_and_outputs_under_manual_control(shared: RunningFleet) -> None:
     bring_back(shared)
     moved = shared.tutti("axis", "move", "gantry.x=12", "stage.u=1500 um", "--line")
     assert (moved.returncode, moved.stdout.strip()) == (0, "there"), moved.stderr
@@ -375,7 +377,7 @@ def test_jobs_are_submitted_from_a_script_and_with_zenoh_alone(shared: RunningFl
     assert "gantry" in told.stderr
 
 
-def test_a_coordinator_that_slept_is_deposed_and_moves_nothing(own: RunningFleet) -> None:
+def test_a_coordinator_that_slept_loses_leadership_and_moves_nothing(own: RunningFleet) -> None:
     own.started().ready()
     own.slow_move()
     first = own.pid("orchestrator.coordinator.process")

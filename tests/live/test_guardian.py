@@ -24,7 +24,7 @@ Entry = dict[str, Any]
 
 
 class FakeController:
-    """A socket that notes what it is told and when."""
+    """A socket that records the data that it receives, with the time."""
 
     def __init__(self) -> None:
         self.heard: list[tuple[int, bytes]] = []
@@ -49,7 +49,7 @@ class FakeController:
                 pass
 
     def said(self, data: bytes) -> int | None:
-        """When it was told `data`, if it was."""
+        """When it received `data`, if it did."""
         return next((at_ns for at_ns, heard in self.heard if heard == data), None)
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ class Site:
         return [entry["pid"] for entry in self.entries() if entry["text"] == "the adapter host is started"]
 
     def online(self, times: int) -> None:
-        """Wait until every controller was taken into service so many times."""
+        """Wait until every controller was taken into service this many times."""
 
         def all_online() -> bool:
             shown = [entry["controller"] for entry in self.entries() if entry.get("kind") == "online"]
@@ -105,7 +105,7 @@ class Site:
 
 
 def ended(pid: int) -> bool:
-    """Whether the process has ended; its parent may not have asked how, yet."""
+    """Whether the process has ended; its parent may not have read its exit status yet."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except FileNotFoundError:
@@ -181,7 +181,7 @@ def test_the_host_of_a_dead_guardian_stops_its_controllers_and_ends(
     assert "the guardian is gone" in site.texts()
 
 
-def test_asked_to_end_it_ends_its_host_which_stops_its_controllers(
+def test_a_guardian_that_is_terminated_ends_its_host_which_stops_its_controllers(
     children: Children, controllers: list[FakeController]
 ) -> None:
     site = Site(children, fakes(controllers[0].port))

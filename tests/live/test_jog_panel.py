@@ -41,14 +41,14 @@ Start = Callable[..., TerminalProcess]
 
 @pytest.fixture
 def start(fleet: RunningFleet) -> Iterator[Start]:
-    """Starts panels, and ends them with the test. Ready when the axes are known and nobody has them."""
+    """Starts panels, and ends them with the test. Ready when the axes are listed and free."""
     wait_until(lambda: not fleet.status()["gantry"].leases, "the axes are free")
     begun: list[TerminalProcess] = []
 
     def started(*arguments: str, releases: bool = True) -> TerminalProcess:
-        panel = TerminalProcess(COMMAND, ["axis", "jog", *arguments, "--connect", fleet.endpoint], releases)
+        panel = TerminalProcess(COMMAND, ["axis", "jog", *arguments, "--connect", fleet.endpoint], releases=releases)
         begun.append(panel)
-        wait_until(lambda: "motor" in panel.screen and " on " in panel.screen, "the panel is there")
+        wait_until(lambda: "motor" in panel.screen_text and " on " in panel.screen_text, "the panel is there")
         return panel
 
     yield started
@@ -59,7 +59,7 @@ def start(fleet: RunningFleet) -> Iterator[Start]:
 def begins(fleet: RunningFleet, panel: TerminalProcess, arrow: str = "right") -> None:
     """Press and hold an arrow until the axis really moves."""
     before = fleet.starts("gantry")
-    panel.press(arrow)
+    panel.press_arrow(arrow)
     holding(panel, arrow, lambda: fleet.starts("gantry") > before, "it moves")
 
 
@@ -67,7 +67,7 @@ def holding(panel: TerminalProcess, arrow: str, condition: Callable[[], bool], w
     """Wait with the key held."""
 
     def repeated() -> bool:
-        panel.repeat(arrow)
+        panel.repeat_arrow(arrow)
         return condition()
 
     wait_until(repeated, what)
@@ -80,18 +80,18 @@ def at_rest_ns(fleet: RunningFleet) -> int:
 
 def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) -> None:
     panel = start("gantry.x")
-    assert "Releases are reported" in panel.screen
+    assert "Releases are reported" in panel.screen_text
     begins(fleet, panel)
     began_ns = raw_ns()
     holding(panel, "right", lambda: raw_ns() > began_ns + 1_500_000_000, "it is held for longer than without repeats")
-    holding(panel, "right", lambda: "you" in panel.screen, "the panel shows who has it")
+    holding(panel, "right", lambda: "you" in panel.screen_text, "the panel shows who has it")
     assert fleet.truth("gantry")[-1]["event"] == "start"
-    let_go_ns = panel.release("right")
+    let_go_ns = panel.release_arrow("right")
     last = fleet.at_rest("gantry")
     assert margin_s(let_go_ns, last["end_ns"]) < RAMP_S + BUSY_S
     assert last["end_counts"] > last["start_counts"]
     begins(fleet, panel, "left")
-    panel.release("left")
+    panel.release_arrow("left")
     last = fleet.at_rest("gantry")
     assert last["end_counts"] < last["start_counts"]
     wait_until(lambda: not fleet.status()["gantry"].leases, "it is given back after a while")
@@ -99,9 +99,9 @@ def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) 
 
 def test_a_plain_terminal_taps_and_holds(fleet: RunningFleet, start: Start) -> None:
     panel = start("gantry.x", releases=False)
-    assert "reports no releases" in panel.screen
+    assert "reports no releases" in panel.screen_text
     before = fleet.starts("gantry")
-    tapped_ns = panel.press("right")
+    tapped_ns = panel.press_arrow("right")
     wait_until(lambda: fleet.starts("gantry") > before, "the tap moves it")
     assert margin_s(tapped_ns, at_rest_ns(fleet)) < SILENCE_S + RAMP_S + BUSY_S
     begins(fleet, panel)
@@ -126,12 +126,12 @@ def test_an_unplugged_terminal_stops_it_and_ends_the_panel(fleet: RunningFleet, 
     assert not fleet.status()["gantry"].leases
 
 
-def test_a_second_panel_is_refused_and_says_by_whom(fleet: RunningFleet, start: Start) -> None:
+def test_a_second_panel_is_refused_and_shows_the_owner_of_the_lease(fleet: RunningFleet, start: Start) -> None:
     first, second = start("gantry.x"), start("gantry.x")
     begins(fleet, first)
-    second.press("left")
-    holding(first, "right", lambda: "refused" in second.screen, "the second one is refused")
-    assert f"in use by {getpass.getuser()} (jog panel)" in second.screen
+    second.press_arrow("left")
+    holding(first, "right", lambda: "refused" in second.screen_text, "the second one is refused")
+    assert f"in use by {getpass.getuser()} (jog panel)" in second.screen_text
     assert fleet.truth("gantry")[-1]["event"] == "start"
     job_id = fleet.submit([{"do": "enable", "axes": ["gantry"]}])
 
@@ -140,12 +140,12 @@ def test_a_second_panel_is_refused_and_says_by_whom(fleet: RunningFleet, start: 
         return entry is not None and entry.state == "queued" and "gantry" in entry.reason
 
     holding(first, "right", waits, "the job waits, and says for what")
-    first.release("right")
+    first.release_arrow("right")
     at_rest_ns(fleet)
     assert fleet.wait(job_id).state == "done"
 
 
-def test_what_somebody_stops_waits_for_another_press(fleet: RunningFleet, start: Start) -> None:
+def test_a_jog_that_was_stopped_elsewhere_needs_another_press(fleet: RunningFleet, start: Start) -> None:
     panel = start("gantry.x")
     begins(fleet, panel)
     assert json.loads(fleet.tutti("stop", "--json").stdout)["gantry"] is None
@@ -153,14 +153,14 @@ def test_what_somebody_stops_waits_for_another_press(fleet: RunningFleet, start:
     count = fleet.starts("gantry")
 
     def moves() -> bool:
-        panel.repeat("right")
+        panel.repeat_arrow("right")
         return fleet.starts("gantry") != count
 
     assert not wait_a_moment(moves, 1.0)
-    wait_until(lambda: "refused" in panel.screen or "stopped" in panel.screen, "it says why")
-    panel.release("right")
+    wait_until(lambda: "refused" in panel.screen_text or "stopped" in panel.screen_text, "it says why")
+    panel.release_arrow("right")
     begins(fleet, panel, "left")
-    panel.write("q")
+    panel.type_text("q")
     assert panel.wait(LIMIT_S) == 0
     at_rest_ns(fleet)
 
@@ -168,17 +168,17 @@ def test_what_somebody_stops_waits_for_another_press(fleet: RunningFleet, start:
 @pytest.mark.parametrize(("end", "code"), [("q", 0), ("\x1b[99;5u", 130), (signal.SIGTERM, 130), (signal.SIGHUP, 130)])
 def test_the_terminal_is_as_it_was(fleet: RunningFleet, start: Start, end: str | signal.Signals, code: int) -> None:
     panel = start()
-    assert panel.keyboard == 3
-    assert panel.mode() != panel.before
+    assert panel.keyboard_flags == 3
+    assert panel.terminal_mode() != panel.before
     begins(fleet, panel)
     if isinstance(end, str):
-        panel.write(end)
+        panel.type_text(end)
     else:
         panel.process.send_signal(end)
     assert panel.wait(LIMIT_S) == code
-    assert panel.mode() == panel.before
-    assert panel.keyboard == 0
-    wait_until(lambda: panel.said.endswith("\x1b[?25h\x1b[?1049l"), "cursor and screen are back")
+    assert panel.terminal_mode() == panel.before
+    assert panel.keyboard_flags == 0
+    wait_until(lambda: panel.recent_output.endswith("\x1b[?25h\x1b[?1049l"), "cursor and screen are back")
     at_rest_ns(fleet)
     assert not fleet.status()["gantry"].leases
 
@@ -186,16 +186,16 @@ def test_the_terminal_is_as_it_was(fleet: RunningFleet, start: Start, end: str |
 def test_ctrl_z_does_not_put_it_away(fleet: RunningFleet, start: Start) -> None:
     panel = start("gantry.x")
     begins(fleet, panel)
-    panel.write("\x1b[122;5u")
+    panel.type_text("\x1b[122;5u")
     at_rest_ns(fleet)
-    wait_until(lambda: "background" in panel.screen, "it says so")
+    wait_until(lambda: "background" in panel.screen_text, "it says so")
     panel.process.send_signal(signal.SIGTSTP)
     begins(fleet, panel, "left")
-    panel.release("left")
+    panel.release_arrow("left")
     at_rest_ns(fleet)
 
 
-def test_without_a_terminal_it_says_what_to_do(fleet: RunningFleet) -> None:
+def test_without_a_terminal_it_reports_what_to_do(fleet: RunningFleet) -> None:
     done = fleet.tutti("axis", "jog")
     assert done.returncode == 2
     assert "tutti axis move --relative" in done.stderr
@@ -207,7 +207,7 @@ def test_the_example_jogs_for_a_second(fleet: RunningFleet, start: Start) -> Non
     example = [sys.executable, str(EXAMPLES / "jog_by_hand.py"), "gantry.x", "5", fleet.endpoint]
     done = subprocess.run(example, capture_output=True, text=True, timeout=LIMIT_S)
     assert done.returncode == 0, done.stderr
-    last = fleet.at_rest("gantry")  # it has been told to stop, and may have been on its ramp when the script ended
+    last = fleet.at_rest("gantry")  # it has received a stop, and may have been on its ramp when the script ended
     assert 0.9 < margin_s(last["start_ns"], last["end_ns"]) < 1.0 + SILENCE_S + BUSY_S
     assert last["end_counts"] - last["start_counts"] > 4000
     example[2] = "stage.u"
@@ -218,9 +218,9 @@ def test_the_example_jogs_for_a_second(fleet: RunningFleet, start: Start) -> Non
 
 
 def test_an_unknown_axis_is_bad_input(fleet: RunningFleet) -> None:
-    panel = TerminalProcess(COMMAND, ["axis", "jog", "gantry.q", "--connect", fleet.endpoint], True)
+    panel = TerminalProcess(COMMAND, ["axis", "jog", "gantry.q", "--connect", fleet.endpoint], releases=True)
     try:
         assert panel.wait(LIMIT_S) == 2
-        assert "gantry.q" in panel.said
+        assert "gantry.q" in panel.recent_output
     finally:
         panel.close()

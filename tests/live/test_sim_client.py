@@ -1,4 +1,4 @@
-"""A client that knows nothing of this project, but a socket and the manual, drives a simulated SMC-4000 over TCP."""
+"""A client that uses nothing of this project, but a socket and the manual, drives a simulated SMC-4000 over TCP."""
 
 import socket
 import struct

@@ -53,7 +53,7 @@ def test_it_survives_clients_that_come_and_go(port: Path) -> None:
             assert line.readline().startswith(b"SIGMAKOKI")
 
 
-def test_a_client_that_does_not_read_blocks_nobody(children: Children) -> None:
+def test_a_client_that_does_not_read_blocks_no_other(children: Children) -> None:
     path, truth = children.folder / "fast", children.folder / "truth.jsonl"
     children.simulator("shrc203", f"pty:{path}", "--baud", "4000000", "--truth", str(truth))
     identity = b"SIGMAKOKI,SHRC-203,2106001001,V2.00.000\r\n"

@@ -43,7 +43,7 @@ def number(answer: bytes) -> float:
     return float(answer.split()[0])
 
 
-def test_it_answers_like_hardware_and_its_time_goes_on(children: Children) -> None:
+def test_it_answers_like_hardware_and_its_time_continues(children: Children) -> None:
     _, place = children.simulator("smc4000", "tcp:127.0.0.1:0")
     with client(place) as line:
         first, second = [number(ask(line, b"MG TIME\r")) for _ in range(2)]
@@ -87,7 +87,7 @@ def test_one_process_serves_several_links_each_with_a_controller_of_its_own(chil
         assert number(ask(line, b"MG XT\r")) == 5
 
 
-def test_which_of_several_links_can_not_be_served_is_said(children: Children) -> None:
+def test_the_one_of_several_links_that_cannot_be_served_is_reported(children: Children) -> None:
     _, place = children.simulator("smc4000", "tcp:127.0.0.1:0")
     taken = f"tcp:127.0.0.1:{place['port']}"
     usual = ["--model", "smc4000", "--listen"]

@@ -1,4 +1,4 @@
-"""Two coordinators live: the one that stands by takes over when the other is killed or stopped, and the queue goes on."""
+"""Two live coordinators: the standby takes over when the other is killed or stopped, and the queue continues."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ def coordinators(fleet: RunningFleet) -> set[int]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_the_queue_goes_on_when_the_reigning_coordinator_is_lost(tmp_path: Path, number: signal.Signals) -> None:
+def test_the_queue_continues_when_the_leader_is_lost(tmp_path: Path, number: signal.Signals) -> None:
     fleet = RunningFleet(tmp_path, EXAMPLES / "demo.fleet.yaml", "--standby")
     try:
         fleet.started().ready()
@@ -38,7 +38,7 @@ def test_the_queue_goes_on_when_the_reigning_coordinator_is_lost(tmp_path: Path,
         assert margin_s(lost_ns, raw_ns()) < TAKE_OVER_S + BUSY_S
         assert fleet.wait(running).state == "interrupted"
         assert fleet.wait(queued).state == "done"
-        # A stopped one is ended, and started again behind the other.
+        # A stopped one is ended, and started again after the other.
         wait_until(lambda: len(coordinators(fleet) - {reigning}) == 2, "the lost one stands by again")
         assert fleet.end(signal.SIGINT) == 0
     finally:

@@ -24,7 +24,7 @@ async def ask(link: Link, command: bytes) -> str:
     return answer.decode()
 
 
-def test_handles_are_addresses_and_freed_by_those_who_leave(children: Children) -> None:
+def test_handles_are_addresses_and_freed_by_clients_that_leave(children: Children) -> None:
     _, place = children.simulator("smc4000", "udp:127.0.0.1:0")
 
     async def main() -> None:

@@ -12,18 +12,20 @@ from children import wait_until
 from click.testing import CliRunner
 
 from orchestrator.cli.main import main
-from orchestrator.runtime.workers import spread
+from orchestrator.runtime.workers import map_in_processes
 
 pytestmark = pytest.mark.live
 
 
 def test_results_come_in_the_order_of_the_items() -> None:
-    assert list(spread(abs, [-3, 1, -2], processes=2)) == list(spread(abs, [-3, 1, -2])) == [3, 1, 2]
+    assert (
+        list(map_in_processes(abs, [-3, 1, -2], processes=2)) == list(map_in_processes(abs, [-3, 1, -2])) == [3, 1, 2]
+    )
 
 
 def test_an_error_of_one_item_is_raised_and_ends_the_rest() -> None:
     with pytest.raises(ValueError, match="invalid literal"):
-        list(spread(int, ["1", "nonsense", *["2"] * 1000], processes=2))
+        list(map_in_processes(int, ["1", "nonsense", *["2"] * 1000], processes=2))
 
 
 def test_two_processes_measure_what_one_does() -> None:
@@ -50,7 +52,7 @@ def test_workers_end_with_their_parent() -> None:
 
 
 def runs(pid: int) -> bool:
-    """Whether a process is there, and not merely its entry that nobody has asked for."""
+    """Whether a process exists, and not merely its entry that has not been reaped."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:

@@ -1,6 +1,7 @@
-"""Tests with clients that nobody here wrote: `make test-thirdparty`, in an environment of its own.
+"""Tests with third-party clients: `make test-thirdparty`, in an environment of its own.
 
-Elsewhere they are not collected. There a skipped test is a failed one: what it needs is installed, or it tests nothing.
+Elsewhere they are not collected. There a skipped test is a failed one: the client is installed, or nothing is
+tested.
 """
 
 import os

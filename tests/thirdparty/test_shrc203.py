@@ -92,7 +92,7 @@ def test_the_driver_from_pypi_homes_moves_and_reads(unit: Unit) -> None:
     driver.close()
     plain = opened(unit)
     reply = plain.query("Q:")
-    while len(reply) != 38:  # what the driver has asked and not read is still coming
+    while len(reply) != 38:  # the answer to the driver's unread query is still coming
         reply = plain.read()
     assert coordinates(reply) == [2000, 0, 0]
     plain.close()

@@ -3,15 +3,16 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, Literal, TypeVar
 
-from adapters.contract import ControllerIdentity, Driver, DriverSetup, HostInterval, JogMove, MoveOutcome
+from adapters.contract import ControllerIdentity, DriverSetup, JogMove
+from adapters.toolkit.connection import MoverDriver
 from adapters.yaskawa.common import homing
+from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.dialect import send_raw
 from adapters.yaskawa.common.jogging import YaskawaJogging
 from adapters.yaskawa.common.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
 from adapters.yaskawa.common.settings import load_soft_limits
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.words import STOP_CODES
-from adapters.yaskawa.smc4000.device import SmcDevice
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.state import FaultReport
@@ -27,7 +28,7 @@ LIMITS: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] =
 _Device = TypeVar("_Device", bound=SmcDevice)
 
 
-class YaskawaDriver(Driver, Generic[_Device]):
+class YaskawaDriver(MoverDriver, Generic[_Device]):
     """One controller of either model.
 
     motors: motor index by axis. not_by_raw: beginnings of commands that are not answered by a line.
@@ -41,10 +42,12 @@ class YaskawaDriver(Driver, Generic[_Device]):
         start: SampleStart,
         not_by_raw: Sequence[str],
     ) -> None:
+        super().__init__(setup)
         self._config = setup.config
         self._clock = setup.clock
         self._motors = motors
         self._device = device
+        device.log = setup.log
         self._start = start
         self._jogging = YaskawaJogging(device, setup.clock, motors)
         self._steppers: set[str] = set()
@@ -52,9 +55,12 @@ class YaskawaDriver(Driver, Generic[_Device]):
 
     async def connect(self) -> ControllerIdentity:
         self._start.drop_move()
-        return await self._device.connect()
+        identity = await self._device.connect()
+        self._log.info(f"connected to {identity.model} {identity.firmware}".rstrip(), serial=identity.serial)
+        return identity
 
     async def close(self) -> None:
+        self._log.info("link closed")
         await self._device.close()
 
     # Polling
@@ -85,28 +91,17 @@ class YaskawaDriver(Driver, Generic[_Device]):
 
     # Steps
 
-    async def verify_armed(self) -> None:
-        await self._start.verify_armed()
+    @property
+    def mover(self) -> SampleStart:
+        return self._start
 
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        # The controller starts by its own clock.
-        await self._start.open_gate(advance_ns)
-
-    async def disarm_move(self) -> None:
-        await self._start.disarm_move()
-
-    async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        return await self._start.wait_for_start()
-
-    async def wait_for_end(self) -> MoveOutcome:
-        return await self._start.wait_for_end()
-
-    async def stop(self, abort: bool) -> None:
-        self._device.stop_all(abort)
+    async def stop(self, *, abort: bool) -> None:
+        self._device.stop_all(abort=abort)
+        self._log.info("stop written", abort=abort)
 
     # Other operations
 
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         letters = "".join(AXIS_LETTERS[self._motors[name]] for name in axes)
         await self._device.session.send_command(("SH" if on else "MO") + letters)
         record = await self._device.read_record()
@@ -130,13 +125,14 @@ class YaskawaDriver(Driver, Generic[_Device]):
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
         await load_soft_limits(self._device, self._motors, limits)
 
-    async def set_output(self, number: int, on: bool) -> None:
+    async def set_output(self, number: int, *, on: bool) -> None:
         await self._device.session.send_command(f"{'SB' if on else 'CB'}{number}")
 
     async def clear_faults(self) -> None:
         # Reading the error code clears it (SMC-4000: L10257; SMC-2000: L11681); enabling clears the other traces of a
         # fault.
-        await self._device.session.query_lines("TC")
+        cleared = await self._device.session.query_lines("TC")
+        self._log.info("error code cleared", code=cleared.lines[0])
 
     async def send_raw(self, command: str) -> str:
         return await send_raw(command, self._device.session.query_all, self._not_by_raw)

@@ -12,11 +12,11 @@ BL: they must be off, because the position is unknown during homing.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
+from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.model import SMC4000
 from adapters.yaskawa.common.record import AXIS_LETTERS, AxisRecord
 from adapters.yaskawa.common.registers import ramp_register, speed_register
 from adapters.yaskawa.common.words import stop_code_meaning
-from adapters.yaskawa.smc4000.device import SmcDevice
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal

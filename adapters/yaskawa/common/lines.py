@@ -89,13 +89,13 @@ def wait_terms(
 
 
 def clock_terms(
-    bound_ns: int, options: YaskawaOptions, mapping: TickMapping, start: StartOptions, drives_line: bool
+    bound_ns: int, options: YaskawaOptions, mapping: TickMapping, start: StartOptions, *, drives_line: bool
 ) -> tuple[BudgetTerm, ...]:
     """Return the terms of a start by the controller's own clock relative to T0.
 
     drives_line: a trigger line is driven at the same sample, by a thread whose command may come first."""
     tick_ns = mapping.tick_ns
-    first, last = options.begin_ticks(tick_ns, drives_line)
+    first, last = options.begin_ticks(tick_ns, interleaved=drives_line)
     return (
         *_sample_terms(bound_ns, mapping, start),
         BudgetTerm(name="tick", earliest_ns=0, latest_ns=math.ceil((last - first) * tick_ns)),
@@ -127,7 +127,7 @@ def _sample_terms(bound_ns: int, mapping: TickMapping, start: StartOptions) -> t
     off = (-half_tick_ns, half_tick_ns)
     if start.exact:
         t0_ns = mapping.host_at_ns + start.lead_ns
-        off = (mapping.host_ns(round(mapping.ticks(t0_ns))) - t0_ns,) * 2
+        off = (mapping.to_host_ns(round(mapping.to_ticks(t0_ns))) - t0_ns,) * 2
     return (
         BudgetTerm(name="clock", earliest_ns=-bound_ns, latest_ns=bound_ns),
         BudgetTerm(name="quantisation", earliest_ns=off[0], latest_ns=off[1]),

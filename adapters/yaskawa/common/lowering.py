@@ -141,19 +141,22 @@ def format_fields(values: Mapping[int, int]) -> str:
     return ",".join(str(values[index]) if index in values else "" for index in range(max(values) + 1))
 
 
+@dataclass(frozen=True, slots=True)
+class LoweringContext:
+    """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded."""
+
+    config: Controller
+    motors: Mapping[str, int]
+    options: YaskawaOptions
+    costs: StepCosts
+    model: ModelTraits = SMC4000
+    packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER
+
+
 def lower_moves(
-    config: Controller,
-    motors: Mapping[str, int],
-    options: YaskawaOptions,
-    costs: StepCosts,
-    profiles: Mapping[str, Profile],
-    start: StartOptions,
-    mapping: TickMapping | None,
-    model: ModelTraits = SMC4000,
-    packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER,
+    context: LoweringContext, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
 ) -> YaskawaLowered:
-    """Lower the profiles of a step. Pure. motors: index of each axis. Raises `Refusal` that names the axis and what
-    would fit.
+    """Lower the profiles of a step. Pure. Raises `Refusal` that names the axis and what would fit.
 
     Where uploads are slow, the registers execute trapezoids, whatever their deviation.
     """
@@ -162,7 +165,7 @@ def lower_moves(
         raise Refusal("start-class", "no trigger line is wired that could start it", "add `wiring` to the fleet file")
     if mapping is None:
         raise Refusal("no-clock", "the controller's clock is not known yet", "wait a second")
-    tick_ns = mapping.tick_ns
+    tick_ns, config, motors, model = mapping.tick_ns, context.config, context.motors, context.model
     bounds = {
         axis: YaskawaBounds(config.axes[axis].limits.velocity * scale, config.axes[axis].limits.acceleration * scale)
         for axis in profiles
@@ -173,20 +176,21 @@ def lower_moves(
     shapes, why = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: RegisterLoad | ContourLoad
     note: tuple[str, ...] = ()
-    slow = isinstance(packets, arrays.SlowArrayTransfer)
+    slow = isinstance(context.packets, arrays.SlowArrayTransfer)
     if shapes is not None and (slow or not why):
         load = _build_registers(shapes, way, motors)
         note = (f"({why})",) if why else ()
     else:
         try:
-            load = _lower_to_contour(way, motors, bounds, options, tick_ns, model, packets, start.brake_s)
+            load = _lower_to_contour(context, way, bounds, tick_ns, start.brake_s)
             note = (f"({why})",) if why else ()
         except Refusal as refusal:
             if shapes is None:
                 raise
             load = _build_registers(shapes, way, motors)
             note = (f"({why}; no contour: {refusal})",)
-    return _make_lowered(config, load, note, profiles, motors, options, costs, start, mapping, packets)
+    lowered = _make_lowered(context, load, profiles, start, mapping)
+    return replace(lowered, commands=(*lowered.commands, *note))
 
 
 def _lower_to_registers(
@@ -230,7 +234,7 @@ def _sample_alignments(
     way: Mapping[str, Profile], mapping: TickMapping, start: StartOptions
 ) -> dict[str, SampleAlignment]:
     """Return each axis's alignment: the samples next to the common begin and end."""
-    at = mapping.ticks(mapping.host_at_ns + start.lead_ns)
+    at = mapping.to_ticks(mapping.host_at_ns + start.lead_ns)
     phase = round(at) - at
     places: dict[str, SampleAlignment] = {}
     for axis, profile in way.items():
@@ -261,15 +265,13 @@ def _build_registers(
 
 
 def _lower_to_contour(
+    context: LoweringContext,
     way: Mapping[str, Profile],
-    motors: Mapping[str, int],
     bounds: Mapping[str, YaskawaBounds],
-    options: YaskawaOptions,
     tick_ns: float,
-    model: ModelTraits,
-    packets: arrays.ArrayTransfer,
     brake_s: float,
 ) -> ContourLoad:
+    motors, options, model, packets = context.motors, context.options, context.model, context.packets
     if not model.contours:
         raise Refusal(
             "order",
@@ -299,7 +301,8 @@ def _lower_to_contour(
 
     load = build_records(room)
     if isinstance(packets, arrays.SlowArrayTransfer):
-        return _limit_upload(load, build_records, room, tick_ns, model, packets)
+        load_s = _UploadTime(packets, tick_ns)
+        return _limit_upload(load, build_records, room, load_s, model.intervals[1])
     return load
 
 
@@ -309,25 +312,35 @@ def _common_deceleration(most: float, profile: Profile, brake_s: float) -> float
     return min(most, profile.peak_velocity / brake_s) if brake_s else most
 
 
+@dataclass(frozen=True, slots=True)
+class _UploadTime:
+    """Time that loading a contour takes over a slow line."""
+
+    upload: arrays.SlowArrayTransfer
+    tick_ns: float
+
+    def duration_s(self, load: ContourLoad) -> float:
+        return self.upload.load_duration_ns(load.array_contents(0.0, self.tick_ns)) * 1e-9
+
+
 def _limit_upload(
     shortest: ContourLoad,
     records: Callable[[ContourLimits], ContourLoad],
     room: ContourLimits,
-    tick_ns: float,
-    model: ModelTraits,
-    upload: arrays.SlowArrayTransfer,
+    time: _UploadTime,
+    longest_interval: int,
 ) -> ContourLoad:
     """Return the shortest records whose upload is within its time limit, as long as they stay near enough to the
     plan."""
-    load, remedy = shortest, ""
-    takes_s = shortest_s = upload.load_duration_ns(shortest.array_contents(0.0, tick_ns)) * 1e-9
-    while takes_s > upload.most_s and load.contour.interval < model.intervals[1]:
+    load, remedy, upload = shortest, "", time.upload
+    takes_s = shortest_s = time.duration_s(shortest)
+    while takes_s > upload.most_s and load.contour.interval < longest_interval:
         try:
             load = records(replace(room, least_interval=load.contour.interval + 1))
         except Refusal:
             # Longer records cannot represent its speed.
             break
-        takes_s = upload.load_duration_ns(load.array_contents(0.0, tick_ns)) * 1e-9
+        takes_s = time.duration_s(load)
     sag_counts = max(load.contour.sag_counts.values())
     if takes_s <= upload.most_s:
         if load is shortest or sag_counts <= room.sag_counts:
@@ -346,17 +359,13 @@ def _limit_upload(
 
 
 def _make_lowered(
-    config: Controller,
+    context: LoweringContext,
     load: RegisterLoad | ContourLoad,
-    note: tuple[str, ...],
     profiles: Mapping[str, Profile],
-    motors: Mapping[str, int],
-    options: YaskawaOptions,
-    costs: StepCosts,
     start: StartOptions,
     mapping: TickMapping,
-    packets: arrays.ArrayTransfer,
 ) -> YaskawaLowered:
+    config, motors, options, costs = context.config, context.motors, context.options, context.costs
     tick_ns = mapping.tick_ns
     lengths: dict[str, float] = {}
     samples: dict[str, int] = {}
@@ -395,14 +404,14 @@ def _make_lowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: length * tick_ns * 1e-9 for axis, length in lengths.items()},
         path_error_counts=errors,
-        terms=lines.clock_terms(bound_ns, options, mapping, start, drives is not None)
+        terms=lines.clock_terms(bound_ns, options, mapping, start, drives_line=drives is not None)
         if waits is None or start.wait is None
         else lines.wait_terms(start.wait, waits, options, tick_ns),
         edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, start),
         tick_ns=tick_ns,
         clock_ppm=mapping.drift_ppm,
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
-        can_advance=not isinstance(packets, arrays.SlowArrayTransfer),
+        can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
@@ -414,9 +423,8 @@ def _make_lowered(
         commands=(
             *load.load_commands,
             *([] if drives is None else [f"XQ #EDGE,3  (waits for T0, then OB{drives.number},{drives.level})"]),
-            f"XQ {entry_label(mask, contour)},0  "
+            f"XQ {entry_label(mask, contour=contour)},0  "
             f"(waits for {'T0' if waits is None else f'AI {waits.number}'}, then {begin})",
-            *note,
         ),
         moves=moves,
         mask=mask,

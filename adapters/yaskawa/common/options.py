@@ -65,7 +65,7 @@ class YaskawaOptions(Model):
         description="By axis, the motor type (MT) that the controller must be set to: 1, -1, 2, -2, 2.5, -2.5.",
     )
 
-    def begin_ticks(self, tick_ns: float, interleaved: bool = False) -> tuple[int, int]:
+    def begin_ticks(self, tick_ns: float, *, interleaved: bool = False) -> tuple[int, int]:
         """Return the earliest and latest number of samples after XT0 at which moves begin: BG or CD takes effect some
         time after it, at a whole sample.
 

@@ -53,7 +53,7 @@ def array_name(index: int) -> str:
     return f"XC{index + 1}"
 
 
-def entry_label(mask: int, contour: bool) -> str:
+def entry_label(mask: int, *, contour: bool) -> str:
     """Return the label that begins the axes of `mask`."""
     return f"#{'C' if contour else 'S'}{mask}"
 
@@ -69,7 +69,7 @@ def program_lines(axes: int, gate: GateTiming) -> tuple[str, ...]:
     for mask in range(1 << axes):
         moving = axis_letters(mask)
         begin = (f"BG{moving};" if moving else "") + "XACT=TIME"
-        lines += [entry_label(mask, False), *_gate_lines(), f"JP #L{mask},XLI<>0", f"WT XT0-TIME;{begin}"]
+        lines += [entry_label(mask, contour=False), *_gate_lines(), f"JP #L{mask},XLI<>0", f"WT XT0-TIME;{begin}"]
         lines.append(f"#A{mask};XQ #DOG,{WATCHDOG_THREAD}")
         lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in moving]
         lines += ["XDONE=1;EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
@@ -105,7 +105,7 @@ def contour_lines(mask: int, axes: int) -> list[str]:
         return "CD " + ",".join(f"{array_name(k)}[{element}]" if k in chosen else "" for k in range(chosen[-1] + 1))
 
     return [
-        entry_label(mask, True),
+        entry_label(mask, contour=True),
         *_gate_lines(),
         f"CM {axis_letters(mask)};DT XDT;XI=1",
         f"JP #K{mask},XLI<>0",

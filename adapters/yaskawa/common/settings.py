@@ -3,9 +3,9 @@ changed."""
 
 from collections.abc import Mapping
 
+from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.record import AXIS_LETTERS
-from adapters.yaskawa.smc4000.device import SmcDevice
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.yaskawa.common import arrays
+from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.lowering import ContourLoad, YaskawaAxisMove, YaskawaLowered, format_fields
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
@@ -15,7 +16,6 @@ from adapters.yaskawa.common.program import (
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord
 from adapters.yaskawa.common.words import stop_code_meaning
-from adapters.yaskawa.smc4000.device import SmcDevice
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -63,10 +63,10 @@ class SampleStart:
             raise Refusal("no-clock", "the controller's clock is not known yet", "wait a second")
         began_ns = self._clock.now_ns()
         first, _ = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
-        ticks = round(mapping.ticks(t0_ns)) - first
+        ticks = round(mapping.to_ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
             raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
-        if mapping.ticks(began_ns) > ticks - self._device.gate.release_before:
+        if mapping.to_ticks(began_ns) > ticks - self._device.gate.release_before:
             raise Refusal("late", "T0 is too near to arm", "increase the lead time")
         loaded = _LoadedMove(lowered, ticks, t0_ns, mapping, {})
         await self._device.wait_for_stops()
@@ -74,7 +74,7 @@ class SampleStart:
         session, drives = self._device.session, lowered.drives
         checked_ns = self._clock.now_ns()
         # The sample of the begin differs from T0 by a fraction of a sample.
-        phase = ticks + first - mapping.ticks(t0_ns)
+        phase = ticks + first - mapping.to_ticks(t0_ns)
         # A watchdog left from an earlier step would fire when this one starts, and a second thread of it cannot be
         # started (L10305).
         shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{WATCHDOG_THREAD}")
@@ -83,7 +83,9 @@ class SampleStart:
             await arrays.load_arrays(session, lowered.load.array_contents(phase, mapping.tick_ns), lowered.load.packets)
         self._loaded = loaded
         await self._load_move(
-            lowered, gate, f"XQ {entry_label(lowered.mask, isinstance(lowered.load, ContourLoad))},{STEP_THREAD}"
+            lowered,
+            gate,
+            f"XQ {entry_label(lowered.mask, contour=isinstance(lowered.load, ContourLoad))},{STEP_THREAD}",
         )
         if drives is not None:
             await session.send_settings((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.active_ticks}"))
@@ -159,9 +161,13 @@ class SampleStart:
         if int(armed) != loaded.ticks:
             raise Refusal("not-armed", "the controller waits for another start", "arm it again")
 
-    async def open_gate(self, advance_ns: int) -> None:
+    async def schedule_start(self, start_tolerance_ns: int, advance_ns: int) -> None:
         """Open the gate, and verify that the program passed it. The gate and the following wait read XT0 each time: an
-        earlier T0 is sent before the release."""
+        earlier T0 is sent before the release.
+
+        start_tolerance_ns: ignored, because the controller starts by its own clock.
+        """
+        del start_tolerance_ns
         loaded, session = self._require_loaded(), self._device.session
         sent, asked = ["XGO=1"], ["XOK", "XLATE", f"_HX{STEP_THREAD}"]
         if advance_ns:
@@ -169,7 +175,7 @@ class SampleStart:
             loaded.t0_ns -= advance_ns
             sent = [f"XT0={loaded.ticks}", self._watchdog_command(loaded.ticks), *sent]
             asked.append("XT0")
-        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - self._device.gate.release_before:
+        if loaded.mapping.to_ticks(self._clock.now_ns()) > loaded.ticks - self._device.gate.release_before:
             raise Refusal("late", "it is too late to release the start", "increase the lead time")
         opened_ns = await session.send_settings(sent)
         await sleep_until_ns(self._clock, opened_ns + round(self._device.gate.usual_delay * loaded.mapping.tick_ns))
@@ -218,7 +224,9 @@ class SampleStart:
         mapping, waits = loaded.mapping, loaded.lowered.waits
         _, last = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
         late_ns = sum(term.latest_ns for term in loaded.lowered.terms)
-        await sleep_until_ns(self._clock, mapping.host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns))
+        await sleep_until_ns(
+            self._clock, mapping.to_host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns)
+        )
         while True:
             (acted, late, running), _ = await self._device.session.read_numbers("XACT", "XLATE", f"_HX{STEP_THREAD}")
             if late:
@@ -232,7 +240,7 @@ class SampleStart:
             await sleep_ns(self._clock, SETTLE_NS)
         bound_ns = mapping.bound_at_ns(loaded.t0_ns)
         not_before = int(acted) - 1 if waits is not None else max(int(acted) - 1, loaded.ticks)
-        span = HostInterval(mapping.host_ns(not_before) - bound_ns, mapping.host_ns(int(acted) + 1) + bound_ns)
+        span = HostInterval(mapping.to_host_ns(not_before) - bound_ns, mapping.to_host_ns(int(acted) + 1) + bound_ns)
         loaded.started = dict.fromkeys((move.axis for move in loaded.lowered.moves), span)
         return loaded.started
 
@@ -253,7 +261,7 @@ class SampleStart:
                     ended[move.axis] = HostInterval(seen_ns[move.axis], record.received_ns)
             if len(ended) == len(moves):
                 break
-            ticks = round((self._device.samples.current_mapping() or loaded.mapping).ticks(record.received_ns))
+            ticks = round((self._device.samples.current_mapping() or loaded.mapping).to_ticks(record.received_ns))
             await self._device.session.send_command(self._watchdog_command(ticks))
             # Poll again soon after the next planned end: the stamps record only the last end.
             left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
@@ -310,10 +318,10 @@ class SampleStart:
             start, seen = loaded.started[move.axis], ended[move.axis]
             not_before_ns = start.earliest_ns + round((move.samples - 1) * mapping.tick_ns)
             if contour is None:
-                by_ns = mapping.host_ns(int(values[place]) + 1)
+                by_ns = mapping.to_host_ns(int(values[place]) + 1)
                 not_before_ns = max(seen.earliest_ns, not_before_ns)
             else:
-                by_ns = mapping.host_ns(int(values[0]) + 1 - total + move.samples)
+                by_ns = mapping.to_host_ns(int(values[0]) + 1 - total + move.samples)
             ended[move.axis] = HostInterval(not_before_ns, min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
         late = 0 if contour is None else int(values[0] - values[1]) - total
         if late > self.LATE_TICKS:

@@ -3,7 +3,7 @@
 import asyncio
 from contextlib import suppress
 
-from adapters.yaskawa.smc4000.session import CommandSession, write_each
+from adapters.yaskawa.common.session import CommandSession, write_each
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault
 
@@ -48,11 +48,11 @@ class StopHandle:
                             self._heard_more.clear()
                             await self._heard_more.wait()
                             if not self.open:
-                                raise LinkClosed(f"{self._link.place} is closed")
+                                raise LinkClosed(f"{self._link.endpoint} is closed")
                 except TimeoutError:
                     raise ControllerFault(
                         "no-answer",
-                        f"{self._link.place}: the handle for stops has not answered within {self._timeout_s:g} s",
+                        f"{self._link.endpoint}: the handle for stops has not answered within {self._timeout_s:g} s",
                         "check power and cable; does another program occupy the controller's interpreter?",
                     ) from None
                 self._executed = written

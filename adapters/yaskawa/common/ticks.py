@@ -5,7 +5,7 @@ long as records arrive at least twice in the 64 s in which those bits wrap aroun
 """
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.clock.estimator import MAX_PPM, Sample, TickEstimator, TickMapping
+from orchestrator.clock.estimator import MAX_PPM, CounterSample, TickEstimator, TickMapping
 
 SAMPLES_PER_S = 1024  # at TM 1000 (L10619-10622)
 LONGEST_GAP_NS = 20 * NS_PER_S  # after a gap of this length, and at this interval, the whole counter is read
@@ -21,17 +21,17 @@ class SampleClock:
     def __init__(self, tick_ns: float, late_ns: int = 0) -> None:
         self.tick_ns = tick_ns
         self._estimator = TickEstimator(tick_ns, late_ns)
-        self._last: Sample | None = None
+        self._last: CounterSample | None = None
         self._whole_ns = 0
         self._mapping: TickMapping | None = None
-        self._mapped: Sample | None = None
+        self._mapped: CounterSample | None = None
         self._taken = 0
-        self._fastest: Sample | None = None
+        self._fastest: CounterSample | None = None
 
     def add_full_reading(self, sent_ns: int, received_ns: int, ticks: int) -> bool:
         """Add a reading of TIME. Return False when the counter did not continue from the last reading: the controller
         was restarted."""
-        sample = Sample(sent_ns, received_ns, ticks)
+        sample = CounterSample(sent_ns, received_ns, ticks)
         went_on = self._is_consistent(sample)
         if not went_on:
             self.discard_readings()
@@ -44,7 +44,7 @@ class SampleClock:
         last = self._last
         if last is None or received_ns - self._whole_ns > LONGEST_GAP_NS:
             return False
-        sample = Sample(sent_ns, received_ns, last.ticks + ((low - last.ticks) & 0xFFFF))
+        sample = CounterSample(sent_ns, received_ns, last.ticks + ((low - last.ticks) & 0xFFFF))
         if not self._is_consistent(sample):
             return False
         self._add_sample(sample)
@@ -52,7 +52,7 @@ class SampleClock:
 
     def discard_readings(self) -> None:
         """Discard all readings: the counter was reset."""
-        self._estimator.forget()
+        self._estimator.discard_samples()
         self._last = None
         self._mapping = self._mapped = None
         self._taken = 0
@@ -67,26 +67,26 @@ class SampleClock:
         if mapped is not last and (
             mapped is None or self._taken <= 16 or last.received_ns - mapped.received_ns >= REFRESH_NS
         ):
-            self._mapping, self._mapped = self._estimator.mapping(), last
+            self._mapping, self._mapped = self._estimator.compute_mapping(), last
         return self._mapping
 
-    def _add_sample(self, sample: Sample) -> None:
+    def _add_sample(self, sample: CounterSample) -> None:
         self._last = sample
         self._taken += 1
         if self._taken <= YOUNG_READINGS:
-            self._estimator.add(sample)
+            self._estimator.add_sample(sample)
             return
         fastest = self._fastest
         if fastest is not None and sample.sent_ns // REFRESH_NS != fastest.sent_ns // REFRESH_NS:
-            self._estimator.add(fastest)
+            self._estimator.add_sample(fastest)
             if sample.sent_ns - fastest.sent_ns > 2 * REFRESH_NS:
                 # After a pause the newest reading is more valuable than the fastest.
-                self._estimator.add(sample)
+                self._estimator.add_sample(sample)
             fastest = None
         if fastest is None or sample.received_ns - sample.sent_ns < fastest.received_ns - fastest.sent_ns:
             self._fastest = sample
 
-    def _is_consistent(self, sample: Sample) -> bool:
+    def _is_consistent(self, sample: CounterSample) -> bool:
         last = self._last
         if last is None:
             return True

@@ -13,6 +13,7 @@ to the end of the plan. Without that, a move may begin half a sample off T0 and 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +169,15 @@ def fit_registers(
     Raises `Refusal` that states what would fit.
     """
     wanted = _MoveTargets(
-        [_target_row(axis, each, bounds[axis], tick_ns, model, places) for axis, each in profiles.items()]
+        [
+            _target_row(
+                axis,
+                each,
+                _RegisterRange.of_axis(bounds[axis], tick_ns, model),
+                None if places is None else places[axis],
+            )
+            for axis, each in profiles.items()
+        ]
     )
     candidates = _candidates_by_speed(wanted, model)
     ranks = wanted.rank_candidates(candidates)
@@ -198,37 +207,49 @@ def fit_registers(
     return shapes
 
 
+class _RegisterRange(NamedTuple):
+    """The largest speed and ramp of an axis in its registers, and the smallest in counts/s and counts/s²."""
+
+    tick_s: float
+    top_speed: int
+    top_ramp: int
+    least_speed: float
+    least_ramp: float
+
+    @classmethod
+    def of_axis(cls, bounds: YaskawaBounds, tick_ns: float, model: ModelTraits) -> "_RegisterRange":
+        tick_s = tick_ns * 1e-9
+        # At another servo period a register means another speed (L10749-10763); the limits are in host time.
+        speed_most = bounds.velocity * (1 + LIMIT_TOLERANCE) * tick_s * SPEED_UNIT
+        ramp_most = bounds.acceleration * (1 + LIMIT_TOLERANCE) * tick_s * tick_s * RAMP_UNIT
+        return cls(
+            tick_s,
+            _round_down(speed_most, model.speed_step, model.speed_max),
+            _round_down(ramp_most, model.ramp_step, model.ramp_max),
+            model.speed_step / SPEED_UNIT / tick_s,
+            model.ramp_step / RAMP_UNIT / tick_s**2,
+        )
+
+
 def _target_row(
-    name: str,
-    profile: Profile,
-    bounds: YaskawaBounds,
-    tick_ns: float,
-    model: ModelTraits,
-    places: Mapping[str, SampleAlignment] | None,
+    name: str, profile: Profile, registers: _RegisterRange, place: SampleAlignment | None
 ) -> tuple[float, ...]:
     """Return a row of `_MoveTargets`. Raises `Refusal`."""
     distance = profile.end_counts - profile.start_counts
     if abs(distance) >= 2**31:
         raise Refusal("too-far", f"axis {name}: {distance} counts exceed the longest possible move", "split the move")
     ramp_s = _ramp_s(name, profile)
-    tick_s = tick_ns * 1e-9
-    # At another servo period a register means another speed (L10749-10763); the limits are in host time.
-    speed_most = bounds.velocity * (1 + LIMIT_TOLERANCE) * tick_s * SPEED_UNIT
-    ramp_most = bounds.acceleration * (1 + LIMIT_TOLERANCE) * tick_s * tick_s * RAMP_UNIT
-    top_speed = _round_down(speed_most, model.speed_step, model.speed_max)
-    top_ramp = _round_down(ramp_most, model.ramp_step, model.ramp_max)
+    tick_s, top_speed, top_ramp = registers.tick_s, registers.top_speed, registers.top_ramp
     if not top_speed or not top_ramp:
         raise Refusal(
             "limits-too-low",
             f"axis {name}: its limits are below the controller's minimum, "
-            f"{model.speed_step / SPEED_UNIT / tick_s:g} counts/s and "
-            f"{model.ramp_step / RAMP_UNIT / tick_s**2:g} counts/s²",
+            f"{registers.least_speed:g} counts/s and {registers.least_ramp:g} counts/s²",
             "raise the limits in the fleet file",
         )
     planned = profile.duration_s / tick_s
     phase, early, late = 0.0, planned - FREE_SAMPLES, planned + FREE_SAMPLES
-    if places is not None:
-        place = places[name]
+    if place is not None:
         phase, early, late = place.phase, place.last - 1 + FREE_SAMPLES, place.last - FREE_SAMPLES
     return float(abs(distance)), planned, ramp_s / tick_s, phase, early, late, top_speed, top_ramp
 

@@ -3,9 +3,11 @@ printed line."""
 
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
 
 from adapters.contract import ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common import arrays
+from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import OUTPUT_PASSIVE
 from adapters.yaskawa.common.record import (
@@ -17,14 +19,13 @@ from adapters.yaskawa.common.record import (
     AxisRecord,
     DataRecord,
 )
+from adapters.yaskawa.common.session import SmcCommandRefused
 from adapters.yaskawa.smc2000 import program as smc2000_program
 from adapters.yaskawa.smc2000.line import SharedSerialLine
 from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
 from adapters.yaskawa.smc2000.polls import PolledSession
 from adapters.yaskawa.smc2000.program import AXIS_VALUES
-from adapters.yaskawa.smc2000.session import ADDRESS
-from adapters.yaskawa.smc4000.device import SmcDevice
-from adapters.yaskawa.smc4000.session import SmcCommandRefused
+from adapters.yaskawa.smc2000.session import ADDRESS, LineTiming
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed, OpenLink
 from orchestrator.model.errors import ControllerFault
@@ -41,34 +42,48 @@ TS_MOTOR_OFF = 1 << 5
 SWITCHES = 1 << 3 | 1 << 2  # forward, reverse; 1 = inactive, whatever CN is set to
 
 
+@dataclass(frozen=True, slots=True)
+class LineAddress:
+    """A controller's line, and its address in a chain; None for a controller alone on its line."""
+
+    line: SharedSerialLine
+    unit: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class PolledPoints:
+    """What is polled of a controller: its motors by index in ascending order, and the number of words of its inputs and
+    outputs."""
+
+    axes: list[int]
+    inputs: int
+    outputs: int
+
+
 class SerialDevice(SmcDevice):
-    """One controller on a serial line. axes: indices of its motors; inputs, outputs: number of words of them that are
-    polled."""
+    """One controller on a serial line."""
 
     BESIDE = smc2000_program.INTERLEAVED_COMMANDS
 
     def __init__(
         self,
-        line: SharedSerialLine,
-        unit: int | None,
+        where: LineAddress,
         clock: Clock,
         open_link: OpenLink,
         options: Smc2000DriverOptions,
-        axes: Sequence[int],
-        inputs: int,
-        outputs: int,
+        polled: PolledPoints,
     ) -> None:
-        super().__init__(clock, open_link, options, max(axes) + 1)
+        super().__init__(clock, open_link, options, polled.axes[-1] + 1)
         self._serial_options = options
-        self._line = line
-        self._unit = unit
-        self._axes = sorted(axes)
-        self._inputs = inputs
-        self._outputs = outputs
+        self._line = where.line
+        self._unit = where.unit
+        self._axes = polled.axes
+        self._inputs = polled.inputs
+        self._outputs = polled.outputs
         self._polled_session: PolledSession | None = None
         self._last_positions: tuple[int, dict[int, int]] | None = None
         """Sample and positions of the last polled line."""
-        line.units.add(unit)
+        where.line.units.add(where.unit)
 
     @property
     def sharing_count(self) -> int:
@@ -86,10 +101,10 @@ class SerialDevice(SmcDevice):
             link,
             self._clock,
             self._unit,
-            options.timeout_s,
-            options.hold_us * NS_PER_US,
-            options.baud_tolerance,
+            LineTiming(options.timeout_s, options.hold_us * NS_PER_US, options.baud_tolerance),
         )
+        session.log = self.log
+        self.log.info("link opened", place=link.endpoint, address=self._unit)
         revision = await session.read_revision()
         present = len((await session.query_lines("RP")).lines[0].split(","))
         if present < self._axes_needed:
@@ -97,7 +112,7 @@ class SerialDevice(SmcDevice):
             raise ControllerFault(
                 "config-mismatch",
                 f"the fleet file uses motor {letter}; the controller has {present} axes",
-                "correct `motors`, or `unit` of the link, in the fleet file",
+                "correct `motors`, or `address` of the link, in the fleet file",
             )
         await self._install_own_program()
         (serial,), _ = await session.read_numbers("_BN")
@@ -111,10 +126,13 @@ class SerialDevice(SmcDevice):
 
     async def _install_own_program(self) -> None:
         session, chained = self.session, self._unit is not None
-        wanted = smc2000_program.program_lines(self._axes, chained, self._inputs, self._outputs, self.gate)
+        wanted = smc2000_program.program_lines(
+            self._axes, chained=chained, inputs=self._inputs, outputs=self._outputs, gate=self.gate
+        )
         await self._unload_own_program()
         if not await self._holds_program(wanted):
             await self._require_no_other_program()
+            self.log.info("installing the resident program", lines=len(wanted))
             try:
                 await session.download_program(wanted)
             except SmcCommandRefused as refusal:
@@ -212,17 +230,19 @@ class SerialDevice(SmcDevice):
         record, went_on = await self._poll_record()
         if not went_on:
             self._restarted = True
+            self.log.warning("the sample counter began again: the controller was restarted")
             raise ControllerRestarted()
         restarted, self._restarted = self._restarted, False
         return record, restarted
 
     async def _poll_record(self) -> tuple[DataRecord, bool]:
         chained = self._unit is not None
-        before = len(smc2000_program.printed_head(chained, self._inputs, self._outputs))
+        before = len(smc2000_program.printed_head(chained=chained, inputs=self._inputs, outputs=self._outputs))
         count = before + AXIS_VALUES * len(self._axes)
         try:
             status = await self.session.request_status(smc2000_program.POLL_COMMAND, count)
         except SmcCommandRefused:
+            self.log.warning("the resident program is missing")
             self._restarted |= not await self._read_time()
             raise LinkClosed(
                 "its resident program is missing; the connection is set up again from the beginning"
@@ -281,22 +301,26 @@ class SerialDevice(SmcDevice):
         if self._unit is None:
             return False
         link = await self._line.attach_controller(self._unit, self._open_link)
+        self.log.info("stopping the controller before it is connected", place=link.endpoint, address=self._unit)
         try:
-            self._line.write_at_once(link, self._unit, stop_commands(False), unknown=True)
+            self._line.write_at_once(link, self._unit, stop_commands(abort=False), unknown=True)
             await sleep_ns(self._clock, STOP_SEND_NS)
         finally:
             await self._line.detach_controller(self._unit)
         return True
 
-    def stop_all(self, abort: bool) -> None:
+    async def wait_for_stops(self) -> None:
+        """Do nothing: the controller executes later commands of the line later."""
+
+    def stop_all(self, *, abort: bool) -> None:
         self._count_stop()
-        self._write_stop(*stop_commands(abort))
+        self._write_stop(*stop_commands(abort=abort))
 
     def _write_stop(self, *commands: str) -> None:
         self.session.write_at_once(*commands)
 
 
-def stop_commands(abort: bool) -> tuple[str, ...]:
+def stop_commands(*, abort: bool) -> tuple[str, ...]:
     """Return the commands that stop all axes and prevent the waiting program from starting any.
 
     ST without letters stops all motion, and programs too (L11610-11613); HX halts all threads regardless of that

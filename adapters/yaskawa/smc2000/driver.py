@@ -4,19 +4,27 @@ from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from adapters.contract import AxisReading, ControllerReading, Driver, DriverCapabilities, DriverSetup, Lowered
-from adapters.yaskawa.common import homing
+from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
+from adapters.yaskawa.common.checks import check_homing, check_options, check_points
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
-from adapters.yaskawa.common.lowering import START_CLASSES, STOP_EXCHANGES, ContourLoad, YaskawaLowered, lower_moves
+from adapters.yaskawa.common.lowering import (
+    START_CLASSES,
+    STOP_EXCHANGES,
+    ContourLoad,
+    LoweringContext,
+    YaskawaLowered,
+    lower_moves,
+)
 from adapters.yaskawa.common.model import SMC2000
 from adapters.yaskawa.common.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.smc2000 import program as smc2000_program
-from adapters.yaskawa.smc2000.device import SerialDevice, stop_commands
+from adapters.yaskawa.smc2000.device import LineAddress, PolledPoints, SerialDevice, stop_commands
 from adapters.yaskawa.smc2000.line import SHARED, SharedSerialLine
 from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
 from adapters.yaskawa.smc2000.program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
@@ -71,14 +79,11 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         )
         self._points = inputs * INPUTS_OF_WORD, outputs * OUTPUTS_OF_WORD
         device = SerialDevice(
-            self._serial_line,
-            link.address,
+            LineAddress(self._serial_line, link.address),
             setup.clock,
             setup.open_link,
             options,
-            list(motors.values()),
-            inputs,
-            outputs,
+            PolledPoints(sorted(motors.values()), inputs, outputs),
         )
         super().__init__(setup, motors, device, SerialStart(device, setup.clock, options), (*NOT_BY_RAW, "%", "!"))
         # The time that the shared lowering assumes for a command of a stop.
@@ -157,9 +162,8 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             self._char_ns,
             self._options.contour_upload_s,
         )
-        return lower_moves(
-            self._config, self._motors, self._slow_exchange_ns, costs, profiles, start, mapping, self._model, upload
-        )
+        context = LoweringContext(self._config, self._motors, self._slow_exchange_ns, costs, self._model, upload)
+        return lower_moves(context, profiles, start, mapping)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, YaskawaLowered):
@@ -167,7 +171,8 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         self._jogging.drop_jogs(move.axis for move in lowered.moves)
         # In one turn, or the other controllers' polls would come in between; but not for the duration of an upload.
         async with nullcontext() if isinstance(lowered.load, ContourLoad) else self._device.exclusive_turn():
-            stages = await self._start.arm_move(lowered, t0_ns, mapping)
+            with log_refusals(self._log, "arming"):
+                stages = await self._start.arm_move(lowered, t0_ns, mapping)
         self._device.session.suspend_polls(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
         return stages
 
@@ -216,23 +221,10 @@ class SMC2000Make:
         motors = motor_indices(config, NAMES, MOTORS)
         if len(motors) > AXES_MOST:
             raise ValueError(f"axes: {len(motors)}; at most {AXES_MOST} axes of one SMC-2000 can be driven")
-        for kind, points, most in (("inputs", config.inputs, INPUTS), ("outputs", config.outputs, OUTPUTS)):
-            for name, point in points.items():
-                if point.number > most:
-                    raise ValueError(f"{kind}.{name}.number: {point.number}; the controller has {kind} 1 to {most}")
-        try:
-            options = Smc2000DriverOptions.model_validate(config.options)
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise ValueError(f"options.{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-        unknown = [name for name in options.motor_type if name not in motors]
-        if unknown:
-            raise ValueError(f"options.motor_type: no axis {unknown[0]}; axes are {', '.join(motors)}")
+        check_points(config, INPUTS, OUTPUTS)
+        options = check_options(config, Smc2000DriverOptions, motors)
+        check_homing(config)
         for name, axis in config.axes.items():
-            if axis.homing.method not in homing.METHODS:
-                raise ValueError(
-                    f"axes.{name}.homing.method: {axis.homing.method!r}; this make has {', '.join(homing.METHODS)}"
-                )
             stepper = abs(options.motor_type.get(name, 1.0)) >= STEPPER_TYPE
             most = (
                 (STEPPER_SPEED_MAX if stepper else SMC2000.speed_max)
@@ -252,9 +244,9 @@ class SMC2000Make:
         """Return bytes that end a half-typed command or a download and stop everything; on a chain `!` reaches all
         controllers, whichever is selected (L947)."""
         link = config.link
-        everybody = "!" if isinstance(link, SerialLink) and link.address is not None else ""
+        broadcast = "!" if isinstance(link, SerialLink) and link.address is not None else ""
         return "".join(
-            f"{command}\r" for command in ("\\", *(everybody + each for each in stop_commands(False)))
+            f"{command}\r" for command in ("\\", *(broadcast + each for each in stop_commands(abort=False)))
         ).encode()
 
 

@@ -107,7 +107,7 @@ class SharedSerialLine:
         self._markers += 1
         return f"<{self._markers}>"
 
-    def write_at_once(self, link: Link, unit: int | None, commands: Iterable[str], unknown: bool = False) -> None:
+    def write_at_once(self, link: Link, unit: int | None, commands: Iterable[str], *, unknown: bool = False) -> None:
         """Write commands to a controller at once, bypassing everything that is under way. Raises `LinkClosed`.
 
         unknown: the previous traffic on this line is unknown.

@@ -9,9 +9,9 @@ controller, and a poll that overlapped with a disturbance is repeated alone.
 import asyncio
 from dataclasses import dataclass, replace
 
+from adapters.yaskawa.common.session import SmcCommandRefused, parse_numbers
 from adapters.yaskawa.smc2000.line import EarlyPoll, LineTurn, SharedSerialLine, address_command
-from adapters.yaskawa.smc2000.session import SerialCommandSession
-from adapters.yaskawa.smc4000.session import SmcCommandRefused, parse_numbers
+from adapters.yaskawa.smc2000.session import LineTiming, SerialCommandSession
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault
@@ -37,17 +37,8 @@ class PrintedStatus:
 class PolledSession(SerialCommandSession):
     """The exchanges of one controller, and its polls."""
 
-    def __init__(
-        self,
-        line: SharedSerialLine,
-        link: Link,
-        clock: Clock,
-        unit: int | None,
-        silence_s: float,
-        hold_ns: int,
-        tolerance: float,
-    ) -> None:
-        super().__init__(line, link, clock, unit, silence_s, hold_ns, tolerance)
+    def __init__(self, line: SharedSerialLine, link: Link, clock: Clock, unit: int | None, timing: LineTiming) -> None:
+        super().__init__(line, link, clock, unit, timing)
         self._length = 0
         """Length of the last poll's reply, characters; 0: none yet."""
         self._overlapped = False
@@ -70,7 +61,7 @@ class PolledSession(SerialCommandSession):
                     continue
                 stops, self._overlapped = line.stops, False
                 try:
-                    return await self._poll_once(command, count, alone)
+                    return await self._poll_once(command, count, alone=alone)
                 except (ControllerFault, SmcCommandRefused):
                     line.mark_out_of_step()
                     if line.stops == stops:
@@ -103,7 +94,7 @@ class PolledSession(SerialCommandSession):
         while self._is_suspended():
             await sleep_until_ns(self._clock, self._quiet[1])
 
-    async def _poll_once(self, command: str, count: int, alone: bool) -> PrintedStatus:
+    async def _poll_once(self, command: str, count: int, *, alone: bool) -> PrintedStatus:
         line = self._line
         ahead, line.ahead = line.ahead, None
         if ahead is not None and ahead.poller is self:
@@ -121,7 +112,7 @@ class PolledSession(SerialCommandSession):
             sent_ns = self._link.write(f"{prefix}{command}\r".encode("ascii"))
         stops, line.in_step, line.selected = line.stops, False, self._unit
         written_ns = sent_ns + (len(prefix) + len(command) + 1) * self._link.char_ns
-        text = await self._poll_reply(command, written_ns, alone)
+        text = await self._poll_reply(command, written_ns, alone=alone)
         values = [int(value) for value in parse_numbers(text, count, command)]
         if self._unit is not None and values[0] != self._unit:
             raise self._garbage_fault(command, f"an answer of unit {self._unit}", f"one of unit {values[0]}")
@@ -136,7 +127,7 @@ class PolledSession(SerialCommandSession):
         begun_ns = self._begun_ns(sent_ns, len(prefix) + len(command) + 1)
         return PrintedStatus(values, begun_ns, self._emitted_ns(len(text) + 2), self._at_ns)
 
-    async def _poll_reply(self, command: str, written_ns: int, alone: bool) -> str:
+    async def _poll_reply(self, command: str, written_ns: int, *, alone: bool) -> str:
         """Return the line that the program prints. When it must have been transmitted, even if it has not arrived yet,
         the next poll may begin."""
         char_ns = self._link.char_ns

@@ -69,7 +69,7 @@ def contour_arrays(axes: Sequence[int]) -> tuple[str, ...]:
     return (*(array_name(index) for index in axes), TAIL)
 
 
-def printed_head(chained: bool, inputs: int, outputs: int) -> list[str]:
+def printed_head(inputs: int, outputs: int, *, chained: bool) -> list[str]:
     """Return what is printed before the axes: address, sample counter, inputs and outputs in words."""
     return [
         *([ADDRESS] if chained else []),
@@ -79,9 +79,14 @@ def printed_head(chained: bool, inputs: int, outputs: int) -> list[str]:
     ]
 
 
-def program_lines(axes: Sequence[int], chained: bool, inputs: int, outputs: int, gate: GateTiming) -> tuple[str, ...]:
+def program_lines(
+    axes: Sequence[int], inputs: int, outputs: int, gate: GateTiming, *, chained: bool
+) -> tuple[str, ...]:
     """Return the program's lines. axes: indices of the motors; inputs, outputs: how many words of them are printed."""
-    return (*_start_lines(axes, gate), *_print_lines(axes, printed_head(chained, inputs, outputs)))
+    return (
+        *_start_lines(axes, gate),
+        *_print_lines(axes, printed_head(chained=chained, inputs=inputs, outputs=outputs)),
+    )
 
 
 def _start_lines(axes: Sequence[int], gate: GateTiming) -> Iterable[str]:
@@ -90,7 +95,7 @@ def _start_lines(axes: Sequence[int], gate: GateTiming) -> Iterable[str]:
         for chosen in combinations(axes, count):
             begin = f"BG{''.join(LETTERS[index] for index in chosen)};" if chosen else ""
             mask = sum(1 << index for index in chosen)
-            yield f"{entry_label(mask, False)};JS#GATE;JP#SHUT,XOK=0;JP#L{mask},XLI<>0"
+            yield f"{entry_label(mask, contour=False)};JS#GATE;JP#SHUT,XOK=0;JP#L{mask},XLI<>0"
             yield f"WT XT0-TIME;{begin}XACT=TIME;JP#DONE"
             yield f"#L{mask};AI XLI;{begin}XACT=TIME;JP#DONE"
             if chosen and supports_contours(axes):

@@ -29,9 +29,9 @@ def parse_serial_reply(buffer: bytes | bytearray) -> SerialReply | None:
         if first in b"\r\n\x1a":
             at += 1
         elif first == PROMPT:
-            return SerialReply(lines, False, echoed, at + 1)
+            return SerialReply(lines, refused=False, echoed=echoed, used=at + 1)
         elif first == REFUSAL and not buffer[at + 1 : at + 2].isdigit():
-            return SerialReply(lines, True, echoed, at + 1)
+            return SerialReply(lines, refused=True, echoed=echoed, used=at + 1)
         else:
             end = buffer.find(b"\r", at)
             if end < 0 or end + 1 == size:

@@ -11,12 +11,13 @@ import asyncio
 import re
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 from adapters.yaskawa.common.dialect import MAX_LINE
+from adapters.yaskawa.common.session import CommandReply, CommandSession, SmcCommandRefused, parse_numbers
 from adapters.yaskawa.smc2000.line import LineTurn, SharedSerialLine, address_command
 from adapters.yaskawa.smc2000.replies import SerialReply, parse_serial_reply
-from adapters.yaskawa.smc4000.session import CommandReply, CommandSession, SmcCommandRefused, parse_numbers
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -40,30 +41,30 @@ _OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX,",",')
 _ELEMENTS_OF_LINE = 10  # at most 70 characters
 
 
+@dataclass(frozen=True, slots=True)
+class LineTiming:
+    """Times on a serial line.
+
+    silence_s: silence for this long is a timeout.
+    hold_ns: longest time for which a serial adapter buffers received bytes.
+    tolerance: largest relative deviation of a baud rate."""
+
+    silence_s: float
+    hold_ns: int
+    tolerance: float
+
+
 class SerialCommandSession(CommandSession):
-    """The exchanges of one controller. unit: its address in a chain, None for a controller alone on its line.
+    """The exchanges of one controller. unit: its address in a chain, None for a controller alone on its line."""
 
-    hold_ns: longest time for which a serial adapter buffers received bytes. tolerance: largest relative deviation of a
-    baud rate.
-    """
-
-    def __init__(
-        self,
-        line: SharedSerialLine,
-        link: Link,
-        clock: Clock,
-        unit: int | None,
-        silence_s: float,
-        hold_ns: int,
-        tolerance: float,
-    ) -> None:
-        super().__init__(link, silence_s)
+    def __init__(self, line: SharedSerialLine, link: Link, clock: Clock, unit: int | None, timing: LineTiming) -> None:
+        super().__init__(link, timing.silence_s)
         self._line = line
         self._clock = clock
         self._unit = unit
-        self._silence_ns = round(silence_s * NS_PER_S) + hold_ns
-        self._hold_ns = hold_ns
-        self._least_char_ns = link.char_ns * (1 - tolerance)
+        self._silence_ns = round(timing.silence_s * NS_PER_S) + timing.hold_ns
+        self._hold_ns = timing.hold_ns
+        self._least_char_ns = link.char_ns * (1 - timing.tolerance)
         self._plain: bytearray = bytearray()
         self._marked: bytearray = bytearray()
         self._settled = False
@@ -264,10 +265,11 @@ class SerialCommandSession(CommandSession):
                 except LinkClosed:
                     line.drop_link(self._link)
                     raise
-                except ControllerFault:
+                except ControllerFault as error:
                     line.mark_out_of_step()
                     if line.stops == stops or begins:
                         raise
+                    self.log.info(f"{command!r} is repeated after a stop on the line: {error.text}")
                 except BaseException:
                     line.mark_out_of_step()
                     raise
@@ -328,16 +330,19 @@ class SerialCommandSession(CommandSession):
                 said = await self._marked_reply(opening, asked, marker)
                 if self._address_known and said != str(self._unit) and line.stops == stops:
                     raise self._garbage_fault(f"%{self._unit}", f"the controller with address {self._unit}", repr(said))
-            except ControllerFault:
+            except ControllerFault as error:
                 if line.stops == stops:
                     self._settled = False
                     left -= 1
+                    self.log.warning(f"the controller is not selected: {error.text}", tries_left=left)
                     if not left:
                         if self._unit is not None:
                             line.missing.add(self._unit)
                         raise
                 continue
             if line.stops == stops:
+                if not self._settled:
+                    self.log.info("the session is synchronised", address=self._unit)
                 line.in_step, line.selected, self._settled, line.half_line = True, self._unit, True, False
                 line.missing.discard(self._unit)
 
@@ -453,15 +458,15 @@ class SerialCommandSession(CommandSession):
 
     def _silence_fault(self, command: str) -> ControllerFault:
         got = f"only {bytes(self._plain + self._marked)!r}" if self._plain or self._marked else "nothing"
-        who = "" if self._unit is None else f" from the controller with address {self._unit}"
+        origin = "" if self._unit is None else f" from the controller with address {self._unit}"
         remedy = "check power and cable; does another program occupy the controller's interpreter?"
         if self._unit is None:
-            remedy += " If it is part of a daisy chain, set `unit` in its link."
+            remedy += " If it is part of a daisy chain, set `address` in its link."
         elif not self._line.answered:
             remedy = "no controller of the chain answers: is the first one, next to this computer, switched on?"
         else:
             remedy += " A controller that is off disconnects all controllers that follow it in the chain."
-        return ControllerFault("no-answer", f"{self._link.place}: {got} came{who} after {command!r}", remedy)
+        return ControllerFault("no-answer", f"{self._link.endpoint}: {got} came{origin} after {command!r}", remedy)
 
 
 def _element_lines(values: Sequence[int]) -> Iterable[str]:

@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from adapters.contract import AxisReading, ControllerReading, Driver, DriverCapabilities, DriverSetup, Lowered
-from adapters.yaskawa.common import homing
+from adapters.toolkit.refusals import log_refusals
+from adapters.yaskawa.common.checks import check_homing, check_options, check_points
+from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
-from adapters.yaskawa.common.lowering import START_CLASSES, STOP_EXCHANGES, YaskawaLowered, lower_moves
+from adapters.yaskawa.common.lowering import START_CLASSES, STOP_EXCHANGES, LoweringContext, YaskawaLowered, lower_moves
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.record import (
     AXIS_LETTERS,
@@ -20,7 +22,6 @@ from adapters.yaskawa.common.record import (
 )
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
-from adapters.yaskawa.smc4000.device import SmcDevice, stop_commands
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -53,8 +54,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             options = options.model_copy(update={"round_trip_us": options.round_trip_us + wire_us})
         motors = motor_indices(setup.config, NAMES, MOTORS)
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
-        shared = isinstance(setup.config.link, SerialLink)
-        device = SmcDevice(setup.clock, setup.open_link, options, max(motors.values()) + 1, goodbye, shared)
+        handles = HandleTraits(goodbye, shared=isinstance(setup.config.link, SerialLink))
+        device = SmcDevice(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
         super().__init__(setup, motors, device, SampleStart(device, setup.clock, options), (*NOT_BY_RAW, "QR"))
         self._options = options
         # The level of the limit bits at rest: it depends on the configuration of the switches (L10906-10939).
@@ -125,15 +126,15 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Lowered:
-        return lower_moves(
-            self._config, self._motors, self._options, self._capabilities.costs, profiles, start, mapping
-        )
+        context = LoweringContext(self._config, self._motors, self._options, self._capabilities.costs)
+        return lower_moves(context, profiles, start, mapping)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, YaskawaLowered):
             raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
         self._jogging.drop_jogs(move.axis for move in lowered.moves)
-        return await self._start.arm_move(lowered, t0_ns, mapping)
+        with log_refusals(self._log, "arming"):
+            return await self._start.arm_move(lowered, t0_ns, mapping)
 
 
 class SMC4000Make:
@@ -146,23 +147,9 @@ class SMC4000Make:
         if isinstance(config.link, SerialLink) and config.link.baud not in BAUD_RATES:
             raise ValueError(f"link.baud: {config.link.baud}; the serial port has {' or '.join(map(str, BAUD_RATES))}")
         motors = motor_indices(config, NAMES, MOTORS)
-        for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
-            for name, point in points.items():
-                if point.number > POINTS:
-                    raise ValueError(f"{kind}.{name}.number: {point.number}; the controller has {kind} 1 to {POINTS}")
-        for name, axis in config.axes.items():
-            if axis.homing.method not in homing.METHODS:
-                raise ValueError(
-                    f"axes.{name}.homing.method: {axis.homing.method!r}; this make has {', '.join(homing.METHODS)}"
-                )
-        try:
-            options = YaskawaOptions.model_validate(config.options)
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise ValueError(f"options.{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-        unknown = [name for name in options.motor_type if name not in motors]
-        if unknown:
-            raise ValueError(f"options.motor_type: no axis {unknown[0]}; axes are {', '.join(motors)}")
+        check_points(config, POINTS, POINTS)
+        check_homing(config)
+        check_options(config, YaskawaOptions, motors)
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return SMC4000Driver(setup)
@@ -170,7 +157,7 @@ class SMC4000Make:
     def stop_bytes(self, config: Controller) -> bytes:
         # A fresh connection has its own line buffer; on the serial port a half-typed command may precede.
         flush = "\\\r" if isinstance(config.link, SerialLink) else ""
-        return (flush + "".join(f"{command}\r" for command in stop_commands(False))).encode("ascii")
+        return (flush + "".join(f"{command}\r" for command in stop_commands(abort=False))).encode("ascii")
 
 
 MAKE = SMC4000Make()

@@ -14,12 +14,12 @@ import random
 from collections.abc import Callable
 from functools import partial
 
-from orchestrator.bus.base import BusClosed, Declared, Handler, Priority, Sample
-from orchestrator.bus.expression import check_expression, check_key, check_put, intersects
-from orchestrator.bus.memory.medium import Latency, Waiting
-from orchestrator.bus.memory.presence import PresenceBoard, Token, Watch
-from orchestrator.bus.memory.requests import Requests, Served
-from orchestrator.bus.outcome import Outcome
+from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler
+from orchestrator.bus.expression import check_expression, check_key, check_put, expressions_intersect
+from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
+from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken, PresenceWatch
+from orchestrator.bus.memory.requests import RequestBoard, ServedExpression
+from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.virtual import VirtualClock
 
@@ -39,40 +39,36 @@ QUEUE_LIMIT = 1000
 class _Subscription:
     """The subscription of one process."""
 
-    def __init__(self, bus: "MemoryBus", expression: str, callback: Callable[[Sample], None]) -> None:
+    def __init__(self, bus: "MemoryBus", expression: str, callback: Callable[[BusSample], None]) -> None:
         self.bus = bus
         self.expression = expression
         self.context = contextvars.copy_context()
         self._callback = callback
         self._stands = True
 
-    def deliver(self, sample: Sample) -> None:
+    def deliver_sample(self, sample: BusSample) -> None:
         if self._stands and self.bus.alive:
             self._callback(sample)
 
     async def undeclare(self) -> None:
         self._stands = False
-        self.bus.net.forget_subscription(self)
+        self.bus.net.remove_subscription(self)
 
 
 class MemoryNet:
-    """The shared medium. Only the code that injects faults holds it; processes get the result of `join`."""
+    """The shared medium. Only the code that injects faults holds it; processes get the result of `join_process`."""
 
     def __init__(
         self,
         clock: VirtualClock,
         *,
         seed: int = 0,
-        latency: Latency | None = None,
-        lease_ns: int = LEASE_NS,
-        reconnect_ns: int = RECONNECT_NS,
+        latency: BusLatency | None = None,
         queue_limit: int = QUEUE_LIMIT,
     ) -> None:
         self.clock = clock
         self._rng = random.Random(seed)
-        self._latency = latency or Latency()
-        self._lease_ns = lease_ns
-        self._reconnect_ns = reconnect_ns
+        self._latency = latency or BusLatency()
         self._queue_limit = queue_limit
         self._context = contextvars.copy_context()
         self._buses: dict[str, MemoryBus] = {}
@@ -83,11 +79,11 @@ class MemoryNet:
         self._cuts = 0
         self._lossy: dict[str, float] = {}
         self.presence = PresenceBoard(self)
-        self.requests = Requests(self)
+        self.requests = RequestBoard(self)
 
     # Faults
 
-    def join(self, name: str) -> "MemoryBus":
+    def join_process(self, name: str) -> "MemoryBus":
         """Connect the process `name`, which may be a new start of one that left or was killed."""
         if name in self._buses:
             raise ValueError(f"{name!r} is on the bus already")
@@ -95,7 +91,7 @@ class MemoryNet:
         self._buses[name] = bus
         return bus
 
-    def partition(self, *sides: set[str]) -> None:
+    def partition_net(self, *sides: set[str]) -> None:
         """Split the medium: samples and requests between sides are lost from now on, presence after the lease.
 
         A process that is in no side reaches all. Replaces an earlier partition.
@@ -104,35 +100,35 @@ class MemoryNet:
         self._cuts += 1
         cut = self._cuts
 
-        def lose() -> None:
+        def lose_presence() -> None:
             if self._cuts == cut:
                 self._lost_sides = self._sides
-                self.presence.refresh()
+                self.presence.refresh_watches()
 
-        self.at(self.clock.now_ns() + self._lease_ns, lose)
+        self.schedule_call(self.clock.now_ns() + LEASE_NS, lose_presence)
 
-    def heal(self) -> None:
+    def heal_partition(self) -> None:
         """End the partition. Samples and requests pass at once; presence returns when all have reconnected."""
         self._sides = {}
         self._cuts += 1
         healed = self._cuts
-        self.presence.refresh()
+        self.presence.refresh_watches()
 
-        def find() -> None:
+        def restore_presence() -> None:
             if self._cuts == healed:
                 self._lost_sides = {}
-                self.presence.refresh()
+                self.presence.refresh_watches()
 
-        self.at(self.clock.now_ns() + self._reconnect_ns, find)
+        self.schedule_call(self.clock.now_ns() + RECONNECT_NS, restore_presence)
 
-    def lose(self, name: str, share: float) -> None:
+    def set_loss(self, name: str, share: float) -> None:
         """Drop this share (0 to 1) of a process's droppable samples."""
         self._lossy[name] = share
 
-    def kill(self, name: str) -> None:
+    def kill_process(self, name: str) -> None:
         """Kill the process: nothing leaves or reaches it any more. Others detect it within milliseconds.
 
-        This method, `hang` and `resume` do nothing if the process has left the bus before.
+        This method, `suspend_process` and `resume_process` do nothing if the process has left the bus before.
         """
         bus = self._buses.pop(name, None)
         if bus is None:
@@ -140,13 +136,13 @@ class MemoryNet:
         bus.alive = False
         self.drop_declarations(bus)
 
-        def known() -> None:
-            self.requests.gone(bus)
-            self.presence.gone(bus)
+        def remove_presence() -> None:
+            self.requests.fail_requests(bus)
+            self.presence.remove_process(bus)
 
-        self.at(self.clock.now_ns() + DEATH_NS, known)
+        self.schedule_call(self.clock.now_ns() + DEATH_NS, remove_presence)
 
-    def hang(self, name: str) -> None:
+    def suspend_process(self, name: str) -> None:
         """Suspend the process: what it sends or receives waits, requests to it time out, presence lasts for a lease."""
         bus = self._buses.get(name)
         if bus is None:
@@ -158,32 +154,32 @@ class MemoryNet:
         def give_up() -> None:
             if bus.alive and bus.hung and bus.hangs == hang:
                 bus.given_up = True
-                self.requests.gone(bus)
-                self.presence.refresh()
+                self.requests.fail_requests(bus)
+                self.presence.refresh_watches()
 
-        self.at(self.clock.now_ns() + self._lease_ns, give_up)
+        self.schedule_call(self.clock.now_ns() + LEASE_NS, give_up)
 
-    def resume(self, name: str) -> None:
+    def resume_process(self, name: str) -> None:
         """Resume the process: what waited is delivered. If it was given up, it reconnects a little later."""
         bus = self._buses.get(name)
         if bus is None:
             return
         bus.hung = False
-        bus.outgoing.release()
-        bus.incoming.release()
+        bus.outgoing.run_calls()
+        bus.incoming.run_calls()
         hang = bus.hangs
 
-        def back() -> None:
+        def reconnect() -> None:
             if bus.alive and not bus.hung and bus.hangs == hang:
                 bus.given_up = False
-                self.presence.refresh()
+                self.presence.refresh_watches()
 
         if bus.given_up:
-            self.at(self.clock.now_ns() + self._reconnect_ns, back)
+            self.schedule_call(self.clock.now_ns() + RECONNECT_NS, reconnect)
 
     # Used by the parts of the medium
 
-    def at(self, at_ns: int, call: Callable[[], None]) -> None:
+    def schedule_call(self, at_ns: int, call: Callable[[], None]) -> None:
         """Schedule a call of the medium in its own context, whatever the caller's context."""
         self.clock.call_at_ns(at_ns, call, context=self._context)
 
@@ -192,31 +188,31 @@ class MemoryNet:
         least_ns = self._latency.least_ns
         return self.clock.now_ns() + (least_ns if priority is Priority.ESTOP else self._latency.draw_ns(self._rng))
 
-    def cut(self, one: "MemoryBus", other: "MemoryBus") -> bool:
+    def is_cut(self, one: BusProcess, other: BusProcess) -> bool:
         """Whether two processes are separated now."""
-        return one.given_up or other.given_up or _apart(self._sides, one, other)
+        return one.given_up or other.given_up or _are_apart(self._sides, one, other)
 
-    def lost(self, one: "MemoryBus", other: "MemoryBus") -> bool:
+    def is_lost(self, one: BusProcess, other: BusProcess) -> bool:
         """Whether two processes count each other as gone."""
-        return one.given_up or other.given_up or _apart(self._lost_sides, one, other)
+        return one.given_up or other.given_up or _are_apart(self._lost_sides, one, other)
 
-    def hand_over(self, bus: "MemoryBus", priority: Priority, call: Callable[[], None]) -> None:
+    def deliver_call(self, bus: BusProcess, priority: Priority, call: Callable[[], None]) -> None:
         """Deliver something to a process: now, or when the process runs again."""
         if not bus.alive:
             return
         if bus.hung:
-            bus.incoming.add(priority, call)
+            bus.incoming.add_call(priority, call)
         else:
             call()
 
-    def leave(self, bus: "MemoryBus") -> None:
+    def leave_net(self, bus: "MemoryBus") -> None:
         """A process disconnects in good order."""
         if self._buses.get(bus.name) is bus:
             del self._buses[bus.name]
         self.drop_declarations(bus)
-        self.requests.cancel(bus)
-        self.at(self.arrival_ns(), partial(self.requests.gone, bus))
-        self.presence.gone(bus)
+        self.requests.cancel_answers(bus)
+        self.schedule_call(self.arrival_ns(), partial(self.requests.fail_requests, bus))
+        self.presence.remove_process(bus)
 
     # Samples
 
@@ -224,7 +220,7 @@ class MemoryNet:
         self._subscriptions.append(subscription)
         self._routes.clear()
 
-    def forget_subscription(self, subscription: _Subscription) -> None:
+    def remove_subscription(self, subscription: _Subscription) -> None:
         if subscription in self._subscriptions:
             self._subscriptions.remove(subscription)
             self._routes.clear()
@@ -233,55 +229,55 @@ class MemoryNet:
         """Remove the subscriptions and served keys of a process."""
         self._subscriptions = [each for each in self._subscriptions if each.bus is not bus]
         self._routes.clear()
-        self.requests.forget_all(bus)
+        self.requests.remove_servers(bus)
 
-    def send(self, sender: "MemoryBus", sample: Sample, priority: Priority) -> None:
+    def send_sample(self, sender: "MemoryBus", sample: BusSample, priority: Priority) -> None:
         """Send a sample to all subscribers."""
         share = self._lossy.get(sender.name, 0.0) if priority is Priority.STATE else 0.0
         lane = (sender.name, sample.key, priority)
-        for receiver, subscriptions in self._route(sample.key):
-            if self.cut(sender, receiver) or (share and self._rng.random() < share):
+        for receiver, subscriptions in self._find_receivers(sample.key):
+            if self.is_cut(sender, receiver) or (share and self._rng.random() < share):
                 continue
             at_ns = max(self.arrival_ns(priority), receiver.last_arrivals_ns.get(lane, 0))
             receiver.last_arrivals_ns[lane] = at_ns
-            self.at(at_ns, partial(self._arrive, sender, receiver, subscriptions, sample, priority))
+            self.schedule_call(at_ns, partial(self._deliver_sample, sender, receiver, subscriptions, sample, priority))
 
-    def _route(self, key: str) -> "list[tuple[MemoryBus, list[_Subscription]]]":
+    def _find_receivers(self, key: str) -> "list[tuple[MemoryBus, list[_Subscription]]]":
         route = self._routes.get(key)
         if route is None:
             by_bus: dict[str, tuple[MemoryBus, list[_Subscription]]] = {}
             for subscription in self._subscriptions:
-                if intersects(subscription.expression, key):
+                if expressions_intersect(subscription.expression, key):
                     by_bus.setdefault(subscription.bus.name, (subscription.bus, []))[1].append(subscription)
             route = self._routes[key] = list(by_bus.values())
         return route
 
-    def _arrive(
+    def _deliver_sample(
         self,
         sender: "MemoryBus",
         receiver: "MemoryBus",
         subscriptions: list[_Subscription],
-        sample: Sample,
+        sample: BusSample,
         priority: Priority,
     ) -> None:
-        if self.cut(sender, receiver):
+        if self.is_cut(sender, receiver):
             return
         if receiver.hung:
-            self.hand_over(receiver, priority, partial(_deliver, subscriptions, sample))
+            self.deliver_call(receiver, priority, partial(_call_subscriptions, subscriptions, sample))
         else:
-            _deliver(subscriptions, sample)
+            _call_subscriptions(subscriptions, sample)
 
 
-def _apart(sides: dict[str, int], one: "MemoryBus", other: "MemoryBus") -> bool:
+def _are_apart(sides: dict[str, int], one: BusProcess, other: BusProcess) -> bool:
     if not sides or one.name not in sides or other.name not in sides:
         return False
     return sides[one.name] != sides[other.name]
 
 
-def _deliver(subscriptions: list[_Subscription], sample: Sample) -> None:
+def _call_subscriptions(subscriptions: list[_Subscription], sample: BusSample) -> None:
     loop = asyncio.get_running_loop()
     for subscription in subscriptions:
-        loop.call_soon(subscription.deliver, sample, context=subscription.context)
+        loop.call_soon(subscription.deliver_sample, sample, context=subscription.context)
 
 
 class MemoryBus:
@@ -294,60 +290,64 @@ class MemoryBus:
         self.hung = False
         self.hangs = 0
         self.given_up = False
-        self.incoming = Waiting(queue_limit)
-        self.outgoing = Waiting(queue_limit)
+        self.incoming = CallQueue(queue_limit)
+        self.outgoing = CallQueue(queue_limit)
         self.last_arrivals_ns: dict[tuple[str, str, Priority], int] = {}
         self._closed = False
-        self._asking: dict[int, Outcome] = {}
+        self._asking: dict[int, RequestOutcome] = {}
         self._asked = 0
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         self._check_open()
-        self.go_out(priority, partial(self.net.send, self, Sample(check_put(key, priority), payload), priority))
+        self.send_call(
+            priority, partial(self.net.send_sample, self, BusSample(check_put(key, priority), payload), priority)
+        )
 
-    async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:
+    async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
         self._check_open()
         subscription = _Subscription(self, check_expression(expression), callback)
         self.net.add_subscription(subscription)
         return subscription
 
-    async def serve(self, expression: str, handler: Handler) -> Declared:
+    async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
         self._check_open()
-        served = Served(self.net.requests, self, check_expression(expression), handler)
-        self.net.requests.add(served)
+        served = ServedExpression(self.net.requests, self, check_expression(expression), handler)
+        self.net.requests.add_server(served)
         return served
 
     async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        replies = await self._ask(check_key(key), payload, timeout_s, first_only=True)
+        replies = await self._collect_replies(check_key(key), payload, timeout_s, first_only=True)
         return next(iter(replies.values()))
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
-        return await self._ask(check_expression(expression), payload, timeout_s, first_only=False)
+        return await self._collect_replies(check_expression(expression), payload, timeout_s, first_only=False)
 
-    async def _ask(self, key: str, payload: bytes, timeout_s: float, *, first_only: bool) -> dict[str, bytes]:
+    async def _collect_replies(
+        self, key: str, payload: bytes, timeout_s: float, *, first_only: bool
+    ) -> dict[str, bytes]:
         self._check_open()
-        outcome = Outcome(key, timeout_s, first_only=first_only)
+        outcome = RequestOutcome(key, timeout_s, first_only=first_only)
         clock = self.net.clock
-        timer = clock.call_at_ns(clock.now_ns() + round(timeout_s * NS_PER_S), outcome.expire)
+        timer = clock.call_at_ns(clock.now_ns() + round(timeout_s * NS_PER_S), outcome.end_by_timeout)
         number = self._asked
         self._asked += 1
         self._asking[number] = outcome
-        self.go_out(Priority.EVENT, partial(self.net.requests.ask, self, payload, outcome))
+        self.send_call(Priority.EVENT, partial(self.net.requests.send_request, self, payload, outcome))
         try:
             return await outcome.settled
         finally:
             timer.cancel()
             del self._asking[number]
 
-    async def announce(self, key: str) -> Declared:
+    async def announce(self, key: str) -> BusDeclaration:
         self._check_open()
-        token = Token(self.net.presence, self, check_key(key))
+        token = PresenceToken(self.net.presence, self, check_key(key))
         self.net.presence.add_token(token)
         return token
 
-    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> Declared:
+    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         self._check_open()
-        watch = Watch(self.net.presence, self, check_expression(expression), callback)
+        watch = PresenceWatch(self.net.presence, self, check_expression(expression), callback)
         self.net.presence.add_watch(watch)
         return watch
 
@@ -361,18 +361,18 @@ class MemoryBus:
         self._closed = True
         if self.alive:
             self.alive = False
-            self.net.leave(self)
-        self.incoming.clear()
-        self.outgoing.clear()
+            self.net.leave_net(self)
+        self.incoming.discard_calls()
+        self.outgoing.discard_calls()
         for outcome in self._asking.values():
-            outcome.fail(BusClosed(f"the bus of {self.name!r} was closed during a request for {outcome.key}"))
+            outcome.end_by_error(BusClosed(f"the bus of {self.name!r} was closed during a request for {outcome.key}"))
 
-    def go_out(self, priority: Priority, send: Callable[[], None]) -> None:
+    def send_call(self, priority: Priority, call: Callable[[], None]) -> None:
         """Send something from this process: now, or when the process runs again."""
         if self.hung:
-            self.outgoing.add(priority, send)
+            self.outgoing.add_call(priority, call)
         elif self.alive:
-            send()
+            call()
 
     def _check_open(self) -> None:
         if self._closed:

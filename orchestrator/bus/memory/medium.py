@@ -4,13 +4,14 @@ import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 
 
 @dataclass(frozen=True, slots=True)
-class Latency:
+class BusLatency:
     """The latency of one direction through the medium, in ns: from `least` to `most` around `median`, with a rare
     tail up to `tail`.
 
@@ -33,7 +34,7 @@ class Latency:
         return self.median_ns + int((self.most_ns - self.median_ns) * (2 * u - 1) ** 3)
 
 
-class Waiting:
+class CallQueue:
     """Calls that wait for a process to run again: e-stops first, droppable ones only up to a limit."""
 
     def __init__(self, limit: int) -> None:
@@ -45,7 +46,7 @@ class Waiting:
     def __len__(self) -> int:
         return len(self._first) + len(self._others)
 
-    def add(self, priority: Priority, call: Callable[[], None]) -> None:
+    def add_call(self, priority: Priority, call: Callable[[], None]) -> None:
         """Queue `call`; a droppable one is lost when `limit` of them wait already."""
         if priority is Priority.ESTOP:
             self._first.append(call)
@@ -56,15 +57,47 @@ class Waiting:
             self._droppable += 1
         self._others.append(call)
 
-    def release(self) -> None:
+    def run_calls(self) -> None:
         """Make all waiting calls, in order."""
         calls = [*self._first, *self._others]
-        self.clear()
+        self.discard_calls()
         for call in calls:
             call()
 
-    def clear(self) -> None:
+    def discard_calls(self) -> None:
         """Discard all calls."""
         self._first.clear()
         self._others.clear()
         self._droppable = 0
+
+
+class BusProcess(Protocol):
+    """One process on the medium, as the parts of the medium see it.
+
+    given_up: the other processes count it as gone, because it has been silent for a lease.
+    incoming: what waits for it while it is hung.
+    """
+
+    name: str
+    alive: bool
+    hung: bool
+    given_up: bool
+    incoming: CallQueue
+
+    def send_call(self, priority: Priority, call: Callable[[], None]) -> None:
+        """Make the process send something: now, or when it runs again."""
+        ...
+
+
+class Medium(Protocol):
+    """The medium, as presence and requests use it."""
+
+    def schedule_call(self, at_ns: int, call: Callable[[], None]) -> None: ...
+
+    def arrival_ns(self, priority: Priority = Priority.EVENT) -> int: ...
+
+    def is_cut(self, one: BusProcess, other: BusProcess) -> bool: ...
+
+    def is_lost(self, one: BusProcess, other: BusProcess) -> bool: ...
+
+    def deliver_call(self, bus: BusProcess, priority: Priority, call: Callable[[], None]) -> None: ...

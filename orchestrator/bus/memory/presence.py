@@ -4,105 +4,104 @@ import asyncio
 import contextvars
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 from orchestrator.bus.base import Priority
-from orchestrator.bus.expression import intersects
-
-if TYPE_CHECKING:
-    from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
+from orchestrator.bus.expression import expressions_intersect
+from orchestrator.bus.memory.medium import BusProcess, Medium
 
 
-class Token:
+class PresenceToken:
     """A process's announcement of presence under a key."""
 
-    def __init__(self, board: "PresenceBoard", bus: "MemoryBus", key: str) -> None:
+    def __init__(self, board: "PresenceBoard", bus: BusProcess, key: str) -> None:
         self.bus = bus
         self.key = key
         self._board = board
 
     async def undeclare(self) -> None:
-        self._board.forget_token(self)
+        self._board.remove_token(self)
 
 
-class Watch:
+class PresenceWatch:
     """A process's watch for presence."""
 
     def __init__(
-        self, board: "PresenceBoard", bus: "MemoryBus", expression: str, callback: Callable[[str, bool], None]
+        self, board: "PresenceBoard", bus: BusProcess, expression: str, callback: Callable[[str, bool], None]
     ) -> None:
         self.bus = bus
         self.expression = expression
-        self.believed: dict[str, MemoryBus] = {}
+        self.believed: dict[str, BusProcess] = {}
         self.last_arrival_ns = 0
         self._board = board
         self._callback = callback
         self._context = contextvars.copy_context()
         self._stands = True
 
-    def arrive(self, key: str, present: bool) -> None:
+    def notify_process(self, key: str, *, present: bool) -> None:
         """Notify the process, in its own context."""
-        asyncio.get_running_loop().call_soon(self._tell, key, present, context=self._context)
+        call = partial(self._call_back, key, present=present)
+        asyncio.get_running_loop().call_soon(call, context=self._context)
 
-    def _tell(self, key: str, present: bool) -> None:
+    def _call_back(self, key: str, *, present: bool) -> None:
         if self._stands and self.bus.alive:
             self._callback(key, present)
 
     async def undeclare(self) -> None:
         self._stands = False
-        self._board.forget_watch(self)
+        self._board.remove_watch(self)
 
 
 class PresenceBoard:
     """All tokens and watches of a net."""
 
-    def __init__(self, net: "MemoryNet") -> None:
+    def __init__(self, net: Medium) -> None:
         self._net = net
-        self._tokens: list[Token] = []
-        self._watches: list[Watch] = []
+        self._tokens: list[PresenceToken] = []
+        self._watches: list[PresenceWatch] = []
 
-    def add_token(self, token: Token) -> None:
+    def add_token(self, token: PresenceToken) -> None:
         self._tokens.append(token)
-        self.refresh()
+        self.refresh_watches()
 
-    def forget_token(self, token: Token) -> None:
+    def remove_token(self, token: PresenceToken) -> None:
         if token in self._tokens:
             self._tokens.remove(token)
-            self.refresh()
+            self.refresh_watches()
 
-    def add_watch(self, watch: Watch) -> None:
+    def add_watch(self, watch: PresenceWatch) -> None:
         self._watches.append(watch)
-        self._refresh(watch)
+        self._refresh_watch(watch)
 
-    def forget_watch(self, watch: Watch) -> None:
+    def remove_watch(self, watch: PresenceWatch) -> None:
         if watch in self._watches:
             self._watches.remove(watch)
 
-    def gone(self, bus: "MemoryBus") -> None:
+    def remove_process(self, bus: BusProcess) -> None:
         """A process has left or its death was detected."""
         self._tokens = [token for token in self._tokens if token.bus is not bus]
         self._watches = [watch for watch in self._watches if watch.bus is not bus]
-        self.refresh()
+        self.refresh_watches()
 
-    def refresh(self) -> None:
+    def refresh_watches(self) -> None:
         """Notify every watch of changes."""
         for watch in self._watches:
-            self._refresh(watch)
+            self._refresh_watch(watch)
 
-    def _refresh(self, watch: Watch) -> None:
+    def _refresh_watch(self, watch: PresenceWatch) -> None:
         net = self._net
-        present = {token.key: token.bus for token in self._tokens if intersects(watch.expression, token.key)}
+        present = {token.key: token.bus for token in self._tokens if expressions_intersect(watch.expression, token.key)}
         for key, bus in list(watch.believed.items()):
             # Changes on the other side of a partition are unknown here until the lease has expired.
-            if net.lost(watch.bus, bus) or (key not in present and not net.cut(watch.bus, bus)):
+            if net.is_lost(watch.bus, bus) or (key not in present and not net.is_cut(watch.bus, bus)):
                 del watch.believed[key]
-                self._tell(watch, key, False)
+                self._notify_watch(watch, key, present=False)
         for key, bus in present.items():
-            if key not in watch.believed and not net.cut(watch.bus, bus) and not net.lost(watch.bus, bus):
+            if key not in watch.believed and not net.is_cut(watch.bus, bus) and not net.is_lost(watch.bus, bus):
                 watch.believed[key] = bus
-                self._tell(watch, key, True)
+                self._notify_watch(watch, key, present=True)
 
-    def _tell(self, watch: Watch, key: str, present: bool) -> None:
+    def _notify_watch(self, watch: PresenceWatch, key: str, *, present: bool) -> None:
         watch.last_arrival_ns = max(self._net.arrival_ns(), watch.last_arrival_ns)
-        call = partial(self._net.hand_over, watch.bus, Priority.EVENT, partial(watch.arrive, key, present))
-        self._net.at(watch.last_arrival_ns, call)
+        notify = partial(watch.notify_process, key, present=present)
+        call = partial(self._net.deliver_call, watch.bus, Priority.EVENT, notify)
+        self._net.schedule_call(watch.last_arrival_ns, call)

@@ -4,20 +4,17 @@ import asyncio
 import contextvars
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
-from orchestrator.bus.base import Handler, Priority, RequestRefused, Sample
-from orchestrator.bus.expression import intersects, is_wild
-from orchestrator.bus.outcome import Outcome
-
-if TYPE_CHECKING:
-    from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
+from orchestrator.bus.base import BusSample, Priority, RequestHandler, RequestRefused
+from orchestrator.bus.expression import expressions_intersect, is_wild
+from orchestrator.bus.memory.medium import BusProcess, Medium
+from orchestrator.bus.outcome import RequestOutcome
 
 
-class Served:
+class ServedExpression:
     """A process that serves an expression."""
 
-    def __init__(self, requests: "Requests", bus: "MemoryBus", expression: str, handler: Handler) -> None:
+    def __init__(self, requests: "RequestBoard", bus: BusProcess, expression: str, handler: RequestHandler) -> None:
         self.bus = bus
         self.expression = expression
         self.handler = handler
@@ -26,135 +23,141 @@ class Served:
         self._requests = requests
 
     async def undeclare(self) -> None:
-        self._requests.forget(self)
+        self._requests.remove_server(self)
 
 
-class _Question:
+class _PendingRequest:
     """A request in progress: its sender, and the servers that may still answer."""
 
-    def __init__(self, asker: "MemoryBus", payload: bytes, outcome: Outcome, asked: list[Served]) -> None:
-        self.asker = asker
+    def __init__(
+        self, sender: BusProcess, payload: bytes, outcome: RequestOutcome, servers: list[ServedExpression]
+    ) -> None:
+        self.asker = sender
         self.payload = payload
         self.outcome = outcome
-        self._open = asked
+        self._open = servers
 
-    def open_at(self, bus: "MemoryBus") -> bool:
+    def open_at(self, bus: BusProcess) -> bool:
         return any(served.bus is bus for served in self._open)
 
-    def give_up(self, bus: "MemoryBus") -> None:
+    def remove_process(self, bus: BusProcess) -> None:
         """The process can no longer answer."""
-        self._keep([served for served in self._open if served.bus is not bus])
+        self._set_servers([served for served in self._open if served.bus is not bus])
 
-    def done(self, served: Served) -> None:
+    def remove_server(self, served: ServedExpression) -> None:
         """The server has answered, or will not."""
-        self._keep([other for other in self._open if other is not served])
+        self._set_servers([other for other in self._open if other is not served])
 
-    def _keep(self, still_open: list[Served]) -> None:
+    def _set_servers(self, still_open: list[ServedExpression]) -> None:
         self._open = still_open
         if not still_open:
-            self.outcome.complete()
+            self.outcome.end_replies()
 
 
-class Requests:
+class RequestBoard:
     """All served expressions and requests of a net."""
 
-    def __init__(self, net: "MemoryNet") -> None:
+    def __init__(self, net: Medium) -> None:
         self._net = net
-        self._served: list[Served] = []
-        self._serving: dict[str, list[Served]] = {}  # by requested key, since the last change of `_served`
-        self._questions: dict[Outcome, _Question] = {}
-        self._handling: dict[asyncio.Task[None], Served] = {}
+        self._served: list[ServedExpression] = []
+        self._serving: dict[str, list[ServedExpression]] = {}  # by requested key, since the last change of `_served`
+        self._questions: dict[RequestOutcome, _PendingRequest] = {}
+        self._handling: dict[asyncio.Task[None], ServedExpression] = {}
 
-    def add(self, served: Served) -> None:
+    def add_server(self, served: ServedExpression) -> None:
         self._served.append(served)
         self._serving.clear()
 
-    def forget(self, served: Served) -> None:
+    def remove_server(self, served: ServedExpression) -> None:
         served.stands = False
         if served in self._served:
             self._served.remove(served)
             self._serving.clear()
 
-    def forget_all(self, bus: "MemoryBus") -> None:
+    def remove_servers(self, bus: BusProcess) -> None:
         """A process has left or died: it gets no new requests."""
         for served in [served for served in self._served if served.bus is bus]:
-            self.forget(served)
+            self.remove_server(served)
 
-    def gone(self, bus: "MemoryBus") -> None:
+    def fail_requests(self, bus: BusProcess) -> None:
         """It was detected that a process will not answer its requests."""
         for outcome, question in list(self._questions.items()):
             if question.asker is bus and not bus.alive:
                 del self._questions[outcome]
             elif question.open_at(bus):
-                question.give_up(bus)
+                question.remove_process(bus)
 
-    def ask(self, asker: "MemoryBus", payload: bytes, outcome: Outcome) -> None:
+    def send_request(self, sender: BusProcess, payload: bytes, outcome: RequestOutcome) -> None:
         """Send a request to all servers of its key."""
-        if asker.given_up or outcome.over:
+        if sender.given_up or outcome.is_over:
             return
         serving = self._serving.get(outcome.key)
         if serving is None:
-            serving = [each for each in self._served if intersects(each.expression, outcome.key)]
+            serving = [each for each in self._served if expressions_intersect(each.expression, outcome.key)]
             self._serving[outcome.key] = serving
         asked = [each for each in serving if not each.bus.given_up]
-        question = _Question(asker, payload, outcome, asked)
+        question = _PendingRequest(sender, payload, outcome, asked)
         self._questions[outcome] = question
         outcome.settled.add_done_callback(lambda _: self._questions.pop(outcome, None))
         if not asked:
-            self._net.at(self._net.arrival_ns(), outcome.complete)
+            self._net.schedule_call(self._net.arrival_ns(), outcome.end_replies)
         for served in asked:
-            if not self._net.cut(asker, served.bus):
-                self._net.at(self._net.arrival_ns(), partial(self._arrive, served, question))
+            if not self._net.is_cut(sender, served.bus):
+                self._net.schedule_call(self._net.arrival_ns(), partial(self._receive_request, served, question))
 
-    def _arrive(self, served: Served, question: _Question) -> None:
-        if question.outcome.over or self._net.cut(question.asker, served.bus):
+    def _receive_request(self, served: ServedExpression, question: _PendingRequest) -> None:
+        if question.outcome.is_over or self._net.is_cut(question.asker, served.bus):
             return
-        self._net.hand_over(served.bus, Priority.EVENT, partial(self._enter, served, question))
+        self._net.deliver_call(served.bus, Priority.EVENT, partial(self._enter_process, served, question))
 
-    def _enter(self, served: Served, question: _Question) -> None:
+    def _enter_process(self, served: ServedExpression, question: _PendingRequest) -> None:
         loop = asyncio.get_running_loop()
-        loop.call_soon(self._start, served, question, context=served.context)
+        loop.call_soon(self._start_handler, served, question, context=served.context)
 
-    def _start(self, served: Served, question: _Question) -> None:
+    def _start_handler(self, served: ServedExpression, question: _PendingRequest) -> None:
         if not served.stands:
-            self._reply(served, question, None)
+            self._queue_reply(served, question, None)
             return
         context = served.context.copy()
-        task = asyncio.get_running_loop().create_task(self._handle(served, question), context=context)
+        task = asyncio.get_running_loop().create_task(self._run_handler(served, question), context=context)
         self._handling[task] = served
         task.add_done_callback(self._handling.pop, context=context)
 
-    async def _handle(self, served: Served, question: _Question) -> None:
+    async def _run_handler(self, served: ServedExpression, question: _PendingRequest) -> None:
         asked = question.outcome.key
         key = served.expression if is_wild(asked) else asked
         try:
-            payload = await served.handler(Sample(key, question.payload))
+            payload = await served.handler(BusSample(key, question.payload))
         except RequestRefused as refusal:
-            self._reply(served, question, partial(question.outcome.refuse, str(refusal)))
+            self._queue_reply(served, question, partial(question.outcome.add_refusal, str(refusal)))
         except Exception as error:
             text = f"{type(error).__name__} while answering {key}: {error}"
             asyncio.get_running_loop().call_exception_handler({"message": text, "exception": error})
-            self._reply(served, question, partial(question.outcome.refuse, text))
+            self._queue_reply(served, question, partial(question.outcome.add_refusal, text))
         else:
-            self._reply(served, question, partial(question.outcome.take, key, payload))
+            self._queue_reply(served, question, partial(question.outcome.add_reply, key, payload))
 
-    def cancel(self, bus: "MemoryBus") -> None:
+    def cancel_answers(self, bus: BusProcess) -> None:
         """A process leaves: pending answers are cancelled."""
         for task, served in list(self._handling.items()):
             if served.bus is bus:
                 task.cancel()
 
-    def _reply(self, served: Served, question: _Question, answer: Callable[[], None] | None) -> None:
-        served.bus.go_out(Priority.EVENT, partial(self._send_back, served, question, answer))
+    def _queue_reply(
+        self, served: ServedExpression, question: _PendingRequest, answer: Callable[[], None] | None
+    ) -> None:
+        served.bus.send_call(Priority.EVENT, partial(self._send_back, served, question, answer))
 
-    def _send_back(self, served: Served, question: _Question, answer: Callable[[], None] | None) -> None:
-        def arrive() -> None:
-            if not self._net.cut(served.bus, question.asker):
-                self._net.hand_over(question.asker, Priority.EVENT, settle)
+    def _send_back(
+        self, served: ServedExpression, question: _PendingRequest, answer: Callable[[], None] | None
+    ) -> None:
+        def deliver_reply() -> None:
+            if not self._net.is_cut(served.bus, question.asker):
+                self._net.deliver_call(question.asker, Priority.EVENT, settle_request)
 
-        def settle() -> None:
-            if answer is not None and not question.outcome.over:
+        def settle_request() -> None:
+            if answer is not None and not question.outcome.is_over:
                 answer()
-            question.done(served)
+            question.remove_server(served)
 
-        self._net.at(self._net.arrival_ns(), arrive)
+        self._net.schedule_call(self._net.arrival_ns(), deliver_reply)

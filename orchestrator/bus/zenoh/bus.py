@@ -22,11 +22,11 @@ from typing import TypeVar
 import zenoh
 from zenoh.handlers import Callback
 
-from orchestrator.bus.base import BusClosed, Declared, Handler, Priority, RequestRefused, Sample
+from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler, RequestRefused
 from orchestrator.bus.expression import check_expression, check_key, check_put, is_wild
-from orchestrator.bus.outcome import Outcome
+from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
-from orchestrator.bus.zenoh.threads import Inbox, Sender, off_loop
+from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
 
 QUEUE_LIMIT = 1000
 """Maximum state samples that wait in this process, outwards or inwards; beyond that the oldest are lost."""
@@ -34,13 +34,13 @@ QUEUE_LIMIT = 1000
 CLOSE_TIMEOUT_S = 1.0
 """For each of: sending what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
 
-_LEFT_S = 3.0
-_DROPPED_S = 0.1
+_FLUSH_TIMEOUT_S = 3.0
+_DROP_TIMEOUT_S = 0.1
 """A process must not end before its sessions are closed and their objects are dropped: otherwise the interpreter
 ends Zenoh's threads in the middle of that, and the process ends by SIGABRT. A hanging router is not waited for
 beyond that: threads that wait for it do nothing else."""
 
-_GRACE_S = 0.02
+_UNANSWERED_GRACE_S = 0.02
 """A request ends without replies either because the key is not served or because the router has just died, which the
 session may detect some milliseconds later."""
 
@@ -62,34 +62,34 @@ _WIRE_PRIORITY = {
 }
 
 
-def _priority(sample: zenoh.Sample) -> Priority:
+def _to_priority(sample: zenoh.Sample) -> Priority:
     if sample.priority == zenoh.Priority.REAL_TIME:
         return Priority.ESTOP
     return Priority.STATE if sample.priority == zenoh.Priority.DATA else Priority.EVENT
 
 
-def _direct(arrive: Callable[[A], None], end: Callable[[], None] | None = None) -> "Callback[A]":
+def _make_direct_callback(arrive: Callable[[A], None], end: Callable[[], None] | None = None) -> "Callback[A]":
     """Make a callback on Zenoh's own network thread, which must only hand over what has arrived, like an inbox. By
     default Zenoh makes a thread for each callback, for a query each time, which ends some time after its session;
     if the interpreter ends meanwhile, the process ends by SIGABRT."""
     return Callback(arrive, end, indirect=False)
 
 
-class _Declaration:
-    """A declaration on a session. `standing` holds all active ones, because Zenoh undeclares what is not referenced."""
+class _ZenohDeclaration:
+    """A declaration on a session. `active` holds all active ones, because Zenoh undeclares what is not referenced."""
 
-    def __init__(self, standing: "dict[_Declaration, Callable[[], None]]") -> None:
+    def __init__(self, active: "dict[_ZenohDeclaration, Callable[[], None]]") -> None:
         self.stands = True
-        self._standing = standing
+        self._standing = active
 
-    def take(self, undeclare: Callable[[], None]) -> None:
+    def attach(self, undeclare: Callable[[], None]) -> None:
         self._standing[self] = undeclare
 
     async def undeclare(self) -> None:
         self.stands = False
         undeclare = self._standing.pop(self, None)
         if undeclare is not None:
-            await off_loop("bus-undeclare", undeclare)
+            await run_in_thread("bus-undeclare", undeclare)
 
 
 class ZenohBus:
@@ -100,16 +100,16 @@ class ZenohBus:
         self._loop = asyncio.get_running_loop()
         self._lossy = lossy
         self._sure = sure
-        self._lossy_sender = Sender("bus-state", QUEUE_LIMIT)
-        self._sure_sender = Sender("bus-events", QUEUE_LIMIT)
-        self._inbox = Inbox(self._loop, QUEUE_LIMIT)
+        self._lossy_sender = SenderThread("bus-state", QUEUE_LIMIT)
+        self._sure_sender = SenderThread("bus-events", QUEUE_LIMIT)
+        self._inbox = LoopInbox(self._loop, QUEUE_LIMIT)
         self._closed = False
-        self._standing: dict[_Declaration, Callable[[], None]] = {}
+        self._standing: dict[_ZenohDeclaration, Callable[[], None]] = {}
         self._disconnects = 0
-        self._asking: list[Outcome] = []
+        self._asking: list[RequestOutcome] = []
         self._answering: set[asyncio.Task[None]] = set()
         # Held only so that it is not undeclared.
-        self._transports = sure.info.declare_transport_events_listener(_direct(self._transport_event))
+        self._transports = sure.info.declare_transport_events_listener(_make_direct_callback(self._transport_event))
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         self._check_open()
@@ -123,52 +123,54 @@ class ZenohBus:
             priority=_WIRE_PRIORITY[priority],
             express=True,
         )
-        sender.hand(priority, call)
+        sender.queue_call(priority, call)
 
-    async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:
-        declaration = _Declaration(self._standing)
+    async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
+        declaration = _ZenohDeclaration(self._standing)
 
-        def deliver(sample: Sample) -> None:
+        def deliver_sample(sample: BusSample) -> None:
             if declaration.stands:
                 callback(sample)
 
-        def arrive(sample: zenoh.Sample) -> None:
+        def receive_sample(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
-                ours = Sample(str(sample.key_expr), sample.payload.to_bytes())
-                self._inbox.add(_priority(sample), partial(deliver, ours))
+                ours = BusSample(str(sample.key_expr), sample.payload.to_bytes())
+                self._inbox.queue_call(_to_priority(sample), partial(deliver_sample, ours))
 
         check_expression(expression)
-        subscriber = await self._declare(lambda: self._lossy.declare_subscriber(expression, _direct(arrive)))
-        declaration.take(subscriber.undeclare)
+        subscriber = await self._run_declaration(
+            lambda: self._lossy.declare_subscriber(expression, _make_direct_callback(receive_sample))
+        )
+        declaration.attach(subscriber.undeclare)
         return declaration
 
-    async def serve(self, expression: str, handler: Handler) -> Declared:
-        declaration = _Declaration(self._standing)
+    async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
+        declaration = _ZenohDeclaration(self._standing)
 
-        def start(query: zenoh.Query) -> None:
+        def start_answer(query: zenoh.Query) -> None:
             if not declaration.stands or self._closed:
                 query.drop()
                 return
-            task = self._loop.create_task(self._answer(query, expression, handler))
+            task = self._loop.create_task(self._answer_query(query, expression, handler))
             self._answering.add(task)
             task.add_done_callback(self._answering.discard)
 
-        def arrive(query: zenoh.Query) -> None:
-            self._inbox.add(Priority.EVENT, partial(start, query))
+        def receive_query(query: zenoh.Query) -> None:
+            self._inbox.queue_call(Priority.EVENT, partial(start_answer, query))
 
         check_expression(expression)
-        queryable = await self._declare(
-            lambda: self._sure.declare_queryable(expression, _direct(arrive), complete=False)
+        queryable = await self._run_declaration(
+            lambda: self._sure.declare_queryable(expression, _make_direct_callback(receive_query), complete=False)
         )
-        declaration.take(queryable.undeclare)
+        declaration.attach(queryable.undeclare)
         return declaration
 
-    async def _answer(self, query: zenoh.Query, expression: str, handler: Handler) -> None:
+    async def _answer_query(self, query: zenoh.Query, expression: str, handler: RequestHandler) -> None:
         asked = str(query.key_expr)
         key = expression if is_wild(asked) else asked
         payload = b"" if query.payload is None else query.payload.to_bytes()
         try:
-            reply = partial(query.reply, key, await handler(Sample(key, payload)), express=True)
+            reply = partial(query.reply, key, await handler(BusSample(key, payload)), express=True)
         except RequestRefused as refusal:
             reply = partial(query.reply_err, str(refusal), encoding=_REFUSED)
         except asyncio.CancelledError:
@@ -179,56 +181,58 @@ class ZenohBus:
             self._loop.call_exception_handler({"message": text, "exception": error})
             reply = partial(query.reply_err, text, encoding=_REFUSED)
 
-        def send() -> None:
+        def send_reply() -> None:
             # Dropping the query tells its sender that no more replies come from here.
             with query:
                 reply()
 
-        self._sure_sender.hand(Priority.EVENT, send)
+        self._sure_sender.queue_call(Priority.EVENT, send_reply)
 
     async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        replies = await self._ask(check_key(key), payload, timeout_s, first_only=True)
+        replies = await self._collect_replies(check_key(key), payload, timeout_s, first_only=True)
         return next(iter(replies.values()))
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
-        return await self._ask(check_expression(expression), payload, timeout_s, first_only=False)
+        return await self._collect_replies(check_expression(expression), payload, timeout_s, first_only=False)
 
-    async def _ask(self, key: str, payload: bytes, timeout_s: float, *, first_only: bool) -> dict[str, bytes]:
+    async def _collect_replies(
+        self, key: str, payload: bytes, timeout_s: float, *, first_only: bool
+    ) -> dict[str, bytes]:
         self._check_open()
-        outcome = Outcome(key, timeout_s, first_only=first_only)
+        outcome = RequestOutcome(key, timeout_s, first_only=first_only)
         disconnects = self._disconnects
         unsure = False
 
-        def arrive(reply: zenoh.Reply) -> None:
+        def receive_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                answer = partial(outcome.take, str(reply.ok.key_expr), reply.ok.payload.to_bytes())
+                answer = partial(outcome.add_reply, str(reply.ok.key_expr), reply.ok.payload.to_bytes())
             elif reply.err is not None and str(reply.err.encoding) == _REFUSED:
-                answer = partial(outcome.refuse, reply.err.payload.to_string())
+                answer = partial(outcome.add_refusal, reply.err.payload.to_string())
             else:
-                answer = doubt
-            self._inbox.add(Priority.EVENT, answer)
+                answer = wait_for_transport
+            self._inbox.queue_call(Priority.EVENT, answer)
 
-        def doubt() -> None:
+        def wait_for_transport() -> None:
             nonlocal unsure
             unsure = True
 
-        def end() -> None:
-            if outcome.answered:
-                outcome.complete()
+        def end_request() -> None:
+            if outcome.has_reply:
+                outcome.end_replies()
             else:
-                self._loop.call_later(_GRACE_S, end_unanswered)
+                self._loop.call_later(_UNANSWERED_GRACE_S, end_unanswered)
 
         def end_unanswered() -> None:
             # While disconnected it is unknown which keys are served: only the timeout ends the request.
-            if not unsure and self._disconnects == disconnects and self._connected():
-                outcome.complete()
+            if not unsure and self._disconnects == disconnects and self._is_connected():
+                outcome.end_replies()
 
-        def get() -> None:
-            if outcome.over:
+        def start_query() -> None:
+            if outcome.is_over:
                 return
             self._sure.get(
                 key,
-                _direct(arrive, partial(self._inbox.add, Priority.EVENT, end)),
+                _make_direct_callback(receive_reply, partial(self._inbox.queue_call, Priority.EVENT, end_request)),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout_s + _QUERY_MARGIN_S,
@@ -238,27 +242,27 @@ class ZenohBus:
                 payload=payload,
             )
 
-        timer = self._loop.call_later(timeout_s, outcome.expire)
+        timer = self._loop.call_later(timeout_s, outcome.end_by_timeout)
         self._asking.append(outcome)
-        self._sure_sender.hand(Priority.EVENT, get)
+        self._sure_sender.queue_call(Priority.EVENT, start_query)
         try:
             return await outcome.settled
         finally:
             timer.cancel()
             self._asking.remove(outcome)
 
-    async def announce(self, key: str) -> Declared:
-        declaration = _Declaration(self._standing)
+    async def announce(self, key: str) -> BusDeclaration:
+        declaration = _ZenohDeclaration(self._standing)
         check_key(key)
-        token = await self._declare(lambda: self._sure.liveliness().declare_token(key))
-        declaration.take(token.undeclare)
+        token = await self._run_declaration(lambda: self._sure.liveliness().declare_token(key))
+        declaration.attach(token.undeclare)
         return declaration
 
-    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> Declared:
-        declaration = _Declaration(self._standing)
+    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
+        declaration = _ZenohDeclaration(self._standing)
         believed: set[str] = set()
 
-        def tell(key: str, present: bool) -> None:
+        def notify_change(key: str, *, present: bool) -> None:
             # Zenoh may repeat an earlier notification, e.g. after a reconnect.
             if not declaration.stands or present == (key in believed):
                 return
@@ -268,15 +272,17 @@ class ZenohBus:
                 believed.remove(key)
             callback(key, present)
 
-        def arrive(sample: zenoh.Sample) -> None:
+        def receive_token(sample: zenoh.Sample) -> None:
             present = sample.kind == zenoh.SampleKind.PUT
-            self._inbox.add(Priority.EVENT, partial(tell, str(sample.key_expr), present))
+            self._inbox.queue_call(Priority.EVENT, partial(notify_change, str(sample.key_expr), present=present))
 
         check_expression(expression)
-        subscriber = await self._declare(
-            lambda: self._lossy.liveliness().declare_subscriber(expression, _direct(arrive), history=True)
+        subscriber = await self._run_declaration(
+            lambda: self._lossy.liveliness().declare_subscriber(
+                expression, _make_direct_callback(receive_token), history=True
+            )
         )
-        declaration.take(subscriber.undeclare)
+        declaration.attach(subscriber.undeclare)
         return declaration
 
     @property
@@ -288,28 +294,28 @@ class ZenohBus:
             return
         self._closed = True
         for outcome in self._asking:
-            outcome.fail(BusClosed(f"the bus was closed during a request for {outcome.key}"))
+            outcome.end_by_error(BusClosed(f"the bus was closed during a request for {outcome.key}"))
         for task in list(self._answering):
             task.cancel()
         self._inbox.close()
-        left = await off_loop("bus-close", self._flush)
+        left = await run_in_thread("bus-close", self._flush_senders)
         gone = threading.Semaphore(0)
 
-        def leave(session: zenoh.Session) -> None:
+        def close_session(session: zenoh.Session) -> None:
             try:
                 session.close()
             finally:
                 gone.release()
 
-        def end() -> None:
-            until_s = time.monotonic() + _LEFT_S
+        def close_all() -> None:
+            until_s = time.monotonic() + _FLUSH_TIMEOUT_S
             for sender in (self._sure_sender, self._lossy_sender):
-                sender.join(max(0.0, until_s - time.monotonic()))
+                sender.wait_for_call(max(0.0, until_s - time.monotonic()))
             for _ in closing:
                 gone.acquire(timeout=max(0.0, until_s - time.monotonic()))
-            time.sleep(_DROPPED_S)
+            time.sleep(_DROP_TIMEOUT_S)
 
-        closing = [off_loop("bus-close", partial(leave, session)) for session in (self._lossy, self._sure)]
+        closing = [run_in_thread("bus-close", partial(close_session, session)) for session in (self._lossy, self._sure)]
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 for failure in await asyncio.gather(*closing, return_exceptions=True):
@@ -319,9 +325,9 @@ class ZenohBus:
             _LOG.warning("the router at %s does not answer; disconnected without it", self._endpoint)
             left = True
         if left:
-            atexit.register(end)
+            atexit.register(close_all)
 
-    def _flush(self) -> bool:
+    def _flush_senders(self) -> bool:
         """Send what is left. Returns whether some of it could not be sent in time and may still be in progress."""
         until_s = time.monotonic() + CLOSE_TIMEOUT_S
         left = [sender.stop(max(0.0, until_s - time.monotonic())) for sender in (self._sure_sender, self._lossy_sender)]
@@ -329,22 +335,22 @@ class ZenohBus:
             _LOG.warning("%d samples were not taken by the bus at %s", sum(left), self._endpoint)
         return any(left)
 
-    async def _declare(self, declare: Callable[[], T]) -> T:
+    async def _run_declaration(self, declare: Callable[[], T]) -> T:
         self._check_open()
-        return await off_loop("bus-declare", declare)
+        return await run_in_thread("bus-declare", declare)
 
     def _check_open(self) -> None:
         if self._closed:
             raise BusClosed(f"the bus at {self._endpoint} is closed")
 
-    def _connected(self) -> bool:
+    def _is_connected(self) -> bool:
         return not self._closed and bool(self._sure.info.routers_zid())
 
     def _transport_event(self, event: zenoh.TransportEvent) -> None:
         lost = event.kind == zenoh.SampleKind.DELETE
-        self._inbox.add(Priority.EVENT, partial(self._transport_changed, lost))
+        self._inbox.queue_call(Priority.EVENT, partial(self._transport_changed, lost=lost))
 
-    def _transport_changed(self, lost: bool) -> None:
+    def _transport_changed(self, *, lost: bool) -> None:
         if lost:
             self._disconnects += 1
             _LOG.warning("lost the router at %s; samples published meanwhile are lost", self._endpoint)
@@ -354,10 +360,10 @@ class ZenohBus:
 
 async def open_bus(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> ZenohBus:
     """Connect to the bus whose router listens at `endpoint`. Raises `RouterUnreachable` after `timeout_s`."""
-    lossy = await off_loop("bus-open", partial(open_session, endpoint, timeout_s))
+    lossy = await run_in_thread("bus-open", partial(open_session, endpoint, timeout_s))
     try:
-        sure = await off_loop("bus-open", partial(open_session, endpoint, timeout_s))
+        sure = await run_in_thread("bus-open", partial(open_session, endpoint, timeout_s))
     except BaseException:
-        await off_loop("bus-close", lossy.close)
+        await run_in_thread("bus-close", lossy.close)
         raise
     return ZenohBus(endpoint, lossy, sure)

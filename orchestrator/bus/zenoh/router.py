@@ -8,17 +8,17 @@ import sys
 
 from orchestrator.bus.zenoh.sessions import RouterRefused, open_router
 from orchestrator.clock.parent import die_with_parent
-from orchestrator.clock.realtime import Urgency, hurry
+from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 
-TAKEN = 4
+EXIT_ENDPOINT_IN_USE = 4
 
 
-def main(endpoint: str, parent_pid: int) -> int:
+def run_router(endpoint: str, parent_pid: int) -> int:
     ends = {signal.SIGTERM, signal.SIGINT}
     # Blocked before Zenoh starts its threads, so that only `sigwait` receives them.
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
     die_with_parent(parent_pid)
-    hurry(Urgency.BUS)
+    set_realtime_priority(RealtimePriority.BUS)
     try:
         with open_router(endpoint):
             sys.stdout.write("ready\n")
@@ -26,9 +26,9 @@ def main(endpoint: str, parent_pid: int) -> int:
             signal.sigwait(ends)
     except RouterRefused as error:
         sys.stderr.write(f"{error}\n")
-        return TAKEN
+        return EXIT_ENDPOINT_IN_USE
     return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1], int(sys.argv[2])))
+    raise SystemExit(run_router(sys.argv[1], int(sys.argv[2])))

@@ -11,24 +11,26 @@ from types import TracebackType
 
 import zenoh
 
+from orchestrator.model.errors import TuttiError
+
 CONNECT_TIMEOUT_S = 5.0
 """How long to wait for a router that is starting."""
 
-_RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
+_RETRY_CONFIG = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 """Zenoh's own retry periods grow to 4 s. A restarted router on the same host should be found sooner."""
 
 _LOOPBACK = ("tcp/127.", "tcp/localhost:", "tcp/[::1]:")
 
 
-class RouterUnreachable(Exception):
+class RouterUnreachable(TuttiError):
     """No router answered at the endpoint in time."""
 
 
-class RouterRefused(Exception):
+class RouterRefused(TuttiError):
     """The router cannot listen at the endpoint."""
 
 
-def _config(mode: str, **settings: object) -> zenoh.Config:
+def _make_config(mode: str, **settings: object) -> zenoh.Config:
     config = zenoh.Config()
     wanted: dict[str, object] = {
         "mode": mode,
@@ -48,13 +50,13 @@ def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.S
     When the router goes away and comes back, Zenoh reconnects and declares everything again. Raises
     `RouterUnreachable` after `timeout_s`.
     """
-    config = _config(
+    config = _make_config(
         "client",
         **{
             "connect/endpoints": [endpoint],
             "connect/timeout_ms": round(timeout_s * 1000),
             "connect/exit_on_failure": True,
-            "connect/retry": _RETRY,
+            "connect/retry": _RETRY_CONFIG,
             "listen/endpoints": [],
         },
     )
@@ -67,14 +69,14 @@ def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.S
         ) from error
 
 
-class Router:
+class ZenohRouter:
     """The router that all processes of a fleet connect to. Runs in a process that does nothing else."""
 
     def __init__(self, endpoint: str, session: zenoh.Session) -> None:
         self.endpoint = endpoint
         self._session = session
 
-    def __enter__(self) -> "Router":
+    def __enter__(self) -> "ZenohRouter":
         return self
 
     def __exit__(
@@ -88,7 +90,7 @@ class Router:
             self._session.close()
 
 
-def open_router(endpoint: str) -> Router:
+def open_router(endpoint: str) -> ZenohRouter:
     """Route for the fleet at `endpoint`. Plain TCP is allowed on this host only: otherwise it raises
     `RouterRefused`.
 
@@ -97,7 +99,7 @@ def open_router(endpoint: str) -> Router:
     if endpoint.startswith("tcp/") and not endpoint.startswith(_LOOPBACK):
         raise RouterRefused(f"{endpoint} would listen to the network without TLS; use tcp/127.0.0.1:PORT or tls/...")
     try:
-        session = zenoh.open(_config("router", **{"listen/endpoints": [endpoint], "connect/endpoints": []}))
+        session = zenoh.open(_make_config("router", **{"listen/endpoints": [endpoint], "connect/endpoints": []}))
     except zenoh.ZError as error:
         if "in use" in str(error):
             cause = (
@@ -107,4 +109,4 @@ def open_router(endpoint: str) -> Router:
         else:
             cause = f"the router cannot listen at {endpoint}: {error}"
         raise RouterRefused(cause) from error
-    return Router(endpoint, session)
+    return ZenohRouter(endpoint, session)

@@ -20,14 +20,14 @@ _LOG = logging.getLogger(__name__)
 
 _ORDER = (Priority.ESTOP, Priority.EVENT, Priority.STATE)
 
-SLOW_S = 1.0
+SLOW_CALL_S = 1.0
 """A call to Zenoh that takes longer is logged."""
 
 _BATCH = 64
 """Calls from the inbox before the loop runs other work."""
 
 
-class _Lanes:
+class _PriorityLanes:
     """Calls by priority, the most urgent first. Beyond `limit` the oldest `STATE` call is lost."""
 
     def __init__(self, limit: int) -> None:
@@ -38,29 +38,29 @@ class _Lanes:
     def __len__(self) -> int:
         return sum(len(lane) for lane in self._lanes.values())
 
-    def add(self, priority: Priority, call: Callable[[], None]) -> None:
+    def add_call(self, priority: Priority, call: Callable[[], None]) -> None:
         self._lanes[priority].append(call)
 
-    def clear(self) -> None:
+    def discard_calls(self) -> None:
         for lane in self._lanes.values():
             lane.clear()
 
-    def next(self) -> Callable[[], None] | None:
+    def take_call(self) -> Callable[[], None] | None:
         for lane in self._lanes.values():
             if lane:
                 return lane.popleft()
         return None
 
 
-class Sender:
+class SenderThread:
     """A thread that makes queued calls one after the other, e-stops first."""
 
     def __init__(self, name: str, limit: int) -> None:
-        self._lanes = _Lanes(limit)
+        self._lanes = _PriorityLanes(limit)
         self._changed = threading.Condition()
         self._busy = False
         self._stopping = False
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread = threading.Thread(target=self._run_calls, name=name, daemon=True)
         self._thread.start()
 
     @property
@@ -69,10 +69,10 @@ class Sender:
         with self._changed:
             return len(self._lanes) + self._busy
 
-    def hand(self, priority: Priority, call: Callable[[], None]) -> None:
+    def queue_call(self, priority: Priority, call: Callable[[], None]) -> None:
         """Queue `call`. Never waits for another call."""
         with self._changed:
-            self._lanes.add(priority, call)
+            self._lanes.add_call(priority, call)
             self._changed.notify()
 
     def stop(self, timeout_s: float) -> int:
@@ -84,15 +84,15 @@ class Sender:
         self._thread.join(timeout_s)
         with self._changed:
             left = len(self._lanes) + self._busy
-            self._lanes.clear()
+            self._lanes.discard_calls()
             return left
 
-    def join(self, timeout_s: float) -> None:
+    def wait_for_call(self, timeout_s: float) -> None:
         """Wait for the end of a call that is in progress."""
         self._thread.join(timeout_s)
 
-    def _run(self) -> None:
-        while (call := self._take()) is not None:
+    def _run_calls(self) -> None:
+        while (call := self._take_call()) is not None:
             began_s = time.monotonic()
             try:
                 call()
@@ -100,47 +100,47 @@ class Sender:
                 # The transport's error must reach the log and must not end the thread.
                 _LOG.exception("%s: a call to the bus failed", self._thread.name)
             # After 5 s of blocking Zenoh closes the transport and loses its contents, without an error.
-            if (took_s := time.monotonic() - began_s) > SLOW_S:
+            if (took_s := time.monotonic() - began_s) > SLOW_CALL_S:
                 _LOG.warning("%s: the router took %.1f s for one call; samples may be lost", self._thread.name, took_s)
 
-    def _take(self) -> Callable[[], None] | None:
+    def _take_call(self) -> Callable[[], None] | None:
         with self._changed:
             self._busy = False
-            while (call := self._lanes.next()) is None and not self._stopping:
+            while (call := self._lanes.take_call()) is None and not self._stopping:
                 self._changed.wait()
             self._busy = call is not None
             return call
 
 
-class Inbox:
+class LoopInbox:
     """Passes calls from Zenoh's threads to the event loop, e-stops first and never more than it can hold."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, limit: int) -> None:
         self._loop = loop
-        self._lanes = _Lanes(limit)
+        self._lanes = _PriorityLanes(limit)
         self._lock = threading.Lock()
         self._awake = False
         self._closed = False
 
-    def add(self, priority: Priority, call: Callable[[], None]) -> None:
+    def queue_call(self, priority: Priority, call: Callable[[], None]) -> None:
         """Queue `call` for the loop. Callable from any thread; never waits for the loop."""
         with self._lock:
             if self._closed or self._loop.is_closed():
                 return
-            self._lanes.add(priority, call)
+            self._lanes.add_call(priority, call)
             if not self._awake:
                 self._awake = True
-                self._loop.call_soon_threadsafe(self._drain)
+                self._loop.call_soon_threadsafe(self._run_calls)
 
     def close(self) -> None:
         """Discard what is left and accept no more."""
         with self._lock:
             self._closed = True
 
-    def _drain(self) -> None:
+    def _run_calls(self) -> None:
         for _ in range(_BATCH):
             with self._lock:
-                call = None if self._closed else self._lanes.next()
+                call = None if self._closed else self._lanes.take_call()
                 if call is None:
                     self._awake = False
                     return
@@ -149,10 +149,10 @@ class Inbox:
             except Exception as error:
                 # One faulty callback must not prevent the others.
                 self._loop.call_exception_handler({"message": "a callback of the bus failed", "exception": error})
-        self._loop.call_soon(self._drain)
+        self._loop.call_soon(self._run_calls)
 
 
-async def off_loop(name: str, call: Callable[[], T]) -> T:
+async def run_in_thread(name: str, call: Callable[[], T]) -> T:
     """Make `call` in a thread of its own, and wait for it. The thread is abandoned when the wait is given up.
 
     The loop's executor is not used because it waits for stuck calls when the loop is closed. `call`, with the Zenoh
@@ -162,7 +162,7 @@ async def off_loop(name: str, call: Callable[[], T]) -> T:
     loop = asyncio.get_running_loop()
     done: asyncio.Future[T] = loop.create_future()
 
-    def settle(result: T | None, error: Exception | None) -> None:
+    def settle_future(result: T | None, error: Exception | None) -> None:
         if done.done():
             return
         if error is not None:
@@ -170,7 +170,7 @@ async def off_loop(name: str, call: Callable[[], T]) -> T:
         else:
             done.set_result(result)  # pyright: ignore[reportArgumentType]
 
-    def run() -> None:
+    def run_call() -> None:
         nonlocal call
         result: T | None = None
         failure: Exception | None = None
@@ -181,7 +181,7 @@ async def off_loop(name: str, call: Callable[[], T]) -> T:
         del call
         # A closed loop has no waiters.
         if not loop.is_closed():
-            loop.call_soon_threadsafe(settle, result, failure)
+            loop.call_soon_threadsafe(settle_future, result, failure)
 
-    threading.Thread(target=run, name=name, daemon=True).start()
+    threading.Thread(target=run_call, name=name, daemon=True).start()
     return await done

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.codes import BAD_INPUT, INTERRUPTED
-from orchestrator.cli.common import fail, fleet_options, with_fleet
+from orchestrator.cli.base.codes import BAD_INPUT, INTERRUPTED
+from orchestrator.cli.base.common import exit_with_error, fleet_options, with_fleet
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -42,43 +42,43 @@ def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     it has come to rest: meanwhile jobs that need it wait, and other users are refused.
     """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        fail(
+        exit_with_error(
             "the jog panel needs a terminal on standard input and output",
             BAD_INPUT,
             "to move axes from a script: `tutti axis move --relative AXIS=DISTANCE`",
         )
 
-    async def act(tutti: "Tutti") -> int:
-        return await _panel(tutti, axes)
+    async def run_jog(tutti: "Tutti") -> int:
+        return await _run_panel(tutti, axes)
 
-    code = with_fleet(connect, fleet, act)
+    code = with_fleet(connect, fleet, run_jog)
     if code:
         raise SystemExit(code)
 
 
-async def _panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
+async def _run_panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
     """Run the panel; return its exit code."""
     from orchestrator.cli.jog.panel import JogPanel
     from orchestrator.cli.jog.session import JogSession
-    from orchestrator.cli.jog.terminal import Terminal
+    from orchestrator.cli.jog.terminal import RawTerminal
 
-    axes = await _configurations(tutti, wanted)
+    axes = await _find_configurations(tutti, wanted)
     ended: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
-    def end() -> None:
+    def end_panel() -> None:
         if not ended.done():
             ended.set_result(INTERRUPTED)
 
     # From here on every exit passes the end of the context below, which restores the terminal.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
-        asyncio.get_running_loop().add_signal_handler(number, end)
-    with Terminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal:
+        asyncio.get_running_loop().add_signal_handler(number, end_panel)
+    with RawTerminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal:
         panel = JogPanel(axes, terminal.releases, tutti.keys.fleet)
         async with JogSession(tutti, panel, terminal, ended):
             return await ended
 
 
-async def _configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict[str, Axis]":
+async def _find_configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict[str, Axis]":
     """Return the configurations of the wanted axes, in order; an unknown name ends with exit code 2."""
     from orchestrator.model.fleet import Axis
 
@@ -92,6 +92,6 @@ async def _configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict[str,
     for name in wanted:
         found = {axis: config for axis, config in known.items() if name in (axis, axis.partition(".")[0])}
         if not found:
-            fail(f"no axis or controller {name!r}; the axes are: {', '.join(known)}", BAD_INPUT)
+            exit_with_error(f"no axis or controller {name!r}; the axes are: {', '.join(known)}", BAD_INPUT)
         chosen |= found
     return chosen

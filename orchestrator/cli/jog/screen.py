@@ -6,7 +6,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.cli.jog.held_key import SILENT_NS, TAP_NS, WAIT_NS
+from orchestrator.cli.jog.held_key import REPEAT_WAIT_NS, SILENCE_NS, TAP_NS
 from orchestrator.cli.jog.panel import IDLE_NS, JogPanel
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
@@ -14,58 +14,69 @@ from orchestrator.model.state import AxisState
 from orchestrator.model.units import parse_quantity
 
 STALE_NS = 2 * NS_PER_S  # without a state of a controller that publishes several per second
-WIDE = 100  # columns from which there is room for wider gaps
+WIDE_COLUMNS = 100  # columns from which there is room for wider gaps
 # Minimum widths, so that columns do not shift while figures grow.
-_LEAST = {"position>": 12, "velocity>": 10, "− room>": 6, "+ room>": 6}
-BESIDE = 13  # lines of the screen that are neither rows of axes nor messages
+_MIN_WIDTHS = {"position>": 12, "velocity>": 10, "− room>": 6, "+ room>": 6}
+OTHER_LINES = 13  # lines of the screen that are neither rows of axes nor messages
 
 _LIMITS = {"none": "", "reverse": "− end", "forward": "+ end", "both": "both"}
 _ARROWS = {-1: "◀◀◀", 0: " ■ ", 1: "▶▶▶"}
 
 
-def screen(panel: JogPanel, now_ns: int, columns: int, rows: int) -> RenderableType:
+def render_panel(panel: JogPanel, now_ns: int, columns: int, rows: int) -> RenderableType:
     """Render the whole panel for a terminal of this size."""
-    troubles = _troubles(panel, now_ns)
-    beside = BESIDE + sum(-(-len(text) // columns) for text in troubles)
-    axes = _axes(panel, now_ns, columns, max(1, rows - beside))
-    return Group(_head(panel), "", axes, "", _motion(panel), "", *troubles, "", _keys(), _release(panel.releases))
+    troubles = _list_troubles(panel, now_ns)
+    beside = OTHER_LINES + sum(-(-len(text) // columns) for text in troubles)
+    axes = _render_axes(panel, now_ns, columns, max(1, rows - beside))
+    return Group(
+        _render_head(panel),
+        "",
+        axes,
+        "",
+        _render_motion(panel),
+        "",
+        *troubles,
+        "",
+        _render_keys(),
+        _describe_release(releases=panel.releases),
+    )
 
 
-def _head(panel: JogPanel) -> RenderableType:
+def _render_head(panel: JogPanel) -> RenderableType:
     grid = Table.grid(expand=True)
     grid.add_column(no_wrap=True)
     grid.add_column(justify="right", no_wrap=True)
-    lease = ("acquired", "bold cyan") if panel.leased else ("not acquired", "dim")
+    lease = ("acquired", "bold cyan") if panel.is_acquired else ("not acquired", "dim")
     grid.add_row(
-        Text.assemble(("Manual jog", "bold"), f"   fleet {panel.fleet}"), Text.assemble(f"{panel.axis}: ", lease)
+        Text.assemble(("Manual jog", "bold"), f"   fleet {panel.fleet}"), Text.assemble(f"{panel.chosen_axis}: ", lease)
     )
     return grid
 
 
-def _axes(panel: JogPanel, now_ns: int, columns: int, room: int) -> Table:
+def _render_axes(panel: JogPanel, now_ns: int, columns: int, room: int) -> Table:
     """Build one row per axis; as many as fit, around the chosen one."""
-    gap = 2 if columns >= WIDE else 1
+    gap = 2 if columns >= WIDE_COLUMNS else 1
     table = Table(box=None, header_style="bold underline", pad_edge=False, padding=(0, gap, 0, 0), expand=True)
     for name in ("", "axis", "position>", "velocity>", "motor", "ref.", "limit", "− room>", "+ room>"):
-        right, least = name.endswith(">"), _LEAST.get(name)
+        right, least = name.endswith(">"), _MIN_WIDTHS.get(name)
         table.add_column(name.removesuffix(">"), justify="right" if right else "left", no_wrap=True, min_width=least)
     table.add_column("held by", ratio=1, no_wrap=True, overflow="ellipsis")
     names = list(panel.axes)
     first = max(0, min(panel.chosen - room // 2, len(names) - room))
     for name in names[first : first + room]:
-        chosen = name == panel.axis
-        table.add_row(*_row(panel, name, now_ns), style="bold" if chosen else "")
+        chosen = name == panel.chosen_axis
+        table.add_row(*_make_row(panel, name, now_ns), style="bold" if chosen else "")
     return table
 
 
-def _row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
-    now, axis = panel.now(name), panel.axes[name]
-    mark, by = "▸" if name == panel.axis else "", panel.held_by(name)
+def _make_row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
+    now, axis = panel.axis_state(name), panel.axes[name]
+    mark, by = "▸" if name == panel.chosen_axis else "", panel.describe_holder(name)
     held_by = Text(by, style="bold cyan" if by == "you" else "yellow")
-    if now is None or _stale(panel, name, now_ns):
+    if now is None or _is_stale(panel, name, now_ns):
         gone = "offline" if now is None else "silent"
         return [mark, name, "-", "-", Text(gone, style="red"), "", "", "", "", held_by]
-    low, high = _room(axis, now)
+    low, high = _describe_room(axis, now)
     return [
         mark,
         name,
@@ -80,7 +91,7 @@ def _row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
     ]
 
 
-def _room(axis: Axis, now: AxisState) -> tuple[str, str]:
+def _describe_room(axis: Axis, now: AxisState) -> tuple[str, str]:
     """Return the distances to the soft limits, which are motor positions; unknown for an axis that is not
     referenced."""
     if axis.soft_limits is None:
@@ -89,44 +100,44 @@ def _room(axis: Axis, now: AxisState) -> tuple[str, str]:
         return "?", "?"
     low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
     at = Fraction(now.motor_position)
-    return _short(float(at - low)), _short(float(high - at))
+    return _format_short(float(at - low)), _format_short(float(high - at))
 
 
-def _short(value: float) -> str:
+def _format_short(value: float) -> str:
     """Format with four figures, which is enough to see the remaining distance."""
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
-def _motion(panel: JogPanel) -> RenderableType:
+def _render_motion(panel: JogPanel) -> RenderableType:
     """Describe the speed of a key press, and the current motion."""
-    axis, now = panel.axes[panel.axis], panel.now(panel.axis)
-    most = panel.jog_speed(panel.axis)
+    axis, now = panel.axes[panel.chosen_axis], panel.axis_state(panel.chosen_axis)
+    most = panel.jog_speed(panel.chosen_axis)
     why = "" if now is None or now.referenced else ", slow: unreferenced"
     unit = axis.unit
     doing = "at rest"
-    if panel.direction:
+    if panel.jog_direction:
         doing = "jogging"
     elif now is not None and now.moving:
         doing = "moving"
-    filled = round(panel.fraction * 20)
+    filled = round(panel.speed_fraction * 20)
     return Group(
         Text.assemble(
-            f"{panel.axis}  ",
-            (_ARROWS[panel.direction], "bold cyan" if panel.direction else "dim"),
+            f"{panel.chosen_axis}  ",
+            (_ARROWS[panel.jog_direction], "bold cyan" if panel.jog_direction else "dim"),
             f"  {doing}",
         ),
         Text.assemble(
             "speed  ",
             ("━" * filled, "cyan"),
             ("─" * (20 - filled), "dim"),
-            f"  {panel.fraction:.0%} = ",
-            (f"{panel.speed():.4g} {unit}/s", "bold"),
+            f"  {panel.speed_fraction:.0%} = ",
+            (f"{panel.key_speed():.4g} {unit}/s", "bold"),
             f" of {most:.4g} {unit}/s{why}",
         ),
     )
 
 
-def _troubles(panel: JogPanel, now_ns: int) -> list[Text]:
+def _list_troubles(panel: JogPanel, now_ns: int) -> list[Text]:
     """List the reasons why axes are not ready, and the last refusal."""
     lines: list[Text] = []
     for controller in dict.fromkeys(name.partition(".")[0] for name in panel.axes):
@@ -138,9 +149,9 @@ def _troubles(panel: JogPanel, now_ns: int) -> list[Text]:
             text = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
             lines.append(Text(text, style="bold red"))
         lines += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
-        if _stale(panel, controller, now_ns):
+        if _is_stale(panel, controller, now_ns):
             lines.append(
-                Text(f"{controller}: no state received for {_silent_s(panel, controller, now_ns):.0f} s", style="red")
+                Text(f"{controller}: no state received for {_silence_s(panel, controller, now_ns):.0f} s", style="red")
             )
     if panel.refusal is not None:
         remedy = f" → {panel.refusal.remedy}" if panel.refusal.remedy else ""
@@ -150,15 +161,15 @@ def _troubles(panel: JogPanel, now_ns: int) -> list[Text]:
     return lines
 
 
-def _silent_s(panel: JogPanel, name: str, now_ns: int) -> float:
+def _silence_s(panel: JogPanel, name: str, now_ns: int) -> float:
     return (now_ns - panel.seen_ns.get(name.partition(".")[0], now_ns)) / NS_PER_S
 
 
-def _stale(panel: JogPanel, name: str, now_ns: int) -> bool:
-    return _silent_s(panel, name, now_ns) > STALE_NS / NS_PER_S
+def _is_stale(panel: JogPanel, name: str, now_ns: int) -> bool:
+    return _silence_s(panel, name, now_ns) > STALE_NS / NS_PER_S
 
 
-def _keys() -> RenderableType:
+def _render_keys() -> RenderableType:
     text = Text()
     for key, meaning in (
         ("←/→", "jog while held"),
@@ -173,14 +184,14 @@ def _keys() -> RenderableType:
     return text
 
 
-def _release(releases: bool) -> RenderableType:
+def _describe_release(*, releases: bool) -> RenderableType:
     if releases:
-        silent = f"{SILENT_NS / NS_PER_S:g} s"
+        silent = f"{SILENCE_NS / NS_PER_S:g} s"
         text = f"Releases are reported: the axis slows down on release, or after {silent} without repeats."
     else:
         text = (
             "Tap, or hold: this terminal reports no releases. The axis slows down within "
-            f"{WAIT_NS / NS_PER_MS:g} ms after a release, a tap after {TAP_NS / NS_PER_MS:g} ms."
+            f"{REPEAT_WAIT_NS / NS_PER_MS:g} ms after a release, a tap after {TAP_NS / NS_PER_MS:g} ms."
         )
     idle = f"The axis is released after {IDLE_NS / NS_PER_S:g} s at rest."
     return Text(f"{text} {idle}", style="dim")

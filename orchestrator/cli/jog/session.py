@@ -7,12 +7,21 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Sample
-from orchestrator.cli.codes import INTERRUPTED
-from orchestrator.cli.jog.keys import Event, Focus, Key
-from orchestrator.cli.jog.panel import Action, EstopFleet, GiveBack, Halt, Jog, JogPanel, StopFleet, TakeAxis
-from orchestrator.cli.jog.screen import screen
-from orchestrator.cli.jog.terminal import ESCAPE_S, Terminal
+from orchestrator.bus.base import BusSample
+from orchestrator.cli.base.codes import INTERRUPTED
+from orchestrator.cli.jog.keys import FocusChange, KeyEvent, TerminalEvent
+from orchestrator.cli.jog.panel import (
+    AcquireAxis,
+    JogAxis,
+    JogPanel,
+    PanelAction,
+    ReleaseAxis,
+    RequestFleetEstop,
+    RequestFleetStop,
+    StopJog,
+)
+from orchestrator.cli.jog.screen import render_panel
+from orchestrator.cli.jog.terminal import ESCAPE_TIMEOUT_S, RawTerminal
 from orchestrator.client import Refusal, Tutti
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
@@ -21,14 +30,14 @@ from orchestrator.model.report import LeaseState
 from orchestrator.model.state import ControllerState
 
 REFRESH_S = 0.1
-LEASES_S = 1.0  # for receiving the existing leases
-LEAVE_S = 2.0  # for stopping and releasing; an axis whose stop request fails has stopped by itself by then
+LEASES_TIMEOUT_S = 1.0  # for receiving the existing leases
+EXIT_TIMEOUT_S = 2.0  # for stopping and releasing; an axis whose stop request fails has stopped by itself by then
 
 
 class JogSession:
     """Runs `panel` while the context is open. `ended` gets the exit code, or the error."""
 
-    def __init__(self, tutti: Tutti, panel: JogPanel, terminal: Terminal, ended: "asyncio.Future[int]") -> None:
+    def __init__(self, tutti: Tutti, panel: JogPanel, terminal: RawTerminal, ended: "asyncio.Future[int]") -> None:
         self._tutti = tutti
         self._panel = panel
         self._terminal = terminal
@@ -43,9 +52,9 @@ class JogSession:
         self._escape: asyncio.TimerHandle | None = None
 
     async def __aenter__(self) -> Self:
-        self._endless = [self._watched(work) for work in (self._listen(), self._draw())]
-        self._ask(self._lease())
-        self._loop.add_reader(self._terminal.fd_in, self._readable)
+        self._endless = [self._start_task(work) for work in (self._subscribe_states(), self._draw_screens())]
+        self._start_request(self._manage_leases())
+        self._loop.add_reader(self._terminal.fd_in, self._on_readable)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -56,94 +65,96 @@ class JogSession:
                 timer.cancel()
         for task in self._endless:
             task.cancel()
-        self._give_back()
+        self._release_axes()
         self._leasing.put_nowait(None)
-        await asyncio.wait(self._requests, timeout=LEAVE_S)
+        await asyncio.wait(self._requests, timeout=EXIT_TIMEOUT_S)
 
     # Input
 
-    def _readable(self) -> None:
+    def _on_readable(self) -> None:
         if self._escape is not None:
             self._escape.cancel()
             self._escape = None
-        events = self._terminal.read()
+        events = self._terminal.read_events()
         if events is None:
-            self._end(INTERRUPTED)
+            self._end_session(INTERRUPTED)
             return
-        self._take(events)
-        if self._terminal.waiting:
-            self._escape = self._loop.call_later(ESCAPE_S, lambda: self._take(self._terminal.expire()))
+        self._handle_events(events)
+        if self._terminal.is_incomplete:
+            self._escape = self._loop.call_later(
+                ESCAPE_TIMEOUT_S, lambda: self._handle_events(self._terminal.expire_sequence())
+            )
 
-    def _take(self, events: list[Event]) -> None:
+    def _handle_events(self, events: list[TerminalEvent]) -> None:
         for event in events:
-            if isinstance(event, Key):
-                self._perform(self._panel.key(event, raw_ns()))
-            elif isinstance(event, Focus):
-                self._perform(self._panel.focus(event, raw_ns()))
+            if isinstance(event, KeyEvent):
+                self._perform_actions(self._panel.handle_key(event, raw_ns()))
+            elif isinstance(event, FocusChange):
+                self._perform_actions(self._panel.handle_focus(event, raw_ns()))
 
-    async def _listen(self) -> None:
+    async def _subscribe_states(self) -> None:
         keys = self._tutti.keys
         async with self._tutti.subscribe_samples(keys.state(), keys.leases) as samples:
             for state in (await self._tutti.status()).values():
-                self._panel.hear(state, raw_ns())
-            for payload in (await self._tutti.bus.request_all(keys.leases, b"", LEASES_S)).values():
-                self._hear(Sample(keys.leases, payload))
+                self._panel.store_state(state, raw_ns())
+            for payload in (await self._tutti.bus.request_all(keys.leases, b"", LEASES_TIMEOUT_S)).values():
+                self._receive_sample(BusSample(keys.leases, payload))
             while True:
-                self._hear(await samples.get())
+                self._receive_sample(await samples.get())
 
-    def _hear(self, sample: Sample) -> None:
+    def _receive_sample(self, sample: BusSample) -> None:
         # A controller with another protocol version is not shown; its axes show no state.
         with contextlib.suppress(ValidationError):
             if sample.key.endswith("/state"):
-                self._panel.hear(ControllerState.model_validate_json(sample.payload), raw_ns())
+                self._panel.store_state(ControllerState.model_validate_json(sample.payload), raw_ns())
             else:
-                self._panel.hear_lease(LeaseState.model_validate_json(sample.payload))
+                self._panel.store_lease(LeaseState.model_validate_json(sample.payload))
 
     # Output
 
-    async def _draw(self) -> None:
+    async def _draw_screens(self) -> None:
         while True:
-            columns, rows = self._terminal.size()
-            self._terminal.show(screen(self._panel, raw_ns(), columns, rows))
+            columns, rows = self._terminal.get_size()
+            self._terminal.show_image(render_panel(self._panel, raw_ns(), columns, rows))
             await asyncio.sleep(REFRESH_S)
             if self._hand is not None:
-                self._see(self._hand)
+                self._check_lease(self._hand)
 
-    def _perform(self, actions: list[Action]) -> None:
+    def _perform_actions(self, actions: list[PanelAction]) -> None:
         """Perform the actions of the panel in order, and schedule its next tick."""
         if self._leaving:
             return
         for action in actions:
-            if isinstance(action, TakeAxis):
+            if isinstance(action, AcquireAxis):
                 self._leasing.put_nowait(action.axis)
-            elif isinstance(action, GiveBack):
-                self._give_back()
-            elif isinstance(action, Jog):
-                self._ask(self._jog(action))
-            elif isinstance(action, Halt):
-                self._ask(self._halt())
-            elif isinstance(action, StopFleet):
-                self._ask(self._stop_fleet())
-            elif isinstance(action, EstopFleet):
-                self._ask(self._estop_fleet())
+            elif isinstance(action, ReleaseAxis):
+                self._release_axes()
+            elif isinstance(action, JogAxis):
+                self._start_request(self._send_jog(action))
+            elif isinstance(action, StopJog):
+                self._start_request(self._stop_jog())
+            elif isinstance(action, RequestFleetStop):
+                self._start_request(self._stop_fleet())
+            elif isinstance(action, RequestFleetEstop):
+                self._start_request(self._estop_fleet())
             else:
-                self._end(action.code)
+                self._end_session(action.code)
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        due_ns = self._panel.due_ns()
+        due_ns = self._panel.next_tick_ns()
         if due_ns is not None:
-            self._timer = self._loop.call_later(max(0, due_ns - raw_ns()) / NS_PER_S, self._tick)
+            self._timer = self._loop.call_later(max(0, due_ns - raw_ns()) / NS_PER_S, self._handle_tick)
 
-    def _tick(self) -> None:
-        self._perform(self._panel.tick(raw_ns()))
+    def _handle_tick(self) -> None:
+        self._perform_actions(self._panel.handle_time(raw_ns()))
 
-    def _give_back(self) -> None:
+    def _release_axes(self) -> None:
         if self._hand is not None:
             self._leasing.put_nowait(self._hand)
             self._hand = None
 
-    async def _lease(self) -> None:
+    async def _manage_leases(self) -> None:
         """Acquire and release leases one after the other: an axis can be acquired again only after its release. None
         ends the loop."""
         while (wanted := await self._leasing.get()) is not None:
@@ -154,15 +165,15 @@ class JogSession:
             try:
                 await hand.acquire()
             except Refusal as error:
-                self._panel.not_taken(error)
+                self._panel.handle_acquire_refused(error)
                 continue
             if self._leaving:
                 await hand.release()
                 continue
             self._hand = hand
-            self._perform(self._panel.taken(hand.axes, hand.holder, raw_ns()))
+            self._perform_actions(self._panel.handle_acquired(hand.axes, hand.holder, raw_ns()))
 
-    async def _jog(self, jog: Jog) -> None:
+    async def _send_jog(self, jog: JogAxis) -> None:
         hand, refusal = self._hand, None
         if hand is None:
             return
@@ -170,53 +181,55 @@ class JogSession:
             await (hand.renew_jog if jog.renew else hand.jog)({jog.axis: jog.velocity})
         except Refusal as error:
             refusal = error
-        self._see(hand)
-        self._perform(self._panel.answered(jog, refusal, raw_ns()))
+        self._check_lease(hand)
+        self._perform_actions(self._panel.handle_jog_reply(jog, refusal, raw_ns()))
 
-    def _see(self, hand: ManualControl) -> None:
+    def _check_lease(self, hand: ManualControl) -> None:
         """Check whether the lease has ended early."""
         if hand is self._hand and hand.lost is not None:
-            self._panel.lost(hand.lost)
-            self._give_back()
+            self._panel.handle_lease_lost(hand.lost)
+            self._release_axes()
 
-    async def _halt(self) -> None:
+    async def _stop_jog(self) -> None:
         if self._hand is not None:
             try:
                 await self._hand.stop()
             except Refusal as error:
-                self._panel.not_halted(error)
+                self._panel.handle_stop_refused(error)
 
     async def _stop_fleet(self) -> None:
         answers = await self._tutti.stop()
         wrong = [refusal.text for refusal in answers.values() if refusal is not None]
-        self._panel.told(f"NOT STOPPED: {'; '.join(wrong)}" if wrong else f"stopped: {', '.join(answers) or 'nothing'}")
+        self._panel.show_note(
+            f"NOT STOPPED: {'; '.join(wrong)}" if wrong else f"stopped: {', '.join(answers) or 'nothing'}"
+        )
 
     async def _estop_fleet(self) -> None:
         latched = await self._tutti.estop("at the jog panel")
         wrong = [controller for controller, done in latched.items() if not done]
         if wrong or not latched:
-            self._panel.told(f"NOT LATCHED: {', '.join(wrong) or 'no controller answers'}; use the wired e-stop")
+            self._panel.show_note(f"NOT LATCHED: {', '.join(wrong) or 'no controller answers'}; use the wired e-stop")
         else:
-            self._panel.told(f"e-stop latched: {', '.join(latched)}")
+            self._panel.show_note(f"e-stop latched: {', '.join(latched)}")
 
     # Tasks
 
-    def _ask(self, work: Coroutine[Any, Any, None]) -> None:
+    def _start_request(self, work: Coroutine[Any, Any, None]) -> None:
         """Run a request that ends by itself; the panel waits for it on exit."""
-        task = self._watched(work)
+        task = self._start_task(work)
         self._requests.add(task)
         task.add_done_callback(self._requests.discard)
 
-    def _watched(self, work: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
+    def _start_task(self, work: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
         task = self._loop.create_task(work)
-        task.add_done_callback(self._failed)
+        task.add_done_callback(self._on_task_end)
         return task
 
-    def _failed(self, task: "asyncio.Task[None]") -> None:
+    def _on_task_end(self, task: "asyncio.Task[None]") -> None:
         """End the panel at a defect: no jog without a display."""
         if not task.cancelled() and (error := task.exception()) is not None and not self._ended.done():
             self._ended.set_exception(error)
 
-    def _end(self, code: int) -> None:
+    def _end_session(self, code: int) -> None:
         if not self._ended.done():
             self._ended.set_result(code)

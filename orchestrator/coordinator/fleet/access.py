@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from orchestrator.bus.log import Log
+from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import Clock
 from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.requests import MemberRequests
@@ -18,7 +18,7 @@ class FleetAccess:
     requests: MemberRequests
     permits: PermitMonitor
     clock: Clock
-    log: Log
+    log: ProcessLog
 
     async def stop_members(self, members: list[str], mode: StopMode, actor: str, reason: str) -> None:
         """Stop controllers, all at once. A stop is repeated until it is answered; a refusal is logged."""
@@ -26,7 +26,7 @@ class FleetAccess:
             member: StopRequest(request_id=self.requests.new_id(), actor=actor, mode=mode, reason=reason)
             for member in members
         }
-        replies = await self.requests.request_all("stop", requests, Reply, insist=True)
+        replies = await self.requests.repeat_all("stop", requests, Reply)
         for member, reply in replies.items():
             if reply.refused is not None:
                 self.log.warning(f"stop: {reply.refused.text}", controller=member)

@@ -3,10 +3,10 @@
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
-from orchestrator.bus.base import Bus, BusError, Declared, Priority, Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, Priority
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.errors import Refusal
@@ -18,6 +18,14 @@ ANSWER_S = 2.0
 TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
+
+
+class LeaseUser(NamedTuple):
+    """What acquires a lease: the holder's id, the user behind it, and the reason that others are shown."""
+
+    holder: str
+    actor: str
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +55,13 @@ class AxesInUse(Refusal):
 class LeaseRegistry:
     """All leases of the fleet."""
 
-    def __init__(self, fleet: FleetAccess, bus: Bus, keys: Keys) -> None:
+    def __init__(self, fleet: FleetAccess, bus: Bus, keys: FleetKeys) -> None:
         self._fleet = fleet
         self._bus = bus
         self._keys = keys
         self._held: dict[str, LeaseHold] = {}
         self._given_back = asyncio.Event()
-        self._declared: list[Declared] = []
+        self._declared: list[BusDeclaration] = []
         self._renewing: asyncio.Task[None] | None = None
         self._told_ns: dict[str, int] = {}  # by holder: when it was last sent to the adapters
         self._tasks: set[asyncio.Task[None]] = set()
@@ -73,7 +81,7 @@ class LeaseRegistry:
             await declared.undeclare()
         self._declared.clear()
 
-    async def _reply_lease(self, sample: Sample) -> bytes:
+    async def _reply_lease(self, sample: BusSample) -> bytes:
         """Return the lease of a controller; where several holders have its axes, that of the first."""
         controller = sample.key.rpartition("/")[2]
         mine = [held for held in self._held.values() if controller in group_by_controller(held.axes)]
@@ -122,16 +130,16 @@ class LeaseRegistry:
 
     async def acquire(
         self,
-        holder: str,
-        actor: str,
-        what: str,
+        user: LeaseUser,
         axes: Iterable[str],
         ttl_ns: int | None = None,
+        *,
         brief: bool = False,
         idle: bool = False,
     ) -> tuple[str, ...]:
-        """Acquire `axes` for `holder`, or renew its lease; return all axes of that lease: whole controllers where
+        """Acquire `axes` for `user`, or renew its lease; return all axes of that lease: whole controllers where
         axes cannot be leased separately. Raises `InUse`, `Refusal`; then no new lease has been made."""
+        holder = user.holder
         whole = await self._complete_controllers(axes)
         while (other := self.find_conflict(whole, holder)) is not None and other.brief:
             self._given_back.clear()
@@ -151,7 +159,7 @@ class LeaseRegistry:
         idle = idle or (before is not None and before.idle)
         self._takings += before is None
         taking = self._takings if before is None else before.acquisition
-        held = self._held[holder] = LeaseHold(holder, actor, what, mine, until_ns, brief, idle, taking)
+        held = self._held[holder] = LeaseHold(*user, mine, until_ns, brief, idle, taking)
         if before is None or set(mine) != set(before.axes):
             try:
                 if not idle:

@@ -13,9 +13,8 @@ from typing import Any
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.leases import LeaseHold, LeaseRegistry
+from orchestrator.coordinator.fleet.leases import LeaseHold, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.permits import PermitWatch
-from orchestrator.coordinator.jobs.steps import expand_axes
 from orchestrator.coordinator.journal.journal import Journal, JournalError
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
@@ -57,13 +56,15 @@ class ManualLeases:
 
     async def acquire(self, request: AcquireAxes) -> AxesAcquired:
         """Acquire axes for manual control, or renew the lease. Raises `Refusal`, `UnknownName`, `JournalError`."""
-        axes = expand_axes(self._fleet.view.fleet, request.axes)
+        axes = self._fleet.view.fleet.expand_names(request.axes)
         missing = self._fleet.permits.find_missing(axes)
         if missing is not None and not request.reserve:
             raise Refusal("permit", missing, "satisfy the permit, then acquire the axes again")
         ttl_ns = round(request.ttl_s * NS_PER_S)
         idle = missing is not None
-        held = await self._leases.acquire(request.holder, request.actor, request.what, axes, ttl_ns, idle=idle)
+        held = await self._leases.acquire(
+            LeaseUser(request.holder, request.actor, request.what), axes, ttl_ns, idle=idle
+        )
         if request.reserve:
             await self._record_reservation(request, held)
         if request.holder not in self._guards:

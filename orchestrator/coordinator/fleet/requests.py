@@ -12,7 +12,7 @@ from typing import TypedDict, TypeVar
 from pydantic import ValidationError
 
 from orchestrator.bus.base import Bus, BusError, NoReply, RequestRefused, RequestTimeout
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.model.messages import BatchReply, BatchRequest, RefusalDetails, Reply, Request
@@ -46,7 +46,7 @@ class MemberRequests:
     controller."""
 
     bus: Bus
-    keys: Keys
+    keys: FleetKeys
     leadership: Leadership
     new_id: Callable[[], str]
     host: Callable[[str], str]
@@ -91,22 +91,20 @@ class MemberRequests:
         requests: Mapping[str, Request],
         reply: type[R],
         timeout_s: float = ANSWER_S,
-        insist: bool = False,
         answered: Callable[[str, int], None] | None = None,
     ) -> dict[str, R]:
-        """Send requests to several members at once, repeated if `insist`; return the replies by member. answered:
-        called with each member that has answered, and the ns that it took."""
+        """Send requests to several members at once; return the replies by member. answered: called with each member
+        that has answered, and the ns that it took."""
         hosts: dict[str, dict[str, Request]] = {}
         for member, request in requests.items():
-            # Repeated requests go to each member separately.
-            hosts.setdefault(member if insist else self.host(member), {})[member] = request
+            hosts.setdefault(self.host(member), {})[member] = request
 
         async def ask(asked: Mapping[str, Request]) -> dict[str, tuple[R, int]]:
             if len(asked) > 1:
                 return await self._request_batch(verb, asked, reply, timeout_s)
             begun_s = asyncio.get_running_loop().time()
             ((member, request),) = asked.items()
-            said = await (self.repeat_request if insist else self.request)(member, verb, request, reply, timeout_s)
+            said = await self.request(member, verb, request, reply, timeout_s)
             return {member: (said, _elapsed_ns(begun_s))}
 
         found: dict[str, tuple[R, int]] = {}
@@ -117,6 +115,12 @@ class MemberRequests:
                 answered(member, took_ns)
         return {member: found[member][0] for member in requests}
 
+    async def repeat_all(self, verb: str, requests: Mapping[str, Request], reply: type[R]) -> dict[str, R]:
+        """Send requests to several members at once, each separately and repeated as by `repeat_request`; return the
+        replies by member."""
+        said = await asyncio.gather(*(self.repeat_request(m, verb, r, reply, ANSWER_S) for m, r in requests.items()))
+        return dict(zip(requests, said, strict=True))
+
     async def _request_batch(
         self, verb: str, requests: Mapping[str, Request], reply: type[R], timeout_s: float
     ) -> dict[str, tuple[R, int]]:
@@ -125,7 +129,7 @@ class MemberRequests:
         begun_s = asyncio.get_running_loop().time()
         texts = {member: request.to_json().decode() for member, request in requests.items()}
         asked = BatchRequest(requests=texts, answer_within_ns=round(HOST_TIMEOUT_SHARE * timeout_s * NS_PER_S))
-        key = self.keys.together(self.host(next(iter(requests))), verb)
+        key = self.keys.batch_command(self.host(next(iter(requests))), verb)
         said, failure = BatchReply(), None
         try:
             said = BatchReply.model_validate_json(await self.bus.request(key, asked.to_json(), timeout_s))
@@ -150,7 +154,7 @@ class MemberRequests:
         return {member: (of(member), said.took_ns.get(member, took_ns) + both_ways_ns) for member in requests}
 
     async def _request_reply(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
-        payload = await self.bus.request(self.keys.cmd(member, verb), request.to_json(), timeout_s)
+        payload = await self.bus.request(self.keys.command(member, verb), request.to_json(), timeout_s)
         return reply.model_validate_json(payload)
 
 

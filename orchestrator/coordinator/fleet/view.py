@@ -7,9 +7,9 @@ from functools import partial
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, BusError, Declared, Sample
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log
+from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.state import ControllerEvent, ControllerInfo, ControllerState, EventsReply, EventsRequest
@@ -28,7 +28,7 @@ EventListener = Callable[[ControllerEvent], None]
 class FleetView:
     """Subscribes to all controllers of the fleet file, and to no others."""
 
-    def __init__(self, fleet: Fleet, bus: Bus, keys: Keys, clock: Clock, log: Log) -> None:
+    def __init__(self, fleet: Fleet, bus: Bus, keys: FleetKeys, clock: Clock, log: ProcessLog) -> None:
         self.fleet = fleet
         self._bus = bus
         self._keys = keys
@@ -46,7 +46,7 @@ class FleetView:
         self._awaited: dict[str, tuple[str, int]] = {}
         self._listeners: list[EventListener] = []
         self._state_listeners: list[Callable[[ControllerState], None]] = []
-        self._declared: list[Declared] = []
+        self._declared: list[BusDeclaration] = []
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def start(self) -> None:
@@ -55,7 +55,7 @@ class FleetView:
             await self._bus.subscribe(self._keys.event(), self._receive_event),
         ]
         for payload in (await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)).values():
-            self._receive_state(Sample("", payload))
+            self._receive_state(BusSample("", payload))
 
     async def close(self) -> None:
         for declared in self._declared:
@@ -117,7 +117,7 @@ class FleetView:
 
     # Inside
 
-    def _receive_state(self, sample: Sample) -> None:
+    def _receive_state(self, sample: BusSample) -> None:
         try:
             state = ControllerState.model_validate_json(sample.payload)
         except ValidationError as error:
@@ -147,7 +147,7 @@ class FleetView:
         elif last < told[1]:
             self._spawn_gap_query(controller, last)
 
-    def _receive_event(self, sample: Sample) -> None:
+    def _receive_event(self, sample: BusSample) -> None:
         try:
             event = ControllerEvent.model_validate_json(sample.payload)
         except ValidationError as error:

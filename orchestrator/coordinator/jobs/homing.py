@@ -8,7 +8,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
 from orchestrator.model.messages import HomeReply, HomeRequest, RefusalDetails
-from orchestrator.plan.step import Targets
+from orchestrator.plan.step import ExactTargets
 
 ANSWER_S = 3.0
 POLL_S = 0.05
@@ -104,7 +104,7 @@ class _HomingRun:
 class HomingSequence:
     """Homes axes of the fleet."""
 
-    def __init__(self, fleet: FleetAccess, targets: Targets) -> None:
+    def __init__(self, fleet: FleetAccess, targets: ExactTargets) -> None:
         self._fleet = fleet
         self._targets = targets
 
@@ -165,7 +165,7 @@ class HomingSequence:
 
     async def _request_homing(self, run: _HomingRun, controller: str, names: list[str]) -> HomeReply:
         for name in names:
-            self._targets.forget(f"{controller}.{name}")
+            self._targets.forget_target(f"{controller}.{name}")
         timeout_s = max(self._fleet.view.fleet.controllers[controller].axes[name].homing.timeout_s for name in names)
         request = HomeRequest(**self._fleet.requests.request_fields(run.actor), axes=names, holder=run.holder)
         state = self._fleet.view.last_state(controller)

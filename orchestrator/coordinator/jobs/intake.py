@@ -95,7 +95,12 @@ class JobIntake:
     ) -> JobSubmitted:
         services = self._services
         job_id, fresh = await services.execute(
-            services.journal.accept_job, self._new_id()[:8], client_key, job, services.clock.utc(), terms, retried
+            services.journal.accept_job,
+            self._new_id()[:8],
+            client_key,
+            job,
+            services.clock.utc(),
+            journal.QueueEntryOptions(terms, retried),
         )
         row = await services.execute(services.journal.load_record, job_id)
         assert row is not None

@@ -6,12 +6,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from orchestrator.bus.base import Bus, BusError, Priority
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry
+from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.queue import expand_repeats, find_axes
 from orchestrator.coordinator.jobs.steps import PlainSteps, check_job
@@ -21,7 +21,7 @@ from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Step
 from orchestrator.model.messages import RefusalDetails, StopMode
@@ -32,7 +32,7 @@ REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show rest
 REST_POLL_NS = NS_PER_S // 20
 
 
-class JobInterrupted(Exception):
+class JobInterrupted(TuttiError):
     """The reason to end a running job: the state to end in, why, and the originator."""
 
     def __init__(self, state: JobState, reason: str, actor: str) -> None:
@@ -47,7 +47,7 @@ class JobServices:
     """The services that jobs need."""
 
     bus: Bus
-    keys: Keys
+    keys: FleetKeys
     clock: Clock
     journal: Journal
     execute: Executor
@@ -57,7 +57,7 @@ class JobServices:
     plain_steps: PlainSteps
     leases: LeaseRegistry
     leadership: Leadership
-    log: Log
+    log: ProcessLog
 
     def make_transition(self, state: JobState, reason: str, actor: str) -> JobTransition:
         """A change of a job's state, now."""
@@ -224,7 +224,7 @@ class JobRun:
             check_job(services.view.fleet, self.steps_to_run)
             axes = find_axes(services.view.fleet, self.steps_to_run)
             since_ns = services.clock.now_ns()
-            await services.leases.acquire(self.row.id, self.row.actor, f"job {self.row.name!r}", axes)
+            await services.leases.acquire(LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}"), axes)
             await self._wait_for_rest(since_ns)
             await self._enable_by_policy()
             for index in range(self.row.from_step, len(self._steps)):
@@ -384,7 +384,7 @@ class JobRun:
         ]
         if off:
             self._seen_ns = None
-            await self._services.plain_steps.switch_motors(off, True, self.row.id, self.row.actor)
+            await self._services.plain_steps.switch_motors(off, on=True, holder=self.row.id, actor=self.row.actor)
 
     async def _disable_by_policy(self) -> None:
         """Disable axes with `enable: per_job`. An axis that still ramps down stays enabled, and that is logged."""
@@ -394,7 +394,7 @@ class JobRun:
         per_job = [axis for axis in self._moved_axes() if services.view.fleet.axis(axis).enable == "per_job"]
         if per_job:
             try:
-                await services.plain_steps.switch_motors(per_job, False, self.row.id, self.row.actor)
+                await services.plain_steps.switch_motors(per_job, on=False, holder=self.row.id, actor=self.row.actor)
             except Refusal as error:
                 services.log.warning(f"left enabled after the job: {error.text}", job=self.row.id)
 

@@ -14,7 +14,6 @@ separately.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from orchestrator.coordinator.jobs.steps import expand_axes
 from orchestrator.coordinator.journal.journal import JobRecord
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Disable, Enable, Home, Job, Move, SetOutput, SetPosition, Step
@@ -94,7 +93,7 @@ def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
         if isinstance(step, Move):
             names += [*step.to, *step.by]
         elif isinstance(step, Home | Enable | Disable):
-            names += expand_axes(fleet, step.axes or list(fleet.controllers))
+            names += fleet.expand_names(step.axes or list(fleet.controllers))
         elif isinstance(step, SetPosition):
             names += step.axes
     return list(dict.fromkeys(names))

@@ -6,11 +6,11 @@
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable
 from datetime import timedelta
-from typing import Any, ParamSpec
+from typing import Any, NamedTuple, ParamSpec
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Declared, Priority, Sample
+from orchestrator.bus.base import BusDeclaration, BusSample, Priority
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
 from orchestrator.coordinator.jobs.publisher import QueuePublisher, make_queued_progress
@@ -40,6 +40,14 @@ CLOSE_S = 5.0  # for running jobs to stop, and for their ends to be recorded
 RETRY_NS = 5 * NS_PER_S  # before another try on a journal that could not be written
 
 
+class JobEnd(NamedTuple):
+    """How a job ends: its state, the reason, and what caused it."""
+
+    state: JobState
+    reason: str
+    actor: str
+
+
 class Scheduler:
     """Begins jobs as soon as the controllers that they need are free, and changes the queue on request."""
 
@@ -52,7 +60,7 @@ class Scheduler:
         self._trouble = False
         self._wake = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._declared: list[Declared] = []
+        self._declared: list[BusDeclaration] = []
         self._timed = asyncio.Event()
         self._arranging = asyncio.Lock()
         services.leases.add_release_listener(lambda _: self.wake_up())
@@ -70,7 +78,7 @@ class Scheduler:
                 left.append((row, job))
         for row, job in left:
             reason = f"the coordinator ended while the job was {row.state}"
-            await self._end_job(row, job, self._report_of(row, job), "interrupted", reason, "coordinator")
+            await self._end_job(row, job, self._report_of(row, job), JobEnd("interrupted", reason, "coordinator"))
         for waiting in list(self._waiting.values()):
             await self._settle_follower(waiting)
         self._declared.append(await services.bus.subscribe(services.keys.estop, self._receive_estop))
@@ -289,7 +297,9 @@ class Scheduler:
         """Record an end as soon as the journal can be written. Its controllers stay taken until then."""
         while True:
             try:
-                await self._end_job(run.row, run.job, outcome.report, outcome.state, outcome.reason, outcome.actor)
+                await self._end_job(
+                    run.row, run.job, outcome.report, JobEnd(outcome.state, outcome.reason, outcome.actor)
+                )
                 return
             except JobHasEnded as error:
                 self._services.log.warning(str(error), job=run.row.id)
@@ -300,11 +310,10 @@ class Scheduler:
 
     # Ends
 
-    async def _end_job(
-        self, row: JobRecord, job: Job, report: JobReport, state: JobState, reason: str, actor: str
-    ) -> None:
+    async def _end_job(self, row: JobRecord, job: Job, report: JobReport, end: JobEnd) -> None:
         """Record the end of a job, and publish it. Raises `JournalError`; then nothing is recorded or published."""
         services = self._services
+        state, reason, actor = end
         transition = services.make_transition(state, reason, actor)
         before = await services.execute(services.journal.list_transitions, row.id)
         report = report.model_copy(
@@ -359,7 +368,7 @@ class Scheduler:
         """End a job that was taken out of the queue; it returns there if its end cannot be recorded."""
         report = self._report_of(waiting.row, waiting.job)
         try:
-            await self._end_job(waiting.row, waiting.job, report, "cancelled", reason, actor)
+            await self._end_job(waiting.row, waiting.job, report, JobEnd("cancelled", reason, actor))
         except JournalError:
             self._waiting[waiting.row.id] = waiting
             raise
@@ -435,7 +444,7 @@ class Scheduler:
             )
             self.wake_up()
 
-    def _receive_estop(self, sample: Sample) -> None:
+    def _receive_estop(self, sample: BusSample) -> None:
         """After an e-stop nothing begins by itself when it is reset: neither jobs nor steps."""
         try:
             estop = EstopMessage.model_validate_json(sample.payload)

@@ -19,7 +19,7 @@ from orchestrator.model.messages import (
     raise_first_refusal,
 )
 from orchestrator.model.units import parse_quantity
-from orchestrator.plan.step import Targets
+from orchestrator.plan.step import ExactTargets
 
 ANSWER_S = 3.0
 INPUT_POLL_NS = 20 * NS_PER_MS
@@ -28,7 +28,7 @@ INPUT_POLL_NS = 20 * NS_PER_MS
 class PlainSteps:
     """Runs steps on controllers one by one; each raises `Refusal` with the reason if it cannot be done."""
 
-    def __init__(self, fleet: FleetAccess, targets: Targets) -> None:
+    def __init__(self, fleet: FleetAccess, targets: ExactTargets) -> None:
         self._fleet = fleet
         self._targets = targets
         self._homing = HomingSequence(fleet, targets)
@@ -37,7 +37,7 @@ class PlainSteps:
         """Run `step` to its end. holder: has the leases of its axes."""
         if isinstance(step, Enable | Disable):
             await self.switch_motors(
-                expand_axes(self._fleet.view.fleet, step.axes), isinstance(step, Enable), holder, actor
+                self._fleet.view.fleet.expand_names(step.axes), on=isinstance(step, Enable), holder=holder, actor=actor
             )
         elif isinstance(step, Home):
             await self._homing.run(step.axes, holder, actor, progress)
@@ -50,7 +50,7 @@ class PlainSteps:
         elif isinstance(step, WaitInput):
             await self._wait_input(step)
 
-    async def switch_motors(self, axes: list[str], on: bool, holder: str, actor: str) -> None:
+    async def switch_motors(self, axes: list[str], holder: str, actor: str, *, on: bool) -> None:
         """Switch the motors of `axes`, with their brakes. Raises `Refusal`."""
         requests = {
             member: EnableRequest(**self._request_fields(actor), axes=names, on=on, holder=holder)
@@ -63,7 +63,7 @@ class PlainSteps:
     async def _set_position(self, step: SetPosition, holder: str, actor: str) -> None:
         for axis, position in step.axes.items():
             controller, _, name = axis.partition(".")
-            self._targets.forget(axis)
+            self._targets.forget_target(axis)
             request = SetPositionRequest(**self._request_fields(actor), axes=[name], holder=holder, position=position)
             await self._request_all("set-position", {controller: request}, ANSWER_S)
 
@@ -99,11 +99,6 @@ class PlainSteps:
         return self._fleet.requests.request_fields(actor)
 
 
-def expand_axes(fleet: Fleet, names: list[str]) -> list[str]:
-    """Expand axes, groups and controllers to axes, each once, in order."""
-    return list(dict.fromkeys(axis for name in names for axis in fleet.expand_name(name)))
-
-
 def check_job(fleet: Fleet, steps: list[Step]) -> None:
     """Check that the fleet has all names of a job, before it is accepted. Raises `Refusal`."""
     for index, step in enumerate(steps):
@@ -117,7 +112,7 @@ def check_job(fleet: Fleet, steps: list[Step]) -> None:
                     if position is not None:
                         parse_quantity(position, axis.unit)
             elif isinstance(step, Enable | Disable | Home):
-                expand_axes(fleet, step.axes or [])
+                fleet.expand_names(step.axes or [])
                 if isinstance(step, Home):
                     find_prerequisites(fleet, homing_order(fleet, step.axes))
             elif isinstance(step, SetOutput):

@@ -4,6 +4,7 @@
 """
 
 import sqlite3
+import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
@@ -12,6 +13,7 @@ from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.base import Model
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
@@ -21,7 +23,7 @@ M = TypeVar("M", bound=Model)
 MAX_RECORDED_JOBS = 100  # the newest jobs only: recordings are large, and the reports are kept
 
 
-class JournalError(Exception):
+class JournalError(TuttiError):
     """The journal cannot be used; nothing in it has been changed. Names the file and the remedy."""
 
     def __init__(self, text: str, remedy: str = "") -> None:
@@ -88,6 +90,22 @@ class RetryOrigin(NamedTuple):
     from_step: int
 
 
+class QueueEntryOptions(NamedTuple):
+    """Options of a new job: its place in the queue, and the job that it re-runs."""
+
+    terms: QueueTerms = QueueTerms()
+    again: RetryOrigin | None = None
+
+
+class StepDecision(NamedTuple):
+    """The decision that a step may move: under which term, when (T0, fleet ns), and its members, joined by commas."""
+
+    step: int
+    epoch: int
+    t0_fleet_ns: int
+    members: str
+
+
 class Reservation(NamedTuple):
     """Axes that are reserved for work at the machine."""
 
@@ -108,6 +126,8 @@ class Journal:
             if self._path != ":memory:":
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False)
+            # A journal that is dropped, like that of a virtual fleet, closes its database.
+            self._close = weakref.finalize(self, self._db.close)
             version = self._check_file()
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=FULL")
@@ -135,7 +155,7 @@ class Journal:
         return version
 
     def close(self) -> None:
-        self._db.close()
+        self._close()
 
     # Leadership
 
@@ -170,11 +190,10 @@ class Journal:
         client_key: str,
         job: Job,
         utc: str,
-        terms: QueueTerms | None = None,
-        again: RetryOrigin | None = None,
+        entry: QueueEntryOptions | None = None,
     ) -> tuple[str, bool]:
         """Accept a job: (its id, whether it is new). The same `client_key` returns the same job."""
-        terms = terms or QueueTerms()
+        terms, again = entry or QueueEntryOptions()
         with self._transaction():
             row = self._db.execute("SELECT id FROM jobs WHERE client_key = ?", (client_key,)).fetchone()
             if row is not None:
@@ -256,13 +275,11 @@ class Journal:
         self._db.execute("INSERT INTO transitions VALUES (?, ?, ?, ?, ?, ?)", values)
         self._db.execute("UPDATE jobs SET state = ?, reason = ? WHERE id = ?", (state, reason, job_id))
 
-    def record_decision(self, job_id: str, step: int, epoch: int, t0_fleet_ns: int, members: str, utc: str) -> None:
+    def record_decision(self, job_id: str, decision: StepDecision, utc: str) -> None:
         """Record that all members have promised: from here on the step may move. Raises `HasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
-            self._db.execute(
-                "INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, step, epoch, t0_fleet_ns, members, utc)
-            )
+            self._db.execute("INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, *decision, utc))
 
     def withdraw_decision(self, job_id: str, step: int, t0_fleet_ns: int) -> None:
         """Withdraw a decision: no member has started, and none will at that T0. Raises `HasEnded`, `JournalError`."""

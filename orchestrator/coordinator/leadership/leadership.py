@@ -5,12 +5,11 @@ from collections.abc import Callable
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, Declared, Priority, Sample
-from orchestrator.bus.keys import Keys
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
-from orchestrator.clock.executor import Executor
+from orchestrator.bus.base import BusDeclaration, BusSample, Priority
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.fleet import FleetScale
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.messages import LeaderHeartbeat, TimeReply
 from orchestrator.model.state import ControllerState
 
@@ -18,7 +17,7 @@ HEARTBEAT_NS = 100 * NS_PER_MS
 LEADER_TIMEOUT_NS = 600 * NS_PER_MS  # a live leader is received within this time
 
 
-class AnotherLeader(Exception):
+class AnotherLeader(TuttiError):
     """Another coordinator leads this fleet. The text names it, and what to do."""
 
 
@@ -28,36 +27,31 @@ class Leadership:
     def __init__(
         self,
         fleet: str,
-        bus: Bus,
-        keys: Keys,
-        clock: Clock,
-        journal: Journal,
-        execute: Executor,
-        new_id: Callable[[], str],
+        environment: CoordinatorEnvironment,
     ) -> None:
         self._fleet = fleet
-        self._bus = bus
-        self._keys = keys
-        self._clock = clock
-        self._journal = journal
-        self._execute = execute
-        self.coordinator = new_id()
+        self._bus = environment.bus
+        self._keys = environment.keys
+        self._clock = environment.clock
+        self._journal = environment.journal
+        self._execute = environment.execute
+        self.coordinator = environment.new_id()
         self.epoch = 0
         self.scale = FleetScale("", 0)
         self.over = False
         self.on_lost: Callable[[str], None] = lambda _: None
-        self._heard: LeaderHeartbeat | None = None
+        self._last_heartbeat: LeaderHeartbeat | None = None
         self._seq = 0
-        self._declared: list[Declared] = []
+        self._declared: list[BusDeclaration] = []
         self._beat: asyncio.Task[None] | None = None
 
-    async def acquire(self, take_over: bool, vacant: bool = False) -> None:
+    async def acquire(self, *, take_over: bool, vacant: bool = False) -> None:
         """Become the leader. Raises `AnotherLeader` if another coordinator leads, unless `take_over`. vacant: it is
         known already that there is no leader."""
         self._declared.append(await self._bus.subscribe(self._keys.leader, self._receive_heartbeat))
         if not vacant:
             await sleep_ns(self._clock, LEADER_TIMEOUT_NS)
-        other = self._heard
+        other = self._last_heartbeat
         if other is not None and not take_over:
             await self.close()
             raise AnotherLeader(
@@ -89,7 +83,7 @@ class Leadership:
         self._declared.clear()
 
     def fleet_now_ns(self) -> int:
-        return self.scale.fleet_ns(self._clock.now_ns())
+        return self.scale.to_fleet_ns(self._clock.now_ns())
 
     def make_heartbeat(self) -> LeaderHeartbeat:
         """The heartbeat as of now."""
@@ -110,19 +104,20 @@ class Leadership:
             self._bus.put(self._keys.leader, self.make_heartbeat().to_json(), Priority.EVENT)
             await sleep_ns(self._clock, HEARTBEAT_NS)
 
-    def _receive_heartbeat(self, sample: Sample) -> None:
+    def _receive_heartbeat(self, sample: BusSample) -> None:
         try:
-            heard = LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
         except ValidationError:
             return
-        if heard.coordinator == self.coordinator:
+        if heartbeat.coordinator == self.coordinator:
             return
-        self._heard = heard
-        if self.epoch and not self.over and heard.epoch >= self.epoch:
+        self._last_heartbeat = heartbeat
+        if self.epoch and not self.over and heartbeat.epoch >= self.epoch:
             self.over = True
             self.on_lost(
-                f"coordinator {heard.coordinator[:8]} leads with epoch {heard.epoch}; this one had epoch {self.epoch}"
+                f"coordinator {heartbeat.coordinator[:8]} leads with epoch {heartbeat.epoch}; "
+                f"this one had epoch {self.epoch}"
             )
 
-    async def _reply_fleet_time(self, _: Sample) -> bytes:
+    async def _reply_fleet_time(self, _: BusSample) -> bytes:
         return TimeReply(scale_id=self.scale.scale_id, fleet_ns=self.fleet_now_ns()).to_json()

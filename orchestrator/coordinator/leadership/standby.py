@@ -12,8 +12,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import Bus, BusSample
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS
 from orchestrator.model.messages import LeaderHeartbeat
@@ -21,12 +21,12 @@ from orchestrator.model.messages import LeaderHeartbeat
 POLL_NS = HEARTBEAT_NS // 2
 
 
-async def wait_for_vacancy(bus: Bus, keys: Keys, clock: Clock) -> None:
+async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
     """Wait until no heartbeat has arrived for the time within which a live leader is received, measured while this
     process was awake: a process that slept, or was suspended, has received nothing."""
     heard_ns = clock.now_ns()
 
-    def hear(sample: Sample) -> None:
+    def receive_heartbeat(sample: BusSample) -> None:
         nonlocal heard_ns
         try:
             LeaderHeartbeat.model_validate_json(sample.payload)
@@ -34,7 +34,7 @@ async def wait_for_vacancy(bus: Bus, keys: Keys, clock: Clock) -> None:
             return
         heard_ns = clock.now_ns()
 
-    subscription = await bus.subscribe(keys.leader, hear)
+    subscription = await bus.subscribe(keys.leader, receive_heartbeat)
     try:
         now_ns = clock.now_ns()
         while now_ns - heard_ns < LEADER_TIMEOUT_NS:

@@ -74,7 +74,7 @@ class FleetReload:
             controllers[name] = config.model_copy(update={"simulate": running.simulate})
         return fresh.model_copy(update={"controllers": controllers})
 
-    async def _configure_controllers(self, changed: dict[str, Controller], actor: str, check: bool) -> None:
+    async def _configure_controllers(self, changed: dict[str, Controller], actor: str, *, check: bool) -> None:
         for name, config in changed.items():
             request = ConfigureRequest(
                 **self._fleet.requests.request_fields(actor), configuration=config.to_plain(), check=check

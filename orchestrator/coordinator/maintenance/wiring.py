@@ -6,7 +6,7 @@ from contextlib import suppress
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.leases import LeaseRegistry
+from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import OutputRequest, Reply
@@ -36,7 +36,7 @@ class WiringCheck:
             )
         # An armed member that waits for a trigger line would start by the check.
         axes = [axis for name in concerned for axis in fleet.expand_name(name)]
-        await self._leases.acquire(HOLDER, actor, "wiring check", axes)
+        await self._leases.acquire(LeaseUser(HOLDER, actor, "wiring check"), axes)
         try:
             return [found for wire in fleet.wiring for found in await self._check_output(wire.from_, wire.to, actor)]
         finally:
@@ -45,15 +45,15 @@ class WiringCheck:
     async def _check_output(self, output: str, inputs: list[str], actor: str) -> list[WireFinding]:
         before, _ = await self._read_inputs()
         try:
-            switched_ns = await self._switch_output(output, True, actor)
+            switched_ns = await self._switch_output(output, value=True, actor=actor)
             during = await self._wait_for_inputs(switched_ns, before, inputs)
         finally:
             with suppress(Refusal):
-                switched_ns = await self._switch_output(output, False, actor)
+                switched_ns = await self._switch_output(output, value=False, actor=actor)
         after = await self._wait_for_inputs(switched_ns, during, [name for name in inputs if during[name]])
         found: list[WireFinding] = []
         for name in inputs:
-            ok, text, remedy = _judge_input(before[name], during[name], after[name])
+            ok, text, remedy = _judge_input(before=before[name], during=during[name], after=after[name])
             found.append(WireFinding(output=output, input=name, ok=ok, text=text, remedy=remedy))
         crossed = [name for name, level in during.items() if name not in inputs and level != before[name]]
         for name in crossed:
@@ -63,7 +63,7 @@ class WiringCheck:
                 found.append(WireFinding(output=output, input=name, ok=False, text=text, remedy="correct `wiring`"))
         return found
 
-    async def _switch_output(self, output: str, value: bool, actor: str) -> int:
+    async def _switch_output(self, output: str, actor: str, *, value: bool) -> int:
         """Switch an output; return the fleet time by which it was switched: it is read back."""
         controller, _, point = output.partition(".")
         request = OutputRequest(**self._fleet.requests.request_fields(actor), output=point, value=value)
@@ -113,7 +113,7 @@ def _controllers_with_inputs(fleet: Fleet) -> list[str]:
     return [name for name, controller in fleet.controllers.items() if controller.inputs]
 
 
-def _judge_input(before: bool, during: bool, after: bool) -> tuple[bool, str, str]:
+def _judge_input(*, before: bool, during: bool, after: bool) -> tuple[bool, str, str]:
     """(ok, text, remedy) for an input that should follow its output."""
     if not before and during and not after:
         return True, "follows", ""

@@ -34,7 +34,7 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.profile import Profile
 from orchestrator.model.report import PredictedSkew, SyncBudget
 from orchestrator.model.state import StepCosts
-from orchestrator.plan.step import Plan
+from orchestrator.plan.step import StepPlan
 
 ROUNDS = 3
 END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where the job does not state it
@@ -58,7 +58,7 @@ class StartAgreement:
     of every member. aligned: T0 is an instant at which ticks coincide, and is not advanced.
     """
 
-    plan: Plan
+    plan: StepPlan
     line: TriggerStart | None = None
     proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
     lead_ns: int = 0
@@ -66,7 +66,7 @@ class StartAgreement:
     advance_ns: int = 0
     tick_residual_ns: int = 0
     aligned: bool = False
-    _shares: "tuple[Plan, dict[str, dict[str, Profile]]] | None" = None
+    _shares: "tuple[StepPlan, dict[str, dict[str, Profile]]] | None" = None
 
     @property
     def movers(self) -> list[str]:
@@ -249,7 +249,7 @@ class StartNegotiation:
 
     async def _negotiate_rounds(self, agreement: StartAgreement) -> None:
         """At most three rounds: the duration becomes the longest answer, and the lead time what arming needs, until
-        all members can meet both. Raises `Refusal`."""
+        all members can satisfy both. Raises `Refusal`."""
         durations: dict[str, float] = {}
         # The lead time of the same members' last step usually saves a round; bounds over a longer one would be wider.
         movers = frozenset(agreement.movers)
@@ -269,7 +269,7 @@ class StartNegotiation:
                 break
             agreement.lead_ns = max(lead_ns, agreement.lead_ns)
             if not fits:
-                agreement.plan = agreement.plan.stretched(longest_s)
+                agreement.plan = agreement.plan.stretch_to(longest_s)
         if synchronised:
             self._require_same_duration(durations, agreement.plan.duration_s)
         self._estimator.last_leads_ns[movers] = agreement.lead_ns
@@ -368,7 +368,7 @@ def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
     return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
 
 
-def _longest_braking_s(resolved: ResolvedMove, plan: Plan) -> float:
+def _longest_braking_s(resolved: ResolvedMove, plan: StepPlan) -> float:
     """How long the axis that brakes slowest needs from its peak velocity."""
     braking_s = (
         plan.profiles[each.axis].peak_velocity / each.acceleration

@@ -14,7 +14,7 @@ from orchestrator.model.job import Job, Move
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo, ControllerState
 from orchestrator.plan.shape import PlanError
-from orchestrator.plan.step import Plan, plan_step
+from orchestrator.plan.step import StepPlan, plan_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class PlannedStep:
 
     request: StepRequest
     resolved: ResolvedMove
-    plan: Plan
+    plan: StepPlan
     instances: Mapping[str, str]
 
 

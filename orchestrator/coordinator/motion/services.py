@@ -7,7 +7,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
-from orchestrator.plan.step import Targets
+from orchestrator.plan.step import ExactTargets
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,5 +23,5 @@ class MotionServices:
     journal: Journal
     execute: Executor
     estimator: LeadTimeEstimator = field(default_factory=LeadTimeEstimator)
-    targets: Targets = field(default_factory=Targets)
+    targets: ExactTargets = field(default_factory=ExactTargets)
     stop_times_ns: dict[str, int] = field(default_factory=dict[str, int])

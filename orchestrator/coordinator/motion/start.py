@@ -12,6 +12,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.fleet.requests import ANSWER_S
+from orchestrator.coordinator.journal.journal import StepDecision
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
@@ -224,8 +225,8 @@ class StartSequence:
         request, services = self._request, self._services
         members, utc = ",".join(self._agreement.proposals), self._fleet.clock.utc()
         record = services.journal.record_decision
-        decision = (request.job_id, request.index, self._leadership.epoch, self.state.t0_fleet_ns, members, utc)
-        await services.execute(record, *decision)
+        decision = StepDecision(request.index, self._leadership.epoch, self.state.t0_fleet_ns, members)
+        await services.execute(record, request.job_id, decision, utc)
 
     async def _withdraw_decision(self) -> None:
         """A decision is for one start only. No member has started, and all have confirmed it: the decision is

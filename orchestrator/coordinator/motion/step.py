@@ -61,7 +61,7 @@ class MotionStep:
         report = await self._move(planned, negotiation, agreement, observer)
         if report.state == "done":
             for axis, (exact, counts) in planned.resolved.exact.items():
-                services.targets.reached(axis, exact, counts)
+                services.targets.record_target(axis, exact, counts)
         return report
 
     async def dry_run(self) -> dict[str, Any]:

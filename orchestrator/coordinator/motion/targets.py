@@ -11,7 +11,7 @@ from orchestrator.model.job import Move
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo
 from orchestrator.model.units import UnitError, parse_quantity
-from orchestrator.plan.step import AxisMove, Targets
+from orchestrator.plan.step import AxisMove, ExactTargets
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class AxisContext:
     fleet: Fleet
     states: Mapping[str, AxisState]
     infos: Mapping[str, ControllerInfo]
-    targets: Targets
+    targets: ExactTargets
 
 
 def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fraction]) -> ResolvedMove:
@@ -43,7 +43,7 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
         axis, state = context.fleet.axis(name), context.states[name]
         controller = controller_of(name)
         _require_ready(name, state, controller)
-        here = context.targets.position(name, state.commanded_counts, axis.counts_per_unit)
+        here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
         try:
             amount = parse_quantity(value, axis.unit)
         except UnitError as error:

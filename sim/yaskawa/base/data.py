@@ -67,7 +67,7 @@ class VariableStore:
     def free_elements(self) -> int:
         return self.room.elements - sum(len(array) for array in self.arrays.values())
 
-    def create_array(self, name: str, size: int, proper: bool = False) -> None:
+    def create_array(self, name: str, size: int, *, proper: bool = False) -> None:
         """`DM`: create an array of zeros; an existing one of that name is replaced.
 
         proper: names begin with a capital."""

@@ -1,5 +1,7 @@
 """Refusals: the error codes that `TC` reports (SMC-4000: L10268-L10443, SMC-2000: L3477-L3611, L11690-L11784)."""
 
+from orchestrator.model.errors import TuttiError
+
 _FAMILY: dict[int, str] = {
     0: "",
     1: "Unrecognized command",
@@ -101,7 +103,7 @@ SMC2000: dict[int, str] = _FAMILY | {
 }
 
 
-class CommandError(Exception):
+class CommandError(TuttiError):
     """A refused command; `code` is what `TC` reports afterwards."""
 
     def __init__(self, code: int) -> None:

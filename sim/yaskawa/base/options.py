@@ -1,7 +1,7 @@
 """Options of a simulated controller. Each open point of the manuals that hardware may decide otherwise is a switch.
 
-`D…` are the decisions of section 16 in `docs/controllers/smc4000.md`; those of `Smc2000Options` are in section 10 of
-`docs/controllers/smc2000.md`.
+`D…` are the decisions of section 16 in `docs/reference/controllers/smc4000.md`; those of `Smc2000Options` are in
+section 10 of `docs/reference/controllers/smc2000.md`.
 """
 
 from collections.abc import Mapping
@@ -152,7 +152,7 @@ class ChainDevice(BaseModel):
 
 
 class Smc2000Options(FamilyOptions):
-    """Options of the SMC-2000. Numbers of decisions are those of `docs/controllers/smc2000.md`."""
+    """Options of the SMC-2000. Numbers of decisions are those of `docs/reference/controllers/smc2000.md`."""
 
     axes: Literal[1, 2, 4, 8] = 4
     address: int = Field(default=0, ge=0, le=7)

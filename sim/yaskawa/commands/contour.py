@@ -7,6 +7,7 @@ from sim.yaskawa.language.context import CommandContext
 from sim.yaskawa.language.expressions import compile_integer
 from sim.yaskawa.language.registry import Outcome, Runner, register_command, require_bare
 from sim.yaskawa.motion.contour import ContourMotion, ContourPath, ContourRecord
+from sim.yaskawa.motion.control import MotionControl
 from sim.yaskawa.motion.trippoints import when_passed
 
 
@@ -19,7 +20,7 @@ def _compile_contour_mode(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
         chosen = {c.machine.find_axis(name).name for name in names} or set(c.machine.letters)
         axes = tuple(name for name in c.machine.letters if name in chosen)
-        c.machine.motion.enter_contour(axes, c.machine.current_sample())
+        c.machine.motion.contouring.enter_contour(axes, c.machine.current_sample())
         return None
 
     return run_command
@@ -27,21 +28,21 @@ def _compile_contour_mode(text: str) -> Runner:
 
 def contour_full(c: CommandContext) -> int:
     """`_CM`: 1 while a record waits for the executing one (D12)."""
-    contour = c.machine.motion.contour
+    contour = c.machine.motion.contouring.running
     return int(contour is not None and contour.waiting is not None)
 
 
 @register_command("DT")
 def _compile_interval(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.format_integer(c.machine.motion.contour_interval, 1)
+        return lambda c: c.machine.format_integer(c.machine.motion.contouring.interval, 1)
     value = compile_integer(text)
 
     def run_command(c: CommandContext) -> Outcome:
         exponent = value(c)
         if not 0 <= exponent <= 8:
             raise CommandError(6)
-        c.machine.motion.contour_interval = exponent
+        c.machine.motion.contouring.interval = exponent
         return None
 
     return run_command
@@ -59,7 +60,7 @@ def _compile_record(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
-        contour = motion.contour
+        contour = motion.contouring.running
         given: dict[str, int] = {}
         if fields is not None:
             for letter, raw in zip(LETTERS, fields(c), strict=False):
@@ -71,7 +72,7 @@ def _compile_record(text: str) -> Runner:
         if any(abs(increment) > c.machine.model.figures.contour_step for increment in given.values()):
             raise CommandError(41)
         if contour is None:
-            if motion.contour_interval == 0 and not any(given.values()):
+            if motion.contouring.interval == 0 and not any(given.values()):
                 return None
             raise CommandError(8)
         _queue_record(c, contour, tuple(given.get(name, 0) for name in contour.axes))
@@ -82,17 +83,17 @@ def _compile_record(text: str) -> Runner:
 
 def _queue_record(c: CommandContext, contour: ContourMotion, increments: tuple[int, ...]) -> None:
     machine, motion = c.machine, c.machine.motion
-    exponent = motion.contour_interval
+    exponent = motion.contouring.interval
     record = ContourRecord(increments, 1 << exponent if exponent else 0)
     at = machine.timebase.next_sample()
     if contour.is_executing:
         contour.waiting = record
         return
     if not exponent:
-        motion.leave_contour(at)
+        motion.contouring.leave_contour(at)
         return
-    if motion.contour_late:
-        motion.contour_late = False
+    if motion.contouring.is_late:
+        motion.contouring.is_late = False
         machine.refuse_command(42)
         if machine.options.late_contour_error:
             raise CommandError(42)
@@ -106,13 +107,16 @@ def _queue_record(c: CommandContext, contour: ContourMotion, increments: tuple[i
             axis.path, axis.profile = ContourPath(contour, index), None
             axis.mode, axis.stopping, axis.stop_code = "contour", False, 50
             axis.move_start, axis.mark = axis.reference_at(at), axis.command_at(at)
-            motion.note_start(axis, at)
+            motion.record.note_start(axis, at)
     contour.execute_record(record, at)
+
+
+def _takes_record(motion: MotionControl) -> bool:
+    """Return whether no record waits."""
+    return motion.contouring.running is None or motion.contouring.running.waiting is None
 
 
 @register_command("WC")
 def _compile_wait_contour(text: str) -> Runner:
     require_bare(text)
-    return lambda c: when_passed(
-        lambda machine, now: machine.motion.contour is None or machine.motion.contour.waiting is None
-    )
+    return lambda c: when_passed(lambda machine, now: _takes_record(machine.motion))

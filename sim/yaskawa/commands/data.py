@@ -7,8 +7,8 @@ from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.base.formats import NumberFormat, NumberLayout
 from sim.yaskawa.language.arguments import compile_values, parse_fields, split_fields
-from sim.yaskawa.language.context import CommandContext
-from sim.yaskawa.language.expressions import Evaluator, compile_expression, compile_integer
+from sim.yaskawa.language.context import CommandContext, Evaluator
+from sim.yaskawa.language.expressions import compile_expression, compile_integer
 from sim.yaskawa.language.registry import COMMANDS, CommandDefinition, Outcome, Runner, register_command, require_bare
 from sim.yaskawa.language.statements import RawData, local_format
 from sim.yaskawa.ports.ports import END_OF_TEXT
@@ -164,7 +164,7 @@ def _compile_dimension(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         for name, size in wanted:
-            c.machine.data.create_array(name, size(c), c.machine.model.proper_arrays)
+            c.machine.data.create_array(name, size(c), proper=c.machine.model.proper_arrays)
         return None
 
     return run_command
@@ -394,7 +394,7 @@ def _compile_download(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         machine, program = c.machine, c.machine.program
-        if machine.interpreter.any_running():
+        if machine.programs.any_running():
             raise CommandError(17)
         if not text:
             program.clear_lines()

@@ -8,13 +8,13 @@ from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.commands.data import array_name
 from sim.yaskawa.commands.status import report_text
 from sim.yaskawa.commands.system import HANDLES
+from sim.yaskawa.io.modbus import FUNCTIONS, RAW, build_request, pack_bits, send_request, unpack_bits
+from sim.yaskawa.io.network import FIELDS, TCP, UDP, WAITING, PeerHandle
 from sim.yaskawa.language.arguments import compile_values, parse_fields, split_fields
 from sim.yaskawa.language.context import CommandContext
 from sim.yaskawa.language.expressions import compile_expression, compile_integer
 from sim.yaskawa.language.registry import Outcome, Runner, register_command, require_bare
 from sim.yaskawa.motion.trippoints import when_passed
-from sim.yaskawa.ports.modbus import FUNCTIONS, RAW, build_request, pack_bits, send_request, unpack_bits
-from sim.yaskawa.ports.network import FIELDS, TCP, UDP, WAITING, PeerHandle
 from sim.yaskawa.ports.ports import address_text
 
 
@@ -212,7 +212,7 @@ def _transmit_modbus(peer: PeerHandle, given: list[int], array: list[int]) -> No
         raise CommandError(50)
     start, count = [*numbers, 0, 0][:2]
     if function == RAW:
-        peer.send_packet(bytes(word & 0xFF for word in words[:start]), lambda heard: _store_values(array, list(heard)))
+        peer.send_packet(bytes(word & 0xFF for word in words[:start]), lambda reply: _store_values(array, list(reply)))
         return
     payload = struct.pack(">HH", start & 0xFFFF, count & 0xFFFF) if numbers else b""
     if function == 5:

@@ -12,8 +12,7 @@ from sim.yaskawa.language.expressions import compile_expression, compile_integer
 from sim.yaskawa.language.registry import Outcome, Runner, register_command
 from sim.yaskawa.motion.trippoints import when_passed
 from sim.yaskawa.program.editor import ProgramEditor
-from sim.yaskawa.program.interpreter import NO_BREAK
-from sim.yaskawa.program.threads import ProgramThread
+from sim.yaskawa.program.threads import NO_BREAK, ProgramThread
 
 
 def running_thread(c: CommandContext) -> ProgramThread:
@@ -49,14 +48,14 @@ def _compile_execute(text: str) -> Runner:
     index = compile_integer(parts[2]) if len(parts) > 2 else None
 
     def run_command(c: CommandContext) -> Outcome:
-        interpreter = c.machine.interpreter
+        programs = c.machine.programs
         thread = number(c) if number is not None else 0
         if not 0 <= thread < c.machine.model.threads:
             raise CommandError(6)
         line = location(c) if location is not None else _check_line(c, 0)
-        if interpreter.threads[thread].running:
+        if programs.threads[thread].running:
             raise CommandError(19)
-        interpreter.threads[thread].start_at(line, index(c) if index is not None else 0, c.machine.current_sample())
+        programs.threads[thread].start_at(line, index(c) if index is not None else 0, c.machine.current_sample())
         return None
 
     return run_command
@@ -68,12 +67,12 @@ def _compile_halt(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         if number is None:
-            c.machine.interpreter.halt_all()
+            c.machine.programs.halt_all()
             return None
         thread = number(c)
         if not 0 <= thread < c.machine.model.threads:
             raise CommandError(6)
-        c.machine.interpreter.threads[thread].halt_thread()
+        c.machine.programs.threads[thread].halt_thread()
         return None
 
     return run_command
@@ -92,7 +91,7 @@ def _compile_jump_to(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         if condition is None or condition(c):
-            c.machine.interpreter.jump_to(running_thread(c), location(c))
+            c.machine.programs.jump_to(running_thread(c), location(c))
         return None
 
     return run_command
@@ -105,14 +104,14 @@ def _compile_subroutine(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
         if condition is not None and not condition(c):
             return None
-        thread, interpreter = running_thread(c), c.machine.interpreter
+        thread, programs = running_thread(c), c.machine.programs
         line = location(c)
-        if thread.index >= len(interpreter.compiled_line(thread.line)):
+        if thread.index >= len(programs.compiled_line(thread.line)):
             thread.line, thread.index = thread.line + 1, 0
         backward = line <= thread.line
         thread.call_subroutine(line)
         if backward:
-            interpreter.count_loop(thread)
+            programs.count_loop(thread)
         return None
 
     return run_command
@@ -139,7 +138,7 @@ def _compile_if(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         if not condition(c):
-            c.machine.interpreter.skip_block(running_thread(c), to_else=True)
+            c.machine.programs.skip_block(running_thread(c), to_else=True)
         return None
 
     return run_command
@@ -148,7 +147,7 @@ def _compile_if(text: str) -> Runner:
 @register_command("ELSE", where="program")
 def _compile_else(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
-        c.machine.interpreter.skip_block(running_thread(c), to_else=False)
+        c.machine.programs.skip_block(running_thread(c), to_else=False)
         return None
 
     return run_command
@@ -189,10 +188,10 @@ def _register_return(op: str) -> None:
             thread = running_thread(c)
             restore = value(c) if value is not None else 0
             if op == "RI":
-                c.machine.interpreter.interrupts_on = c.machine.interpreter.interrupts != 0
+                c.machine.programs.interrupts_on = c.machine.programs.interrupts != 0
             if thread.stack:
                 thread.leave_subroutine(restore=restore == 1)
-                c.machine.interpreter.count_loop(thread)
+                c.machine.programs.count_loop(thread)
             return None
 
         return run_command
@@ -208,7 +207,7 @@ _register_return("RI")
 def _compile_input_interrupt(text: str) -> Runner:
     """Set the interrupt mask in a program only (L6019); reading the mask is always allowed (L6021)."""
     if text == "?":
-        return lambda c: report_text(c, c.machine.format_integer(c.machine.interpreter.interrupts, 3))
+        return lambda c: report_text(c, c.machine.format_integer(c.machine.programs.interrupts, 3))
     if not text:
         raise CommandError(50)
     fields = compile_values(parse_fields(text, 4))
@@ -217,7 +216,7 @@ def _compile_input_interrupt(text: str) -> Runner:
         running_thread(c)
         given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None, None]]
         first, last, mask, high = given[:4]
-        interpreter = c.machine.interpreter
+        programs = c.machine.programs
         if first is not None:
             if not 0 <= first <= 8 or (last is not None and not 2 <= last <= 8):
                 raise CommandError(6)
@@ -233,8 +232,8 @@ def _compile_input_interrupt(text: str) -> Runner:
             selected = high or 0
         if high is not None and not 1 <= high <= 255:
             raise CommandError(6)
-        interpreter.interrupts, interpreter.active_high = selected, high or 0
-        interpreter.interrupts_on = selected != 0
+        programs.interrupts, programs.active_high = selected, high or 0
+        programs.interrupts_on = selected != 0
         return None
 
     return run_command
@@ -275,18 +274,18 @@ def _compile_breakpoint(text: str) -> Runner:
     fields = compile_values(parse_fields(text, 2))
 
     def run_command(c: CommandContext) -> Outcome:
-        interpreter = c.machine.interpreter
+        programs = c.machine.programs
         given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None]]
-        for thread in interpreter.threads:
+        for thread in programs.threads:
             thread.paused = False
             thread.steps = 0
         if given[0] is None:
-            interpreter.break_at, interpreter.break_hit = None, False
+            programs.break_at, programs.break_hit = None, False
             return None
         number = given[1] or 0
         if not 0 <= given[0] < c.machine.model.room.lines or not 0 <= number < c.machine.model.threads:
             raise CommandError(6)
-        interpreter.break_at, interpreter.break_hit = (given[0], number), False
+        programs.break_at, programs.break_hit = (given[0], number), False
         return None
 
     return run_command
@@ -297,11 +296,11 @@ def _compile_single_step(text: str) -> Runner:
     value = compile_integer(text) if text else None
 
     def run_command(c: CommandContext) -> Outcome:
-        interpreter = c.machine.interpreter
+        programs = c.machine.programs
         lines = value(c) if value is not None else 1
         if lines < 1:
             raise CommandError(6)
-        for thread in interpreter.threads:
+        for thread in programs.threads:
             if thread.paused:
                 thread.paused, thread.steps = False, lines
         return None
@@ -317,7 +316,7 @@ def _compile_trace(text: str) -> Runner:
         number = value(c) if value is not None else 0
         if number not in (0, 1):
             raise CommandError(6)
-        c.machine.interpreter.trace = number == 1
+        c.machine.programs.trace = number == 1
         return None
 
     return run_command
@@ -329,7 +328,7 @@ def _compile_edit(text: str) -> Runner:
     value = compile_integer(text) if text else None
 
     def run_command(c: CommandContext) -> Outcome:
-        if c.machine.interpreter.any_running():
+        if c.machine.programs.any_running():
             raise CommandError(17)
         if c.machine.motion.is_active():
             raise CommandError(7)
@@ -338,7 +337,7 @@ def _compile_edit(text: str) -> Runner:
         if not 0 <= line <= count:
             raise CommandError(11)
         if c.port is not None:
-            c.port.editor = ProgramEditor(c.port, line)
+            c.port.editor = ProgramEditor(c.port, c.machine.program, line)
         return None
 
     return run_command
@@ -351,7 +350,7 @@ def _compile_no_operation(text: str) -> Runner:
 
 def breakpoint_value(c: CommandContext) -> int:
     """`_BK`: minus the line when armed, the line when hit."""
-    interpreter = c.machine.interpreter
-    if interpreter.break_at is None:
+    programs = c.machine.programs
+    if programs.break_at is None:
         return NO_BREAK
-    return interpreter.break_at[0] if interpreter.break_hit else -interpreter.break_at[0]
+    return programs.break_at[0] if programs.break_hit else -programs.break_at[0]

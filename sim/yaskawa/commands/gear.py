@@ -1,13 +1,13 @@
 """Gearing and cams: GA GM GR, EA EB EC EG EM EP EQ ET (L4378-L5111, L5421-L5580)."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.commands.parameters import target_axes
 from sim.yaskawa.language.arguments import (
     LETTERS,
+    Field,
     canonical_axis,
     compile_values,
     parse_axes,
@@ -15,53 +15,37 @@ from sim.yaskawa.language.arguments import (
     parse_form,
     split_fields,
 )
-from sim.yaskawa.language.context import CommandContext
-from sim.yaskawa.language.expressions import Evaluator, compile_expression, compile_integer
+from sim.yaskawa.language.context import CommandContext, Evaluator
+from sim.yaskawa.language.expressions import compile_expression, compile_integer
 from sim.yaskawa.language.registry import Outcome, Runner, register_command
 from sim.yaskawa.motion.axis import ServoAxis
-
-if TYPE_CHECKING:
-    from sim.yaskawa.machine import ControllerCore
+from sim.yaskawa.motion.gearing import select_master
 
 
-def select_master(machine: "ControllerCore", axis: ServoAxis, source: str) -> None:
-    """`GA` for one axis (L5426)."""
-    axis.gear.select_master(source, _master_position(machine, source), machine.timebase.next_sample())
+def _split_masters(text: str) -> list[tuple[str, str]]:
+    """Split the argument of GA into pairs of slave and master, as they were written."""
+    if text[1:2] == "=" and (text[0] in LETTERS + "ABCD*"):
+        return [(canonical_axis(text[0]), text[2:])]
+    if text[:1] == "~" and text[2:3] == "=":
+        return [(text[:2], text[3:])]
+    return [(letter, part) for letter, part in zip(LETTERS, split_fields(text), strict=False) if part]
 
 
-def _master_position(machine: "ControllerCore", source: str) -> Callable[[float], float]:
-    if source in ("S", "T"):
-        system = machine.motion.systems[source]
-        return system.travelled_distance
-    if source == "N":
-        virtual = machine.find_axis("N")
-        return lambda at: virtual.follower_travel(at, True)
-    axis = machine.find_axis(source[-1])
-    if source.startswith("D") and len(source) == 2:
-        return lambda at: float(axis.auxiliary)
-    commanded = len(source) == 2
-    return lambda at: axis.follower_travel(at, commanded)
+def _parse_master(source: str) -> str:
+    """Return the canonical name of a master: an axis, `C` or `D` with an axis, a system, N, or a designator."""
+    place = canonical_axis(source[-1:])
+    if len(source) == 2 and source[0] in "CD" and place in LETTERS:
+        return source[0] + place
+    if len(source) == 1 and (place in LETTERS or source in "STN"):
+        return place if place in LETTERS else source
+    if source.startswith("~"):
+        return source
+    raise CommandError(4)
 
 
 @register_command("GA")
 def _compile_gear_axis(text: str) -> Runner:
-    if text[1:2] == "=" and (text[0] in LETTERS + "ABCD*"):
-        pairs = [(canonical_axis(text[0]), text[2:])]
-    elif text[:1] == "~" and text[2:3] == "=":
-        pairs = [(text[:2], text[3:])]
-    else:
-        pairs = [(letter, part) for letter, part in zip(LETTERS, split_fields(text), strict=False) if part]
-    masters: list[tuple[str, str]] = []
-    for name, source in pairs:
-        place = canonical_axis(source[-1:])
-        if len(source) == 2 and source[0] in "CD" and place in LETTERS:
-            masters.append((name, source[0] + place))
-        elif len(source) == 1 and (place in LETTERS or source in "STN"):
-            masters.append((name, place if place in LETTERS else source))
-        elif source.startswith("~"):
-            masters.append((name, source))
-        else:
-            raise CommandError(4)
+    masters = [(name, _parse_master(source)) for name, source in _split_masters(text)]
     if not masters:
         raise CommandError(50)
 
@@ -74,7 +58,7 @@ def _compile_gear_axis(text: str) -> Runner:
                 real = machine.find_axis(source).name if source.startswith("~") else source
                 if real in (axis.name, "C" + axis.name):
                     raise CommandError(46)
-                select_master(machine, axis, real)
+                select_master(machine.motion, axis, real)
         return None
 
     return run_command
@@ -236,41 +220,46 @@ def engagement_compiler(op: str) -> Callable[[str], Runner]:
                 for name, _ in form
                 for axis in target_axes(c, name)
             )
-
-        def run_command(c: CommandContext) -> Outcome:
-            motion, cam = c.machine.motion, c.machine.motion.cam
-            camming = motion.camming
-            at = c.machine.timebase.next_sample()
-            if not cam.enabled or cam.master is None:
-                raise CommandError(105)
-            for name, field in form:
-                if field is None or isinstance(field, str):
-                    raise CommandError(51)
-                place = fixed.to_integer(field(c))
-                for axis in target_axes(c, name):
-                    if axis.name == cam.master:
-                        raise CommandError(4)
-                    if axis.is_moving:
-                        raise CommandError(7)
-                    if op == "EG" and axis.motor_off:
-                        raise CommandError(20)
-                    if cam.start <= place < cam.start + cam.effective_cycle:
-                        if not motion.figures.cycles_by_turns:
-                            cam.waiting.pop((axis.name, "EQ" if op == "EG" else "EG"), None)
-                        cam.waiting[axis.name, op] = place
-                        here = motion.camming.master_position(at)
-                        if (here - place) % cam.effective_cycle == 0:
-                            del cam.waiting[axis.name, op]
-                            (camming.engage_slave if op == "EG" else camming.disengage_slave)(axis, at)
-                    elif op == "EG":
-                        camming.engage_slave(axis, at)
-                    elif axis.mode == "cam":
-                        camming.disengage_slave(axis, at)
-            return None
-
-        return run_command
+        return lambda c: _run_engagement(c, op, form)
 
     return compile_engagement
+
+
+def _run_engagement(c: CommandContext, op: str, form: list[tuple[str, Field]]) -> Outcome:
+    cam = c.machine.motion.cam
+    if not cam.enabled or cam.master is None:
+        raise CommandError(105)
+    for name, field in form:
+        if field is None or isinstance(field, str):
+            raise CommandError(51)
+        place = fixed.to_integer(field(c))
+        for axis in target_axes(c, name):
+            if axis.name == cam.master:
+                raise CommandError(4)
+            if axis.is_moving:
+                raise CommandError(7)
+            if op == "EG" and axis.motor_off:
+                raise CommandError(20)
+            _change_engagement(c, op, axis, place)
+    return None
+
+
+def _change_engagement(c: CommandContext, op: str, axis: ServoAxis, place: int) -> None:
+    """Engage or disengage a slave: at the master's position `place` within its cycle, otherwise at once."""
+    motion, cam = c.machine.motion, c.machine.motion.cam
+    camming = motion.camming
+    at = c.machine.timebase.next_sample()
+    if cam.start <= place < cam.start + cam.effective_cycle:
+        if not motion.figures.cycles_by_turns:
+            cam.waiting.pop((axis.name, "EQ" if op == "EG" else "EG"), None)
+        cam.waiting[axis.name, op] = place
+        if (camming.master_position(at) - place) % cam.effective_cycle == 0:
+            del cam.waiting[axis.name, op]
+            (camming.engage_slave if op == "EG" else camming.disengage_slave)(axis, at)
+    elif op == "EG":
+        camming.engage_slave(axis, at)
+    elif axis.mode == "cam":
+        camming.disengage_slave(axis, at)
 
 
 def waiting_state(c: CommandContext, name: str) -> int:

@@ -10,7 +10,7 @@ from sim.yaskawa.language.context import CommandContext
 from sim.yaskawa.language.expressions import compile_integer
 from sim.yaskawa.language.registry import Outcome, Runner, register_command, require_bare
 from sim.yaskawa.motion.axis import ServoAxis
-from sim.yaskawa.motion.control import ABORT_CODE
+from sim.yaskawa.motion.codes import ABORT_CODE
 
 
 def busy_refusal(axis: ServoAxis) -> CommandError:
@@ -25,7 +25,7 @@ def chosen_axes(c: CommandContext, names: tuple[str, ...]) -> list[ServoAxis]:
 
 def resolve_names(c: CommandContext, names: tuple[str, ...]) -> list[str]:
     """Return the designators with each `~a` replaced by its axis."""
-    return [c.machine.designators.get(name, "?") if name.startswith("~") else name for name in names]
+    return [c.machine.designators.resolve_name(name, unset="?") for name in names]
 
 
 @register_command("BG")
@@ -49,7 +49,7 @@ def _compile_begin(text: str) -> Runner:
             _check_begin(c, axis, now)
         for system in systems:
             motion.coordinated.check_begin(system, now)
-        motion.begin_motion(axes, at)
+        motion.independent.begin_motion(axes, at)
         for system in systems:
             motion.coordinated.begin_sequence(system, at)
         return None
@@ -61,7 +61,7 @@ def _check_begin(c: CommandContext, axis: ServoAxis, now: int) -> None:
     motion = c.machine.motion
     if axis.mode in ("contour", "sequence"):
         raise busy_refusal(axis)
-    if motion.contour is not None and axis.name in motion.contour.axes:
+    if motion.contouring.running is not None and axis.name in motion.contouring.running.axes:
         raise CommandError(18)
     if axis.motor_off:
         raise CommandError(20)
@@ -77,7 +77,7 @@ def _check_begin(c: CommandContext, axis: ServoAxis, now: int) -> None:
         distance = axis.registers["PR"]
     else:
         distance = axis.registers["PA"] - fixed.from_integer(fixed.round_half_up(axis.path.position(now)))
-    if distance and motion.is_blocked(axis, distance > 0, now):
+    if distance and motion.limits.is_blocked(axis, forward=distance > 0, now=now):
         raise CommandError(22)
 
 
@@ -97,7 +97,7 @@ def _compile_stop(text: str) -> Runner:
             else:
                 motion.stop_axis(machine.find_axis(name), at)
         if not names and c.thread is None and machine.options.st_halts_programs:
-            machine.interpreter.halt_all()
+            machine.programs.halt_all()
         return None
 
     return run_command
@@ -228,7 +228,7 @@ def increment_target(c: CommandContext, given: list[tuple[ServoAxis, int]]) -> N
         if not axis.is_moving:
             if axis.motor_off:
                 raise CommandError(20)
-            if raw and motion.is_blocked(axis, raw > 0, now):
+            if raw and motion.limits.is_blocked(axis, forward=raw > 0, now=now):
                 raise CommandError(22)
     for axis, raw in given:
         step = fixed.to_integer(raw)
@@ -241,7 +241,7 @@ def increment_target(c: CommandContext, given: list[tuple[ServoAxis, int]]) -> N
         else:
             kept, armed = axis.registers["PR"], axis.armed
             axis.registers["PR"], axis.armed = fixed.from_integer(step), "PR"
-            motion.begin_motion([axis], at)
+            motion.independent.begin_motion([axis], at)
             axis.registers["PR"], axis.armed = kept, armed
 
 

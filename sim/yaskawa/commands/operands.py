@@ -13,13 +13,12 @@ from sim.yaskawa.commands.motion import move_distance
 from sim.yaskawa.commands.sequence import OPERAND_READERS, find_system
 from sim.yaskawa.commands.system import HANDLES, UNUSED
 from sim.yaskawa.language.arguments import LETTERS, canonical_axis
-from sim.yaskawa.language.context import CommandContext
-from sim.yaskawa.language.expressions import Evaluator
+from sim.yaskawa.language.context import CommandContext, Evaluator
 from sim.yaskawa.language.parameters import SMC4000
 from sim.yaskawa.language.registry import OPERANDS, register_operand
+from sim.yaskawa.language.smc2000_parameters import SMC2000
 from sim.yaskawa.motion.axis import ServoAxis
 from sim.yaskawa.motion.sequence import CoordinateSystem
-from sim.yaskawa.smc2000.parameters import SMC2000
 
 _SPEED_TO_REGISTER = 1024
 
@@ -82,6 +81,10 @@ def _motion_begun(c: CommandContext, axis: ServoAxis) -> int:
     return int(axis.is_moving)
 
 
+def _limit_active(c: CommandContext, axis: ServoAxis, *, forward: bool) -> bool:
+    return c.machine.motion.limits.limit_active(axis, forward=forward, now=c.machine.current_sample())
+
+
 register_axis_operand("PA", _absolute_position, virtual=True)
 register_axis_operand("PR", move_distance, virtual=True)
 register_axis_operand("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True, virtual=True)
@@ -109,10 +112,12 @@ register_axis_operand("GM", lambda c, axis: int(axis.gear.gantry))
 register_axis_operand("EG", lambda c, axis: int(axis.mode == "cam"))
 register_axis_operand("EQ", lambda c, axis: waiting_state(c, axis.name))
 register_axis_operand(
-    "LF", lambda c, axis: int(not c.machine.motion.limit_active(axis, True, c.machine.current_sample()))
+    "LF",
+    lambda c, axis: int(not _limit_active(c, axis, forward=True)),
 )
 register_axis_operand(
-    "LR", lambda c, axis: int(not c.machine.motion.limit_active(axis, False, c.machine.current_sample()))
+    "LR",
+    lambda c, axis: int(not _limit_active(c, axis, forward=False)),
 )
 register_axis_operand("HM", lambda c, axis: int(status.home_inactive(c, axis)))
 
@@ -145,7 +150,7 @@ _register_system_operand("TN", lambda c, system: _first_tangent(system))
 
 
 def _segment_number(c: CommandContext, system: CoordinateSystem) -> int:
-    contour = c.machine.motion.contour
+    contour = c.machine.motion.contouring.running
     if contour is not None and not system.running:
         return contour.count
     return system.segment_index(c.machine.current_sample())
@@ -201,7 +206,7 @@ register_machine_operand("CW", lambda c: c.machine.unsolicited_mode)
 register_machine_operand("DA", lambda c: ARRAYS - len(c.machine.data.arrays))
 register_machine_operand("DL", lambda c: c.machine.model.room.labels - len(c.machine.program.labels))
 register_machine_operand("DM", lambda c: c.machine.data.free_elements())
-register_machine_operand("DT", lambda c: c.machine.motion.contour_interval)
+register_machine_operand("DT", lambda c: c.machine.motion.contouring.interval)
 register_machine_operand("EA", lambda c: "XYZWN".find(c.machine.motion.cam.master or "?"))
 register_machine_operand("EB", lambda c: int(c.machine.motion.cam.enabled))
 register_machine_operand("EC", lambda c: c.machine.motion.cam.index)
@@ -210,7 +215,7 @@ register_machine_operand("EO", lambda c: int(c.machine.echo))
 register_machine_operand("ES", lambda c: find_system(c).ellipse_terms[0])
 register_machine_operand("HW", lambda c: _own_handle(c))
 register_machine_operand("WH", lambda c: _own_handle(c))
-register_machine_operand("II", lambda c: c.machine.interpreter.interrupts)
+register_machine_operand("II", lambda c: c.machine.programs.interrupts)
 register_machine_operand("LC", lambda c: c.machine.locked)
 register_machine_operand("LS", lambda c: _line_count(c))
 register_machine_operand("LZ", lambda c: int(c.machine.layout.strip_zeros))
@@ -222,18 +227,18 @@ register_machine_operand("TB", status.general_status)
 register_machine_operand("TC", lambda c: c.machine.error_code, ("", "0", "1"))
 register_machine_operand("TI", lambda c: c.machine.io.input_byte(), ("", "0", "X"))
 register_machine_operand("TM", lambda c: c.machine.timebase.period_us)
-register_machine_operand("TR", lambda c: int(c.machine.interpreter.trace))
+register_machine_operand("TR", lambda c: int(c.machine.programs.trace))
 register_machine_operand("UL", lambda c: c.machine.model.room.variables - len(c.machine.data.variables))
 
 
 def _line_count(c: CommandContext) -> int:
     """`_LS`: minus the number of lines while no program runs, otherwise the line to return to (L7108)."""
-    return return_line(c) if c.machine.interpreter.any_running() else -len(c.machine.program.lines)
+    return return_line(c) if c.machine.programs.any_running() else -len(c.machine.program.lines)
 
 
 def return_line(c: CommandContext) -> int:
     """Return the line after the present subroutine, 0 outside (SMC-2000: L1651)."""
-    thread = c.thread or c.machine.interpreter.threads[0]
+    thread = c.thread or c.machine.programs.threads[0]
     return thread.stack[-1].line if thread.stack else 0
 
 
@@ -265,12 +270,12 @@ def _compile_error_place(suffix: str) -> Evaluator:
         raise CommandError(58)
 
     def read_value(c: CommandContext) -> int:
-        interpreter = c.machine.interpreter
+        programs = c.machine.programs
         place = (
-            interpreter.error_line,
-            interpreter.error_thread,
-            interpreter.error_index,
-            interpreter.error_index + 1,
+            programs.error_line,
+            programs.error_thread,
+            programs.error_index,
+            programs.error_index + 1,
         )
         return fixed.from_integer(place[int(suffix or "0")])
 
@@ -284,7 +289,7 @@ def _register_thread_operand(op: str, read: Callable[[CommandContext, int], int]
 
         def evaluate_thread(c: CommandContext) -> int:
             own = c.thread.number if c.thread is not None else 0
-            if int(suffix or "0") >= len(c.machine.interpreter.threads):
+            if int(suffix or "0") >= len(c.machine.programs.threads):
                 raise CommandError(58)
             return fixed.from_integer(read(c, int(suffix) if suffix else own))
 
@@ -294,18 +299,18 @@ def _register_thread_operand(op: str, read: Callable[[CommandContext, int], int]
 
 
 def _current_line(c: CommandContext, number: int) -> int:
-    thread = c.machine.interpreter.threads[number]
+    thread = c.machine.programs.threads[number]
     return thread.line if thread.running else -1
 
 
 def _thread_state(c: CommandContext, number: int) -> int:
-    thread = c.machine.interpreter.threads[number]
+    thread = c.machine.programs.threads[number]
     return 0 if not thread.running else 2 if thread.trip is not None and not thread.resting else 1
 
 
 _register_thread_operand("XQ", _current_line)
 _register_thread_operand("HX", _thread_state)
-_register_thread_operand("ZS", lambda c, number: len(c.machine.interpreter.threads[number].stack))
+_register_thread_operand("ZS", lambda c, number: len(c.machine.programs.threads[number].stack))
 
 
 @register_operand("IA")

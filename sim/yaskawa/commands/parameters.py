@@ -4,13 +4,12 @@ from collections.abc import Callable
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.language import parameters
+from sim.yaskawa.language import parameters, smc2000_parameters
 from sim.yaskawa.language.arguments import Field, parse_form
 from sim.yaskawa.language.context import CommandContext
 from sim.yaskawa.language.parameters import AxisParameter
 from sim.yaskawa.language.registry import COMMANDS, CommandDefinition, Outcome, Runner
 from sim.yaskawa.motion.axis import ServoAxis
-from sim.yaskawa.smc2000 import parameters as smc2000_parameters
 
 Applied = Callable[[CommandContext, ServoAxis, str], None]
 Checked = Callable[[CommandContext, ServoAxis, str, int], None]

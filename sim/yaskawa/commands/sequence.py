@@ -1,6 +1,7 @@
 """Linear and vector sequences: CA LM LI LE VM VP CR VE CS VS VA VD VR VT ES TN (L3326-L3924, L11169-L11711)."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
@@ -12,10 +13,10 @@ from sim.yaskawa.language.arguments import (
     parse_fields,
     split_fields,
 )
-from sim.yaskawa.language.context import CommandContext
-from sim.yaskawa.language.expressions import Evaluator, compile_expression
+from sim.yaskawa.language.context import CommandContext, Evaluator
+from sim.yaskawa.language.expressions import compile_expression
 from sim.yaskawa.language.registry import Outcome, Runner, register_command
-from sim.yaskawa.motion.segments import arc_segment, linear_segment
+from sim.yaskawa.motion.segments import ArcShape, arc_segment, linear_segment
 from sim.yaskawa.motion.sequence import CoordinateSystem
 
 Speeds = tuple[Evaluator | None, Evaluator | None]
@@ -69,7 +70,7 @@ def _compile_select_system(text: str) -> Runner:
     return run_command
 
 
-def _open_sequence(c: CommandContext, axes: tuple[str, ...], linear: bool, tangent: str | None = None) -> None:
+def _open_sequence(c: CommandContext, axes: tuple[str, ...], tangent: str | None = None, *, linear: bool) -> None:
     system = find_system(c)
     if system.running:
         raise CommandError(7)
@@ -77,7 +78,7 @@ def _open_sequence(c: CommandContext, axes: tuple[str, ...], linear: bool, tange
         axis = c.machine.find_axis(name)
         if axis.is_moving:
             raise CommandError(18 if axis.mode == "contour" else 29 if axis.mode == "sequence" else 7)
-    system.select_axes(axes, linear, tangent)
+    system.select_axes(axes, linear=linear, tangent=tangent)
 
 
 @register_command("LM")
@@ -90,7 +91,7 @@ def _compile_linear_mode(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         axes = tuple(c.machine.find_axis(name).name for name in names) or tuple(c.machine.letters)
-        _open_sequence(c, axes, True)
+        _open_sequence(c, axes, linear=True)
         return None
 
     return run_command
@@ -105,7 +106,7 @@ def compile_vector_mode(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         axes = tuple(c.machine.find_axis(name).name for name in names) or ("X", "Y", "N")
-        _open_sequence(c, axes[:2], False, axes[2] if len(axes) > 2 and axes[2] != "N" else None)
+        _open_sequence(c, axes[:2], linear=False, tangent=axes[2] if len(axes) > 2 and axes[2] != "N" else None)
         return None
 
     return run_command
@@ -212,7 +213,7 @@ def _compile_circle(text: str) -> Runner:
         if radius * abs(sweep) > 4.5e8:
             raise CommandError(6)
         entry, leave = _evaluate_speeds(c, speeds)
-        segment = arc_segment(system.queue_end(), radius, angle, sweep, system.ellipse, entry, leave)
+        segment = arc_segment(system.queue_end(), ArcShape(radius, angle, sweep, system.ellipse), entry, leave)
         system.add_segment(segment, c.machine.timebase.next_sample())
         return None
 
@@ -252,17 +253,25 @@ def _compile_clear_sequence(text: str) -> Runner:
     return run_command
 
 
-def _register_parameter(
-    op: str,
-    low: float,
-    high: float,
-    write: Callable[[CoordinateSystem, float], None],
-    step: int,
-    *,
-    moving: bool,
-    nearest: bool = False,
-) -> None:
-    """Register a parameter of the systems S and T, cut to its step or, `nearest`, rounded to it."""
+@dataclass(frozen=True, slots=True)
+class SystemParameter:
+    """A parameter of the systems S and T, cut to its step (raw) or, `nearest`, rounded to it.
+
+    moving: may be set while its system moves."""
+
+    low: float
+    high: float
+    step: int
+    moving: bool = True
+    nearest: bool = False
+
+    def accept_value(self, raw: int) -> float:
+        """Return the stored value."""
+        return (raw + (self.step // 2 if self.nearest else 0)) // self.step * self.step / fixed.ONE
+
+
+def _register_parameter(op: str, parameter: SystemParameter, write: Callable[[CoordinateSystem, float], None]) -> None:
+    """Register the command of a parameter."""
 
     def compile_register(text: str) -> Runner:
         if text in ("?", "S?", "T?"):
@@ -281,12 +290,12 @@ def _register_parameter(
         def run_command(c: CommandContext) -> Outcome:
             given = [(find_system(c, name), field(c)) for name, field in zip(names, fields, strict=True)]
             for system, raw in given:
-                if not fixed.from_real(low) <= raw <= fixed.from_real(high):
+                if not fixed.from_real(parameter.low) <= raw <= fixed.from_real(parameter.high):
                     raise CommandError(6)
-                if system.running and not moving:
+                if system.running and not parameter.moving:
                     raise CommandError(7)
             for system, raw in given:
-                write(system, (raw + (step // 2 if nearest else 0)) // step * step / fixed.ONE)
+                write(system, parameter.accept_value(raw))
                 if system.running:
                     system.replan_speed(c.machine.timebase.next_sample())
             return None
@@ -325,11 +334,11 @@ def _set_smoothing(system: CoordinateSystem, value: float) -> None:
     system.smoothing = value
 
 
-_register_parameter("VS", 2, 8_000_000, _set_speed, 2 * fixed.ONE, moving=True)
-_register_parameter("VA", 1024, 68431360, _set_acceleration, 1024 * fixed.ONE, moving=True)
-_register_parameter("VD", 1024, 68431360, _set_deceleration, 1024 * fixed.ONE, moving=False)
-_register_parameter("VR", 0, 10, _set_ratio, 1, moving=True)
-_register_parameter("VT", 0.004, 1, _set_smoothing, fixed.ONE // 256, moving=True, nearest=True)
+_register_parameter("VS", SystemParameter(2, 8_000_000, 2 * fixed.ONE), _set_speed)
+_register_parameter("VA", SystemParameter(1024, 68431360, 1024 * fixed.ONE), _set_acceleration)
+_register_parameter("VD", SystemParameter(1024, 68431360, 1024 * fixed.ONE, moving=False), _set_deceleration)
+_register_parameter("VR", SystemParameter(0, 10, 1), _set_ratio)
+_register_parameter("VT", SystemParameter(0.004, 1, fixed.ONE // 256, nearest=True), _set_smoothing)
 
 
 @register_command("ES")

@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
@@ -102,12 +103,12 @@ def _switch_bits(c: CommandContext, axis: ServoAxis, now: int, command_now: int,
     machine = c.machine
     motion = machine.motion
     active_high = machine.model.switch_levels and machine.polarity[0] > 0
-    forward = motion.limit_active(axis, True, now) == active_high
-    reverse = motion.limit_active(axis, False, now) == active_high
+    forward = motion.limits.limit_active(axis, forward=True, now=now) == active_high
+    reverse = motion.limits.limit_active(axis, forward=False, now=now) == active_high
     home = machine.environment.home_level(axis.name, encoder_now - axis.physical_zero)
     return (
         axis.is_moving << 7
-        | machine.events.exceeds_error_limit(axis, command_now - encoder_now) << 6
+        | axis.exceeds_error_limit(command_now - encoder_now) << 6
         | axis.motor_off << 5
         | forward << 3
         | reverse << 2
@@ -129,41 +130,58 @@ def home_inactive(c: CommandContext, axis: ServoAxis) -> bool:
 def general_status(c: CommandContext) -> int:
     """`TB` (L10220)."""
     machine = c.machine
-    interpreter = machine.interpreter
-    events = {frame.event for frame in interpreter.threads[0].stack}
+    programs = machine.programs
+    events = {frame.event for frame in programs.threads[0].stack}
     return (
         (machine.selected is True) << _ADDRESSED_BIT
-        | interpreter.any_running() << machine.model.running_bit
-        | (machine.motion.contour is not None and machine.motion.contour.started is not None) << 5
+        | programs.any_running() << machine.model.running_bit
+        | (machine.motion.contouring.running is not None and machine.motion.contouring.running.started is not None) << 5
         | bool(events & {"CMDERR", "LIMSWI", "POSERR"}) << 4
-        | interpreter.interrupts_on << 3
+        | programs.interrupts_on << 3
         | ("ININT" in events) << 2
         | machine.echo << 0
     )
 
 
+@dataclass(frozen=True, slots=True)
+class ReportForm:
+    """Form of a report.
+
+    layout: format of its numbers; None: PF.
+    digits: for a format that depends on the model.
+    allowed: axes that it may name.
+    queryable: `?` is another way to name them.
+    """
+
+    layout: NumberFormat | None = None
+    digits: Callable[[CommandContext], int] | None = None
+    allowed: str = LETTERS
+    queryable: bool = True
+
+    def number_format(self, c: CommandContext) -> NumberFormat:
+        """Return the format of the numbers."""
+        return NumberFormat(self.digits(c), 0) if self.digits is not None else self.layout or c.machine.position_format
+
+
+_PLAIN_FORM = ReportForm()
+
+
 def register_report(
-    op: str,
-    read: Reader,
-    form: NumberFormat | None = None,
-    allowed: str = LETTERS,
-    digits: Callable[[CommandContext], int] | None = None,
-    table: dict[str, CommandDefinition] = COMMANDS,
-    queryable: bool = True,
+    op: str, read: Reader, form: ReportForm = _PLAIN_FORM, table: dict[str, CommandDefinition] = COMMANDS
 ) -> None:
-    """Register a command that reports one number of each axis; `queryable` when `?` is another way to name them."""
+    """Register a command that reports one number of each axis."""
 
     @register_command(op, table=table)
     def compile_tell(text: str) -> Runner:
-        if "?" in text and not queryable:
+        if "?" in text and not form.queryable:
             raise CommandError(51)
         questions = "?" in text
-        names = queried_axes(text) if questions else parse_axes(text, allowed)
+        names = queried_axes(text) if questions else parse_axes(text, form.allowed)
 
         def run_command(c: CommandContext) -> Outcome:
             if questions and op in c.machine.model.unasked:
                 raise CommandError(51)
-            layout = NumberFormat(digits(c), 0) if digits is not None else form or c.machine.position_format
+            layout = form.number_format(c)
             raw = [read(c, axis) if op == "TT" else read(c, axis) * fixed.ONE for axis in chosen_axes(c, names)]
             return report_text(c, ",".join(layout.format_value(value, c.machine.layout) for value in raw))
 
@@ -180,8 +198,8 @@ def report_text(c: CommandContext, written: str) -> Outcome:
     return None
 
 
-register_report("TP", encoder_position, allowed=LETTERS + "N")
-register_report("RP", reference_position, allowed=LETTERS + "N")
+register_report("TP", encoder_position, ReportForm(allowed=LETTERS + "N"))
+register_report("RP", reference_position, ReportForm(allowed=LETTERS + "N"))
 register_report("TE", position_error)
 register_report("TD", auxiliary_position)
 register_report("QP", unmodularised_position)
@@ -197,11 +215,11 @@ def _latched_at_rest(c: CommandContext, axis: ServoAxis) -> int:
 
 
 register_report("RU", _latched_at_rest)
-register_report("TV", average_velocity, digits=lambda c: c.machine.model.speed_digits)
-register_report("TT", torque_volts, NumberFormat(1, 4))
-register_report("TS", switch_states, NumberFormat(3, 0))
-register_report("SC", lambda c, axis: axis.stop_code, NumberFormat(3, 0), allowed=LETTERS + "N")
-register_report("TY", lambda c, axis: axis.absolute, NumberFormat(10, 0))  # L11089; SMC-2000: L12250
+register_report("TV", average_velocity, ReportForm(digits=lambda c: c.machine.model.speed_digits))
+register_report("TT", torque_volts, ReportForm(NumberFormat(1, 4)))
+register_report("TS", switch_states, ReportForm(NumberFormat(3, 0)))
+register_report("SC", lambda c, axis: axis.stop_code, ReportForm(NumberFormat(3, 0), allowed=LETTERS + "N"))
+register_report("TY", lambda c, axis: axis.absolute, ReportForm(NumberFormat(10, 0)))  # L11089; SMC-2000: L12250
 
 
 @register_command("TB")
@@ -279,9 +297,9 @@ def _compile_data_record(text: str) -> Runner:
 def _general_block(c: CommandContext) -> bytes:
     machine = c.machine
     status = (
-        machine.interpreter.any_running() << 7
-        | bool(machine.interpreter.threads[0].input_for) << 2
-        | machine.interpreter.trace << 1
+        machine.programs.any_running() << 7
+        | bool(machine.programs.threads[0].input_for) << 2
+        | machine.programs.trace << 1
         | machine.echo << 0
     )
     inputs, outputs = machine.io.input_byte(), machine.io.outputs

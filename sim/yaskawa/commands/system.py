@@ -20,13 +20,13 @@ POLARITIES = 4
 # Outputs and inputs
 
 
-def _register_output(op: str, level: bool) -> None:
+def _register_output(op: str, *, level: bool) -> None:
     @register_command(op)
     def compile_output(text: str) -> Runner:
         value = compile_integer(text)
 
         def run_command(c: CommandContext) -> Outcome:
-            c.machine.io.set_output(value(c), level)
+            c.machine.io.set_output(value(c), level=level)
             return None
 
         return run_command
@@ -34,8 +34,8 @@ def _register_output(op: str, level: bool) -> None:
     del compile_output
 
 
-_register_output("SB", True)
-_register_output("CB", False)
+_register_output("SB", level=True)
+_register_output("CB", level=False)
 
 
 @register_command("OB")
@@ -46,7 +46,7 @@ def _compile_output_bit(text: str) -> Runner:
     number, value = compile_integer(parts[0]), compile_expression(parts[1])
 
     def run_command(c: CommandContext) -> Outcome:
-        c.machine.io.set_output(number(c), value(c) != 0)
+        c.machine.io.set_output(number(c), level=value(c) != 0)
         return None
 
     return run_command
@@ -176,7 +176,7 @@ def _register_burn(op: str, burn: Callable[[CommandContext], None], where: str, 
 
         def run_command(c: CommandContext) -> Outcome:
             machine = c.machine
-            if idle and any(thread.running for thread in machine.interpreter.threads if thread is not c.thread):
+            if idle and any(thread.running for thread in machine.programs.threads if thread is not c.thread):
                 raise CommandError(17)
             if op in machine.model.burning.at_rest and machine.motion.is_active():
                 raise CommandError(7)

@@ -32,7 +32,7 @@ def _compile_after_time(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
-        owner = c.thread or machine.interpreter.threads[0]
+        owner = c.thread or machine.programs.threads[0]
         samples = value(c)
         if samples == 0:
             owner.reference = machine.current_sample()
@@ -143,7 +143,7 @@ def register_place_trip(
 def _trip_absolute(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
     if not axis.is_moving and not axis.gear.is_engaged and axis.mode != "cam":
         return None
-    return place_reached(axis, place, place >= axis.reference_at(c.machine.current_sample()), commanded=True)
+    return place_reached(axis, place, upward=place >= axis.reference_at(c.machine.current_sample()), commanded=True)
 
 
 def _motion_direction(axis: ServoAxis, now: int) -> int:
@@ -158,7 +158,7 @@ def trip_travelled(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
     sign = _motion_direction(axis, c.machine.current_sample())
     goal = axis.move_start + sign * place
     axis.mark = goal
-    return place_reached(axis, goal, sign > 0, commanded=True)
+    return place_reached(axis, goal, upward=sign > 0, commanded=True)
 
 
 def _trip_relative(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
@@ -167,15 +167,15 @@ def _trip_relative(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
     sign = _motion_direction(axis, c.machine.current_sample())
     goal = fixed.round_half_up(axis.mark) + sign * place
     axis.mark = goal
-    return place_reached(axis, goal, sign > 0, commanded=True)
+    return place_reached(axis, goal, upward=sign > 0, commanded=True)
 
 
 def _trip_forward(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
-    return place_reached(axis, place, True, commanded=False)
+    return place_reached(axis, place, upward=True, commanded=False)
 
 
 def _trip_reverse(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
-    return place_reached(axis, place, False, commanded=False)
+    return place_reached(axis, place, upward=False, commanded=False)
 
 
 _LEAST = -2147483648

@@ -1,13 +1,11 @@
 """Arguments of commands: axis letters, fields by position, one axis by letter (L2111-L2169, L12242-L12311)."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.language.expressions import Evaluator, compile_expression
-
-if TYPE_CHECKING:
-    from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.context import CommandContext, Evaluator
+from sim.yaskawa.language.expressions import compile_expression
 
 QUERY: Final = "?"
 LETTERS: Final = "XYZWEFGH"
@@ -96,7 +94,7 @@ def parse_form(text: str, letters: str = LETTERS) -> list[tuple[str, Field]]:
     return [(letters[index], field) for index, field in enumerate(fields) if field is not None]
 
 
-def compile_values(fields: list[Field]) -> Callable[["CommandContext"], list[int | None]]:
+def compile_values(fields: list[Field]) -> Callable[[CommandContext], list[int | None]]:
     """Compile the fields to their values at run time; interrogation is not valid there."""
     evaluators: list[Evaluator | None] = []
     for field in fields:

@@ -7,15 +7,11 @@ import math
 import re
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
+from sim.yaskawa.language.context import CommandContext, Evaluator
 
-if TYPE_CHECKING:
-    from sim.yaskawa.language.context import CommandContext
-
-Evaluator = Callable[["CommandContext"], int]
 Binary = Callable[[int, int], int]
 
 _TOKEN = re.compile(
@@ -158,14 +154,14 @@ class _ExpressionParser:
 
     def parse_name(self, text: str) -> Evaluator:
         if text.startswith("~"):
-            return lambda c: fixed.from_integer(c.machine.designator_number(text))
+            return lambda c: fixed.from_integer(c.machine.designators.designator_number(text))
         if text.startswith("@"):
             if self.peek_token() != "[":
                 raise CommandError(55 if text in FUNCTIONS or text in ("@IN", "@OUT", "@AN") else 57)
             self.index += 1
             return _apply_function(text, self.parse_bracket("]"))
         if text.startswith("_"):
-            return lambda c: c.machine.model.compile_operand(text)(c)
+            return lambda c: c.machine.compile_operand(text)(c)
         if self.peek_token() == "[":
             self.index += 1
             index = self.parse_bracket("]")
@@ -177,9 +173,13 @@ class _ExpressionParser:
         return lambda c: c.machine.data.read_variable(text)
 
 
-def _read_keyword(c: "CommandContext", name: str) -> int:
+def _read_keyword(c: CommandContext, name: str) -> int:
     machine = c.machine
-    return machine.read_keyword(name) if name in machine.model.keywords else machine.data.read_variable(name)
+    return (
+        machine.operator_input.read_keyword(name)
+        if name in machine.model.keywords
+        else machine.data.read_variable(name)
+    )
 
 
 def _apply_operator(operator: Binary, left: Evaluator, right: Evaluator) -> Evaluator:
@@ -197,7 +197,7 @@ def _apply_function(name: str, argument: Evaluator) -> Evaluator:
     if function is None:
         raise CommandError(57)
 
-    def evaluate_function(c: "CommandContext") -> int:
+    def evaluate_function(c: CommandContext) -> int:
         if name not in c.machine.model.functions:
             raise CommandError(57)
         return function(argument(c))
@@ -215,7 +215,7 @@ def compile_expression(text: str) -> Evaluator:
     return value
 
 
-def compile_integer(text: str) -> Callable[["CommandContext"], int]:
+def compile_integer(text: str) -> Callable[[CommandContext], int]:
     """Compile like `compile_expression`, with the result cut to an integer (D80)."""
     value = compile_expression(text)
     return lambda c: fixed.to_integer(value(c))

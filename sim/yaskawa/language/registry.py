@@ -3,8 +3,7 @@
 from collections.abc import Callable
 
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.language.expressions import Evaluator
-from sim.yaskawa.language.statements import CommandDefinition, Outcome, Runner
+from sim.yaskawa.language.context import CommandDefinition, Evaluator, Outcome, Runner
 
 COMMANDS: dict[str, CommandDefinition] = {}
 """Commands of the SMC-4000; other models share entries with it."""

@@ -4,22 +4,14 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.language.arguments import canonical_axis, split_fields
+from sim.yaskawa.language.context import CommandContext, Outcome, Runner
 from sim.yaskawa.language.expressions import compile_expression
-from sim.yaskawa.motion.trippoints import TripPoint
-
-if TYPE_CHECKING:
-    from sim.yaskawa.base.model import ControllerModel
-    from sim.yaskawa.language.context import CommandContext
-
-Outcome = str | TripPoint | None
-"""Result of a command: text to answer, a condition to wait for, or only the prompt."""
-Runner = Callable[["CommandContext"], Outcome]
+from sim.yaskawa.language.model import LanguageModel
 
 _ASSIGNMENT = re.compile(r"([A-Za-z][A-Za-z0-9]*)(\[[^=]*\])?=(?!=)(.*)")
 _SPACED_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*\s+[A-Za-z0-9]")
@@ -28,18 +20,6 @@ _LOCAL = re.compile(r"\{([FS$N^])([-0-9.]*)\}")
 
 class RawData(str):
     """Data that is sent as it is, without CR LF after it."""
-
-
-@dataclass(frozen=True, slots=True)
-class CommandDefinition:
-    """One op-code.
-
-    compile: from its argument text.
-    where: `both`, `program` or `line`; lock: see `LC` (L6735)."""
-
-    compile: Callable[[str], Runner]
-    where: str = "both"
-    lock: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +33,7 @@ class CompiledStatement:
     lock: str = ""
     quiet: bool = False
 
-    def run_statement(self, c: "CommandContext") -> Outcome:
+    def run_statement(self, c: CommandContext) -> Outcome:
         """Run it; raises `CommandError` when it is refused."""
         if self.where != "both" and (self.where == "program") != (c.thread is not None):
             raise CommandError(2 if self.where == "program" else 3)
@@ -71,13 +51,13 @@ def without_blanks(text: str) -> str:
     return '"'.join(part if number % 2 else part.replace(" ", "") for number, part in enumerate(text.split('"')))
 
 
-def is_comment(text: str, model: "ControllerModel") -> bool:
+def is_comment(text: str, model: LanguageModel) -> bool:
     """Return whether a statement is a comment (SMC-4000: L7912, SMC-2000: L10567)."""
     return text.startswith(model.comments) or text == "NO"
 
 
 @lru_cache(maxsize=8192)
-def compile_line(line: str, model: "ControllerModel") -> tuple[CompiledStatement, ...]:
+def compile_line(line: str, model: LanguageModel) -> tuple[CompiledStatement, ...]:
     """Compile the statements of a line. An error in one of them is raised when it runs."""
     statements: list[CompiledStatement] = []
     rest = line
@@ -96,7 +76,7 @@ def compile_line(line: str, model: "ControllerModel") -> tuple[CompiledStatement
     return tuple(statements)
 
 
-def finished_length(line: str, model: "ControllerModel") -> int:
+def finished_length(line: str, model: LanguageModel) -> int:
     """Return the number of characters of an unfinished line that are whole statements with their semicolons."""
     done = 0
     while not is_comment(line[done:].lstrip(), model):
@@ -112,11 +92,11 @@ def _cut_statement(line: str) -> tuple[str, bool, str]:
     return head, bool(tail), ";".join(tail)
 
 
-def _do_nothing(c: "CommandContext") -> Outcome:
+def _do_nothing(c: CommandContext) -> Outcome:
     return None
 
 
-def compile_statement(text: str, model: "ControllerModel") -> CompiledStatement:
+def compile_statement(text: str, model: LanguageModel) -> CompiledStatement:
     """Compile one statement from its text; syntax errors are raised when it runs."""
     compact = without_blanks(text)
     if not compact:
@@ -143,7 +123,7 @@ def compile_statement(text: str, model: "ControllerModel") -> CompiledStatement:
         code = error.code
     command = model.commands.get(op)
 
-    def raise_refusal(c: "CommandContext") -> Outcome:
+    def raise_refusal(c: CommandContext) -> Outcome:
         raise CommandError(code)
 
     return CompiledStatement(
@@ -151,13 +131,13 @@ def compile_statement(text: str, model: "ControllerModel") -> CompiledStatement:
     )
 
 
-def _is_spaced_command(text: str, model: "ControllerModel") -> bool:
+def _is_spaced_command(text: str, model: LanguageModel) -> bool:
     """Return whether a blank or the kind of op-code shows that arguments follow, e.g. `MG V1=2`."""
     op, rest = text[:2], text[2:]
     return op in model.commands and (op == "IF" or (rest[:1] == " " and not rest.lstrip().startswith(("=", "["))))
 
 
-def is_assignment(compact: str, model: "ControllerModel") -> bool:
+def is_assignment(compact: str, model: LanguageModel) -> bool:
     """Return whether `compact` sets or shows a variable or array element and is not a command (D8)."""
     match = _ASSIGNMENT.fullmatch(compact)
     if match is None:
@@ -179,7 +159,7 @@ def _compile_assignment(compact: str) -> Runner:
     if text in ("", "?") or text.startswith("{"):
         write = local_format(text) if text.startswith("{") else None
 
-        def show_variable(c: "CommandContext") -> Outcome:
+        def show_variable(c: CommandContext) -> Outcome:
             raw = source(c)
             return write(c, raw) if write is not None else c.machine.format_variable(raw)
 
@@ -187,21 +167,21 @@ def _compile_assignment(compact: str) -> Runner:
     value = compile_expression(text)
     if index_text is None:
 
-        def assign_variable(c: "CommandContext") -> Outcome:
+        def assign_variable(c: CommandContext) -> Outcome:
             c.machine.data.assign_variable(name, value(c))
             return None
 
         return assign_variable
     index = compile_expression(index_text[1:-1])
 
-    def store_element(c: "CommandContext") -> Outcome:
+    def store_element(c: CommandContext) -> Outcome:
         c.machine.data.store_element(name, fixed.to_integer(index(c)), value(c))
         return None
 
     return store_element
 
 
-def local_format(text: str) -> Callable[["CommandContext", int], str]:
+def local_format(text: str) -> Callable[[CommandContext, int], str]:
     """Parse `{Fm.n}`, `{$m.n}` and `{Sn}` (L16288)."""
     match = _LOCAL.fullmatch(text)
     if match is None or match[1] in "N^":
@@ -228,6 +208,6 @@ def _compile_variable_axis(compact: str) -> Runner:
     text = compact[3:]
     if text.startswith('"') and len(text) == 3:
         letter = canonical_axis(text[1])
-        return lambda c: c.machine.name_axis(name, letter)
+        return lambda c: c.machine.designators.name_axis(name, letter)
     value = compile_expression(text)
-    return lambda c: c.machine.number_axis(name, fixed.to_integer(value(c)))
+    return lambda c: c.machine.designators.number_axis(name, fixed.to_integer(value(c)))

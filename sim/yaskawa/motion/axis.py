@@ -65,8 +65,7 @@ class ServoAxis:
         self.auxiliary = 0
         self.shift = 0
         """Sum of all redefinitions of the position, which followers must not see."""
-        self.latch_armed = False
-        self.latch_used = False
+        self.latch_armed = self.latch_used = False
         self.latched = 0
         self.home_stage = 0
         self.off_on_error = False
@@ -121,7 +120,7 @@ class ServoAxis:
             return counts - self.turned()
         return counts % self.modulus if self.modulus else counts
 
-    def follower_travel(self, at: float, commanded: bool) -> float:
+    def follower_travel(self, at: float, *, commanded: bool) -> float:
         """Return the position that a follower sees: it does not jump when the position is redefined."""
         if commanded or self.virtual:
             return self.command_at(at) - self.shift
@@ -160,3 +159,18 @@ class ServoAxis:
     def position_error(self, sample: int) -> int:
         """Return the position error: commanded minus actual (L10487)."""
         return self.reference_at(sample) - self.actual_at(sample)
+
+    @property
+    def only_follows(self) -> bool:
+        """Return whether it is moved by gearing alone, which a limit ends (L5543)."""
+        return self.gear.is_engaged and not self.gear.gantry and not self.is_moving
+
+    @property
+    def error_limit(self) -> int:
+        """Return the largest position error without a reaction, `ER`; 0 for none."""
+        return fixed.to_integer(self.registers["ER"])
+
+    def exceeds_error_limit(self, error: int) -> bool:
+        """Return whether a position error is beyond ER, for a servo that is on (L4962)."""
+        limit = self.error_limit
+        return bool(limit) and not self.virtual and not self.motor_off and abs(error) > limit

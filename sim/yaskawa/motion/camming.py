@@ -1,20 +1,17 @@
 """Slaves of the electronic cam: engaging, disengaging, and reported positions (L4585-L4640, L13736-L13771)."""
 
 from math import inf
-from typing import TYPE_CHECKING
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.motion.axis import ServoAxis
 from sim.yaskawa.motion.cam import CamPath
-
-if TYPE_CHECKING:
-    from sim.yaskawa.motion.control import MotionControl
+from sim.yaskawa.motion.services import MotionServices
 
 
 class CamFollowers:
     """Drives the axes in the mode `cam`. Instants are samples, positions counts."""
 
-    def __init__(self, control: "MotionControl") -> None:
+    def __init__(self, control: MotionServices) -> None:
         self.control = control
 
     def master_position(self, at: float) -> float:
@@ -57,7 +54,7 @@ class CamFollowers:
         cam.followers.add(slave.name)
         master = self.control.axes.get(cam.master or "")
         if master is not None and master.is_moving:
-            self.control.note_start(slave, at)
+            self.control.record.note_start(slave, at)
 
     def disengage_slave(self, slave: ServoAxis, at: int) -> None:
         """Stop the slave at its present position."""
@@ -65,7 +62,7 @@ class CamFollowers:
         slave.stand_at(at, position)
         slave.modulus, slave.turned = 0, None
         self.control.cam.followers.discard(slave.name)
-        self.control.note_end(slave, at)
+        self.control.record.note_end(slave, at)
 
     def poll_waiting(self, now: int) -> bool:
         """Engage and disengage the slaves whose master has reached their position; return whether there was one."""

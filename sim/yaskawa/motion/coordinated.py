@@ -1,14 +1,10 @@
 """Execution of the coordinate systems: effect of their sequences on the axes (L13004-L13033)."""
 
-from typing import TYPE_CHECKING
-
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.motion.axis import ServoAxis
 from sim.yaskawa.motion.sequence import CoordinateSystem, SequencePath
-
-if TYPE_CHECKING:
-    from sim.yaskawa.motion.control import MotionControl
+from sim.yaskawa.motion.services import MotionServices
 
 RUNNING_CODE, DONE_CODE = 100, 101
 
@@ -16,7 +12,7 @@ RUNNING_CODE, DONE_CODE = 100, 101
 class CoordinatedMotion:
     """Begins, ends and stops sequences of systems S and T."""
 
-    def __init__(self, control: "MotionControl") -> None:
+    def __init__(self, control: MotionServices) -> None:
         self.control = control
 
     def member_axes(self, system: CoordinateSystem) -> list[ServoAxis]:
@@ -37,7 +33,7 @@ class CoordinatedMotion:
                 raise CommandError(21)
         ahead = system.segments[0].point_at(min(1.0, system.segments[0].length))
         for axis, start, near in zip(self.member_axes(system), system.segments[0].start, ahead, strict=False):
-            if near != start and self.control.is_blocked(axis, near > start, now):
+            if near != start and self.control.limits.is_blocked(axis, forward=near > start, now=now):
                 raise CommandError(22)
 
     def begin_sequence(self, system: CoordinateSystem, at: int) -> None:
@@ -52,7 +48,7 @@ class CoordinatedMotion:
             axis.mode, axis.stopping = "sequence", False
             axis.stop_code, axis.ending_code = RUNNING_CODE, DONE_CODE
         for axis in members:
-            self.control.note_start(axis, at)
+            self.control.record.note_start(axis, at)
 
     def stop_sequence(self, member: ServoAxis, at: int, code: int) -> None:
         """Decelerate the whole sequence (D37)."""
@@ -71,7 +67,7 @@ class CoordinatedMotion:
         for axis in self.member_axes(system):
             axis.stand_at(at, fixed.round_half_up(axis.path.position(at)))
             axis.stop_code = axis.ending_code
-            self.control.note_end(axis, at)
+            self.control.record.note_end(axis, at)
         self.close_sequence(system)
 
     def drop_member(self, member: str, at: int) -> None:
@@ -83,7 +79,7 @@ class CoordinatedMotion:
                     if axis.name != member:
                         axis.stand_at(at, fixed.round_half_up(axis.path.position(at)))
                         axis.stop_code = 7
-                        self.control.note_end(axis, at)
+                        self.control.record.note_end(axis, at)
                 self.close_sequence(system)
 
     def close_sequence(self, system: CoordinateSystem) -> None:

@@ -1,13 +1,10 @@
 """Homing: HM in three stages, FE, FI (L5168-L5278, L5581-L5634, L14199)."""
 
 from math import inf
-from typing import TYPE_CHECKING
 
 from sim.yaskawa.motion.axis import ServoAxis
 from sim.yaskawa.motion.profile import SPEED_UNIT, VelocityProfile, first_sample, plan_jog, plan_stop
-
-if TYPE_CHECKING:
-    from sim.yaskawa.motion.control import MotionControl
+from sim.yaskawa.motion.services import MotionServices
 
 EDGE_CODE, HOME_CODE, SEEK_CODE = 9, 10, -1
 
@@ -15,7 +12,7 @@ EDGE_CODE, HOME_CODE, SEEK_CODE = 9, 10, -1
 class HomingStages:
     """Drives axes in the modes `home`, `edge` and `index`."""
 
-    def __init__(self, control: "MotionControl", speed: int) -> None:
+    def __init__(self, control: MotionServices, speed: int) -> None:
         self.control = control
         self.slow = speed * SPEED_UNIT
         """Speed of the second and third stage of HM, counts/sample."""
@@ -60,7 +57,7 @@ class HomingStages:
             return inf, SEEK_CODE
         place = edge + axis.physical_zero
         low = not self._home_level(axis, axis.reference_at(at))
-        return first_sample(profile, at, place if low else place - 1, low), SEEK_CODE
+        return first_sample(profile, at, place if low else place - 1, upward=low), SEEK_CODE
 
     def input_changed(self, axis: ServoAxis, at: int) -> None:
         """Handle a change of the home input from outside."""
@@ -77,14 +74,14 @@ class HomingStages:
             control.plan_profile(axis, at)
             return
         if axis.mode == "index" or axis.stage == 4:
-            control.note_end(axis, at)
+            control.record.note_end(axis, at)
             code = axis.ending_code
             axis.define_position(at, 0)
             axis.stop_code = code
             axis.home_stage = 2
             return
         if axis.stage == control.figures.stepper_home_stages + 1 and axis.is_stepper:
-            control.note_end(axis, at)
+            control.record.note_end(axis, at)
             axis.stand_at(at, axis.reference_at(at) - axis.gear.position(at))
             axis.stop_code = axis.ending_code
             return
@@ -105,4 +102,4 @@ class HomingStages:
         forward = axis.mode != "index" or axis.registers["JG"] > 0
         place = axis.reference_at(at) - axis.physical_zero
         turn = place // every + 1 if forward else -(-place // every) - 1
-        return first_sample(profile, at, turn * every + axis.physical_zero, forward)
+        return first_sample(profile, at, turn * every + axis.physical_zero, upward=forward)

@@ -5,6 +5,7 @@ SP counts/s is SP/1024 counts/sample, one of AC counts/s^2 is AC/1048576 counts/
 """
 
 from bisect import bisect_right
+from dataclasses import dataclass
 from math import ceil, exp, inf, log, sqrt
 
 SPEED_UNIT = 1.0 / 1024
@@ -145,9 +146,19 @@ class VelocityProfile:
         return offset + slope * t + (self._lag[index] - offset) * exp(-rate * t)
 
 
-def plan_move(profile: VelocityProfile, at: float, target: float, speed: float, up: float, down: float) -> None:
+@dataclass(frozen=True, slots=True)
+class MoveSpeeds:
+    """Speed, counts/sample, and ramps, counts/sample^2, of a move."""
+
+    speed: float
+    up: float
+    down: float
+
+
+def plan_move(profile: VelocityProfile, at: float, target: float, speeds: MoveSpeeds) -> None:
     """Plan from the state at `at` to standstill at `target`; trapezoid, or triangle when `speed` is not reached
     (L12829)."""
+    speed, up, down = speeds.speed, speeds.up, speeds.down
     profile.cut_after(at)
     distance = target - profile.end_position
     sign = 1.0 if distance > 0 or (distance == 0 and profile.end_velocity > 0) else -1.0
@@ -201,7 +212,7 @@ def plan_stop(profile: VelocityProfile, at: float, down: float) -> None:
     profile.land_at(profile.end_position)
 
 
-def first_sample(profile: VelocityProfile, start: int, threshold: float, upward: bool) -> float:
+def first_sample(profile: VelocityProfile, start: int, threshold: float, *, upward: bool) -> float:
     """Return the first sample >= `start` at which the rounded position is >= (or <=) `threshold`; infinite if never."""
     sign = 1.0 if upward else -1.0
     level = sign * threshold - 0.5 + (0.0 if upward else 1e-9)

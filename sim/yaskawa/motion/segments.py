@@ -1,6 +1,6 @@
 """Segments of linear and vector sequences: lines and arcs in the coordinates of the sequence (L6872, L11466, L3791)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, cos, degrees, hypot, radians, sin
 
 Point = tuple[float, ...]
@@ -48,16 +48,18 @@ def linear_segment(start: Point, end: Point, scale: Point, entry: float | None, 
     return PathSegment(start, end, length, entry, leave)
 
 
-def arc_segment(
-    start: Point,
-    radius: float,
-    angle: float,
-    sweep: float,
-    scale: tuple[float, float],
-    entry: float | None,
-    leave: float | None,
-) -> PathSegment:
-    """Make a circular segment (an elliptic one when `scale` differs from 1); angles in degrees, positive is CCW."""
-    length = abs(radius * radians(sweep))
-    shape = PathSegment(start, start, length or 1.0, entry, leave, radius, angle, sweep, scale)
-    return PathSegment(start, shape.point_at(length), length, entry, leave, radius, angle, sweep, scale)
+@dataclass(frozen=True, slots=True)
+class ArcShape:
+    """An arc from `angle` over `sweep`, degrees, positive is CCW; elliptic when `scale` differs from 1."""
+
+    radius: float
+    angle: float
+    sweep: float
+    scale: tuple[float, float]
+
+
+def arc_segment(start: Point, arc: ArcShape, entry: float | None, leave: float | None) -> PathSegment:
+    """Make a circular or elliptic segment."""
+    length = abs(arc.radius * radians(arc.sweep))
+    shape = PathSegment(start, start, length or 1.0, entry, leave, arc.radius, arc.angle, arc.sweep, arc.scale)
+    return replace(shape, end=shape.point_at(length), length=length)

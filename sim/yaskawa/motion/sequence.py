@@ -14,6 +14,15 @@ _TINY = 1e-9
 _KEPT_POINTS = 16
 
 
+@dataclass(frozen=True, slots=True)
+class _SegmentGoal:
+    """End of a segment along the path, the speed wanted in it, and the square of the speed that it may end with."""
+
+    stop: float
+    wanted: float
+    limit: float
+
+
 class CoordinateSystem:
     """One coordinate system. Registers in counts/s and counts/s^2; time in samples, `s` in counts along the path."""
 
@@ -48,7 +57,7 @@ class CoordinateSystem:
         self.profile: VelocityProfile | None = None
         self._override: tuple[int, float] | None = None
 
-    def select_axes(self, axes: tuple[str, ...], linear: bool, tangent: str | None = None) -> None:
+    def select_axes(self, axes: tuple[str, ...], tangent: str | None = None, *, linear: bool) -> None:
         """`LM` and `VM`: set the axes of the next sequence."""
         self.clear_queue()
         self.axes, self.linear, self.tangent = axes, linear, tangent
@@ -167,7 +176,8 @@ class CoordinateSystem:
             if segment.entry_speed is not None and number > index:
                 speed = segment.entry_speed
             wanted = speed * self.ratio * SPEED_UNIT
-            if not self._cross_segment(profile, self._bounds[number + 1], wanted, limits[number - index], up, down):
+            goal = _SegmentGoal(self._bounds[number + 1], wanted, limits[number - index])
+            if not self._cross_segment(profile, goal, up, down):
                 return
         profile.land_at(self._bounds[-1])
 
@@ -199,10 +209,9 @@ class CoordinateSystem:
         return limits[::-1]
 
     @staticmethod
-    def _cross_segment(
-        profile: VelocityProfile, stop: float, wanted: float, limit: float, up: float, down: float
-    ) -> bool:
-        """Append pieces up to `stop`; return False when the wanted speed is 0 and the path stops before it."""
+    def _cross_segment(profile: VelocityProfile, goal: _SegmentGoal, up: float, down: float) -> bool:
+        """Append pieces up to the goal; return False when the wanted speed is 0 and the path stops before it."""
+        stop, wanted, limit = goal.stop, goal.wanted, goal.limit
         speed, room = profile.end_velocity, stop - profile.end_position
 
         def leave_free(v: float, a: float) -> float:

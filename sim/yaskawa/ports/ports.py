@@ -2,20 +2,19 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-from orchestrator.link.supply import Supply
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import PortRefused, SendBytes
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.io.network import PeerHandle
+from sim.yaskawa.language.context import CommandContext, CommandMachine
+from sim.yaskawa.language.machine import CommandOrigin, OperatorKeywords
+from sim.yaskawa.language.model import LanguageModel
 from sim.yaskawa.language.statements import CompiledStatement, RawData, compile_line, finished_length
 from sim.yaskawa.motion.trippoints import TripPoint
-from sim.yaskawa.ports.network import PeerHandle
 from sim.yaskawa.program.editor import ProgramEditor
-
-if TYPE_CHECKING:
-    from sim.yaskawa.machine import ControllerCore
 
 LONGEST_LINE = 80
 LONGEST_PACKET = 470
@@ -31,10 +30,65 @@ Download = Callable[[str], None]
 """Receives the whole text of a download at its end; may raise `CommandError`."""
 
 
+class PortInterpreter(Protocol):
+    """The interpreter as ports see it."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether it decodes a command now."""
+        ...
+
+    def run_ready(self) -> None:
+        """Run all that is ready."""
+        ...
+
+
+class PortInput(OperatorKeywords, Protocol):
+    """Input of programs as ports deliver it."""
+
+    def accept_input(self, port: CommandOrigin, line: str) -> bool:
+        """Return whether `line` answers an IN."""
+        ...
+
+    def store_serial_input(self, text: str) -> None:
+        """Store the last character for `P1CH`."""
+        ...
+
+
+class PortMachine(CommandMachine, Protocol):
+    """The machine as its ports see it."""
+
+    @property
+    def model(self) -> LanguageModel: ...
+
+    @property
+    def interpreter(self) -> PortInterpreter: ...
+
+    @property
+    def powered(self) -> bool: ...
+
+    @property
+    def question_crlf(self) -> bool: ...
+
+    @property
+    def mark_unsolicited(self) -> bool: ...
+
+    @property
+    def operator_input(self) -> PortInput: ...
+
+    def master_reset(self, port: "PortSession") -> None:
+        """Ctrl-R ctrl-S: factory state, burned values erased."""
+        ...
+
+
+PortMaker = Callable[["PortSet", str, str, SendBytes, Callable[[], None]], "PortSession"]
+"""Makes a port from its owner, name and kind, and from what sends its bytes and reports its end."""
+
+
 class PortSession:
     """One open connection: `S` is the serial port, `A` to `H` are Ethernet handles."""
 
-    supply = Supply()
+    supply = PowerSupply()
 
     def __init__(self, owner: "PortSet", name: str, kind: str, send: SendBytes, closed: Callable[[], None]) -> None:
         self.owner = owner
@@ -61,7 +115,7 @@ class PortSession:
 
     # Input
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         """Process bytes that arrive now (a packet on Ethernet)."""
         if not self.open:
             return
@@ -74,7 +128,7 @@ class PortSession:
             self.refuse_command(122)
         else:
             if self.kind == "serial":
-                machine.store_serial_input(text)
+                machine.operator_input.store_serial_input(text)
                 if machine.echo:
                     self.emit_text(text.replace("\x12", "").replace("\r", "\r\n"))
             self._packets.append((text, self._packet))
@@ -158,7 +212,7 @@ class PortSession:
 
     def _queue_line(self, line: str, packet: int, end: str) -> None:
         """Queue the statements of a line; text after a command that takes the next bytes is consumed by it."""
-        if self.machine.accept_input(self, line):
+        if self.machine.operator_input.accept_input(self, line):
             return
         if self.kind == "serial":
             self._packet += 1
@@ -274,8 +328,9 @@ class PortSession:
 class PortSet:
     """All connections of one controller."""
 
-    def __init__(self, machine: "ControllerCore") -> None:
+    def __init__(self, machine: PortMachine, serial_port: PortMaker, second_port: PortMaker) -> None:
         self.machine = machine
+        self._serial_port, self._second_port = serial_port, second_port
         self.serial: PortSession | None = None
         self.second: PortSession | None = None
         self.strict_packets = False
@@ -299,11 +354,11 @@ class PortSet:
         if port == "serial":
             if self.serial is not None:
                 raise PortRefused("the serial port is in use; close the other connection first")
-            self.serial = opened = self.machine.model.serial_port(self, "S", port, send, closed)
+            self.serial = opened = self._serial_port(self, "S", port, send, closed)
         elif port == "serial2":
             if self.second is not None:
                 raise PortRefused("the second serial port is in use; close the other connection first")
-            self.second = opened = self.machine.model.second_port(self, "2", "serial", send, closed)
+            self.second = opened = self._second_port(self, "2", "serial", send, closed)
         else:
             self._forget_silent()
             name = self.first_handle or next(iter(self.free_handles()), "")
@@ -335,7 +390,7 @@ class PortSet:
     def handle_connection_loss(self, handle: str) -> None:
         """Handle a TCP connection lost without action of the controller: `_IA4`, #TCPERR (L5778, L15514)."""
         self.lost_handle = ord(handle) - ord("A")
-        self.machine.interpreter.raise_event("TCPERR")
+        self.machine.programs.raise_event("TCPERR")
 
     def drop_all(self) -> None:
         """Drop all connections after a power loss or a hardware reset."""

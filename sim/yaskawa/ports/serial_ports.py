@@ -9,7 +9,7 @@ from sim.yaskawa.program.entry import OperatorEntry
 BUFFER = 256
 """Characters that wait while the interpreter is blocked; further ones are lost, with error 5 (D13)."""
 _ESCAPE = "\x1b"
-HEARD, MUTED = 1, 0
+ACCEPTED, MUTED = 1, 0
 _COMMAND = re.compile(r'[^\r;"\n\x12]*[\r;]')
 """One command with its terminator, without characters of special meaning."""
 
@@ -28,11 +28,11 @@ class CommandPort(PortSession):
     _fresh = True
     """No character of the present line has arrived yet."""
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         if not self.open:
             return
         machine = self.machine
-        entry = machine.entries["S"]
+        entry = machine.operator_input.entries["S"]
         text = data.decode("latin-1")
         whole = self._takes_whole(text, entry)
         self._fresh = self._fresh or whole
@@ -41,7 +41,7 @@ class CommandPort(PortSession):
         machine.advance_to_now()
         if whole:
             self._append_text(text[:-1])
-            self._end_line(HEARD)
+            self._end_line(ACCEPTED)
             machine.run_ready()
             return
         for character in text:
@@ -49,7 +49,7 @@ class CommandPort(PortSession):
                 self._receive_character(character, entry)
             else:
                 self._fresh = character in "\r;"
-                self._packets.append((character, HEARD))
+                self._packets.append((character, ACCEPTED))
                 self.parse_input()
         self.parse_input()
         machine.run_ready()
@@ -70,13 +70,13 @@ class CommandPort(PortSession):
         mode = machine.interrupting["S"]
         if entry.is_enabled:
             if character in ("\\", _ESCAPE):
-                entry.set_enabled(False)
+                entry.set_enabled(on=False)
                 return
             entry.take_character(character)
         else:
-            self._packets.append((character, HEARD))
+            self._packets.append((character, ACCEPTED))
         if machine.interrupting_on and (mode == 2 or (mode == 1 and character == "\r")):
-            machine.interrupting_on = not machine.interpreter.raise_event("COMINT")
+            machine.interrupting_on = not machine.programs.raise_event("COMINT")
         if not entry.is_enabled:
             self.parse_input()
 
@@ -105,7 +105,7 @@ class CommandPort(PortSession):
 
     def _take_control(self, character: str) -> None:
         if self.machine.selected is not False:
-            self._take_character(character, HEARD)
+            self._take_character(character, ACCEPTED)
 
     def _end_line(self, packet: int) -> None:
         self._quoted = False
@@ -117,14 +117,14 @@ class CommandPort(PortSession):
         if machine.selected is False and not broadcast:
             self._line, self._overlong = "", False
             return
-        packet = MUTED if broadcast and machine.address else HEARD
+        packet = MUTED if broadcast and machine.address else ACCEPTED
         if self._overlong or sum(len(statement.text) for statement, _ in self.queue) > BUFFER:
             self._line, self._overlong = "", False
             self._muted = packet == MUTED
             self.refuse_command(5)
             return
         self._line = ""
-        if machine.accept_input(self, line):
+        if machine.operator_input.accept_input(self, line):
             return
         for statement in compile_line(line.removeprefix("!"), machine.model):
             self.queue.append((statement, packet))
@@ -136,7 +136,7 @@ class CommandPort(PortSession):
         machine = self.machine
         machine.selected = address == str(machine.address)
         if machine.selected:
-            self.queue.append((CompiledStatement("%", f"%{address}", lambda c: None), HEARD))
+            self.queue.append((CompiledStatement("%", f"%{address}", lambda c: None), ACCEPTED))
             machine.interpreter.run_ready()
 
     def run_next(self) -> None:
@@ -161,7 +161,7 @@ class GeneralPort(PortSession):
     """Port 2 as a general port: an operator's panel, not a source of commands (L917-L931, L4807). Inactive before
     `CC`."""
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         machine = self.machine
         baud, _, chained, echo = machine.second_line
         if not self.open or not baud or chained:
@@ -175,20 +175,20 @@ class GeneralPort(PortSession):
 
     def _receive_character(self, character: str) -> None:
         machine = self.machine
-        main = machine.interpreter.threads[0]
+        main = machine.programs.threads[0]
         if main.input_for and main.input_port == self.name:
             if character not in "\r;":
                 self._append_text(character)
                 return
             line, self._line = self._line, ""
-            machine.accept_input(self, line)
+            machine.operator_input.accept_input(self, line)
             return
-        entry = machine.entries["2"]
+        entry = machine.operator_input.entries["2"]
         if character in ("\\", _ESCAPE):
-            entry.set_enabled(False)
+            entry.set_enabled(on=False)
             return
         if entry.is_enabled:
             entry.take_character(character)
         mode = machine.interrupting["2"]
         if machine.interrupting_on and (mode == 2 or (mode == 1 and character == "\r")):
-            machine.interrupting_on = not machine.interpreter.raise_event("COMINT")
+            machine.interrupting_on = not machine.programs.raise_event("COMINT")

@@ -1,1 +1,1 @@
-"""Stored programs and their interpreter."""
+"""Stored programs, their threads, and their editor."""

@@ -1,13 +1,23 @@
 """The edit subsystem on a port: `ED` and its control keys (L4512-L4560)."""
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from sim.yaskawa.base.errors import CommandError
-
-if TYPE_CHECKING:
-    from sim.yaskawa.ports.ports import PortSession
+from sim.yaskawa.program.program import StoredProgram
 
 DELETE, INSERT, PREVIOUS, QUIT = "\x04", "\t", "\x10", "\x11"
+
+
+class EditorPort(Protocol):
+    """The port that the editor writes to."""
+
+    def emit_text(self, text: str) -> None:
+        """Send text as it is."""
+        ...
+
+    def refuse_command(self, code: int) -> None:
+        """Answer an invalid command."""
+        ...
 
 
 class ProgramEditor:
@@ -17,9 +27,9 @@ class ProgramEditor:
     keeps the line, and continues.
     """
 
-    def __init__(self, port: "PortSession", line: int) -> None:
+    def __init__(self, port: EditorPort, program: StoredProgram, line: int) -> None:
         self._port = port
-        self._program = port.machine.program
+        self._program = program
         self._line = line
         self._typed = ""
         self._inserting = False

@@ -21,7 +21,7 @@ class OperatorEntry:
         """Whether the port is in operator data mode: its characters are not commands."""
         return self.code != DISABLED
 
-    def set_enabled(self, on: bool) -> None:
+    def set_enabled(self, *, on: bool) -> None:
         """Enter or leave the mode."""
         self.clear_input()
         self.code = NOTHING if on else DISABLED

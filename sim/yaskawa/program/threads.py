@@ -6,6 +6,8 @@ from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.motion.trippoints import TripPoint
 
 STACK = 16
+NO_BREAK = -2147483648
+"""Value of `_BK` without a breakpoint."""
 
 
 @dataclass(slots=True)
@@ -68,7 +70,7 @@ class ProgramThread:
         self.stack.append(StackFrame(self.line, self.index, self.trip, event))
         self.line, self.index, self.trip = line, index, None
 
-    def leave_subroutine(self, restore: bool = False) -> str:
+    def leave_subroutine(self, *, restore: bool = False) -> str:
         """Return from a subroutine, with the interrupted trippoint or without; return the name of its event."""
         frame = self.stack.pop()
         self.line, self.index = frame.line, frame.index

@@ -2,11 +2,11 @@
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.commands.gear import engagement_compiler, select_master
+from sim.yaskawa.commands.gear import engagement_compiler
 from sim.yaskawa.commands.parameters import target_axes
 from sim.yaskawa.language.arguments import LETTERS, canonical_axis, parse_form
-from sim.yaskawa.language.context import CommandContext
-from sim.yaskawa.language.expressions import Evaluator, compile_integer
+from sim.yaskawa.language.context import CommandContext, Evaluator
+from sim.yaskawa.language.expressions import compile_integer
 from sim.yaskawa.language.registry import (
     SMC2000_COMMANDS,
     SMC2000_OPERANDS,
@@ -15,6 +15,7 @@ from sim.yaskawa.language.registry import (
     register_command,
     register_operand,
 )
+from sim.yaskawa.motion.gearing import select_master
 
 LARGEST_CYCLE = 8388607
 
@@ -37,7 +38,7 @@ def _compile_gear_master(text: str) -> Runner:
             if source in (axis.name, f"C{axis.name}"):
                 axis.gear.select_master("", None, machine.timebase.next_sample())
             else:
-                select_master(machine, axis, source)
+                select_master(machine.motion, axis, source)
         return None
 
     return run_command

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from orchestrator.clock.base import Clock
-from orchestrator.link.supply import Supply
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import CommandedMotion, LimitSwitch, PortConnection, PortRefused, SendBytes
 from sim.yaskawa.base.options import MAIN_BAUD
-from sim.yaskawa.controller import YaskawaController, is_refusal
+from sim.yaskawa.machine.controller import YaskawaController, is_refusal
 
 PORT = "serial"
 ADDRESS_STRIDE = 100
@@ -84,23 +84,23 @@ class DaisyChain:
 
     # Environment
 
-    def set_power(self, on: bool) -> None:
+    def set_power(self, *, on: bool) -> None:
         """Switch all controllers at once; `units` has each of them."""
         for unit in self.units:
-            unit.set_power(on)
+            unit.set_power(on=on)
 
-    def set_input(self, number: int, level: bool) -> None:
+    def set_input(self, number: int, *, level: bool) -> None:
         """Set an input of one controller: A*100 + its number there."""
         unit, local = self._find_point(number)
-        unit.set_input(local, level)
+        unit.set_input(local, level=level)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         unit, letter = self._find_axis(axis)
         unit.set_limit(letter, which)
 
-    def set_stalled(self, axis: str, stalled: bool) -> None:
+    def set_stalled(self, axis: str, *, stalled: bool) -> None:
         unit, letter = self._find_axis(axis)
-        unit.set_stalled(letter, stalled)
+        unit.set_stalled(letter, stalled=stalled)
 
     def push_axis(self, axis: str, counts: int) -> None:
         unit, letter = self._find_axis(axis)
@@ -174,12 +174,12 @@ class ChainConnection:
         self._live = True
         self._spoke = 0
         """The place of the controller that has answered last."""
-        self.supply = Supply()
+        self.supply = PowerSupply()
         self._ends = [_OpenPort(None) for _ in chain.units]
         for place in range(len(chain.units)):
             self._plug_in(place)
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         """Send bytes through the chain command by command, so that the controllers take them in order."""
         start = 0
         for index, byte in enumerate(data):
@@ -202,7 +202,7 @@ class ChainConnection:
         def handle_disconnect() -> None:
             self._ends[place].connection = None
             if place <= self._spoke:
-                self.supply.switched(False, self._chain.now_ns())
+                self.supply.set_power(on=False, at_ns=self._chain.now_ns())
             if place == 0 and self._live:
                 self.close()
                 self._closed()
@@ -222,7 +222,7 @@ class ChainConnection:
         connection = self._ends[place].connection
         handed_on = self._chain.is_forwarding(place)
         if connection is not None:
-            connection.receive(data)
+            connection.receive_bytes(data)
         if handed_on and place + 1 < len(self._ends):
             self._chain.call_after_hops(1, lambda: self._deliver_to_port(place + 1, data))
 

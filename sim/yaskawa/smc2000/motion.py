@@ -6,7 +6,7 @@ from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.commands.motion import chosen_axes, compile_flag_query, increment_target, move_distance
 from sim.yaskawa.commands.parameters import arm_axis, parameter_writer, register_form
 from sim.yaskawa.commands.sequence import compile_tangent, compile_vector_mode
-from sim.yaskawa.commands.status import encoder_position, position_error, register_report, torque_volts
+from sim.yaskawa.commands.status import ReportForm, encoder_position, position_error, register_report, torque_volts
 from sim.yaskawa.commands.trip import register_place_trip, trip_travelled
 from sim.yaskawa.language.arguments import LETTERS, compile_values, parse_axes, parse_fields
 from sim.yaskawa.language.context import CommandContext
@@ -111,9 +111,9 @@ def _compile_configure(text: str) -> Runner:
 def _compile_tangent(text: str) -> Runner:
     """`TN ?` reports the start of the tangent axis, as `_TN` does (L12030)."""
     if text == "?":
-        return lambda c: c.machine.format_answer("TN", c.machine.model.compile_operand("_TN")(c))
+        return lambda c: c.machine.format_answer("TN", c.machine.compile_operand("_TN")(c))
     return compile_tangent(text)
 
 
-register_report("TE", position_error, table=SMC2000_COMMANDS, queryable=False)  # L11850
-register_report("TT", torque_volts, NumberFormat(1, 4), table=SMC2000_COMMANDS, queryable=False)  # L12179
+register_report("TE", position_error, ReportForm(queryable=False), SMC2000_COMMANDS)  # L11850
+register_report("TT", torque_volts, ReportForm(NumberFormat(1, 4), queryable=False), SMC2000_COMMANDS)  # L12179

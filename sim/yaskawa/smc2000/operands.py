@@ -4,8 +4,7 @@ from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.commands.operands import register_axis_operand, register_machine_operand, return_line
 from sim.yaskawa.commands.status import encoder_position
-from sim.yaskawa.language.context import CommandContext
-from sim.yaskawa.language.expressions import Evaluator
+from sim.yaskawa.language.context import CommandContext, Evaluator
 from sim.yaskawa.language.registry import SMC2000_OPERANDS, register_operand
 from sim.yaskawa.smc2000.motion import move_destination
 

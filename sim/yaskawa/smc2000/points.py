@@ -4,8 +4,8 @@ from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.commands.status import report_text
 from sim.yaskawa.language.arguments import compile_values, parse_fields, split_fields
-from sim.yaskawa.language.context import CommandContext
-from sim.yaskawa.language.expressions import Evaluator, compile_integer
+from sim.yaskawa.language.context import CommandContext, Evaluator
+from sim.yaskawa.language.expressions import compile_integer
 from sim.yaskawa.language.registry import (
     SMC2000_COMMANDS,
     SMC2000_OPERANDS,
@@ -86,7 +86,7 @@ def _compile_input_interrupt(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
         given = [0 if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None]]
         first, last, mask = given[:3]
-        interpreter = c.machine.interpreter
+        programs = c.machine.programs
         if min(given) < 0 and not c.machine.options.own_modulus:
             raise CommandError(6)
         if not (-_INTERRUPTS <= first <= _INTERRUPTS and -_INTERRUPTS <= last <= _INTERRUPTS and abs(mask) <= 0xFF):
@@ -97,9 +97,9 @@ def _compile_input_interrupt(text: str) -> Runner:
             selected = sum(1 << number - 1 for number in range(abs(first), abs(last or first) + 1))
         else:
             selected = abs(mask)
-        interpreter.interrupts = selected
-        interpreter.active_high = selected if first < 0 or mask < 0 else 0
-        interpreter.interrupts_on = selected != 0
+        programs.interrupts = selected
+        programs.active_high = selected if first < 0 or mask < 0 else 0
+        programs.interrupts_on = selected != 0
         return None
 
     return run_command

@@ -91,7 +91,7 @@ def _compile_reset(text: str) -> Runner:
         elif what == PARAMETERS:
             c.machine.memory.restore_parameters()
         else:
-            c.machine.interpreter.halt_all()
+            c.machine.programs.halt_all()
             c.machine.program.clear_lines()
         return None
 

@@ -29,7 +29,7 @@ def _compile_configure_port(text: str) -> Runner:
         if baud not in BAUD_RATES or {handshake, chained, echo} - {0, 1}:
             raise CommandError(6)
         machine.second_line = (baud, handshake, chained, echo)
-        machine.entries["2"].set_enabled(not chained)
+        machine.operator_input.entries["2"].set_enabled(on=not chained)
         return None
 
     return run_command
@@ -49,12 +49,12 @@ def _compile_communication_interrupt(text: str) -> Runner:
             raise CommandError(6)
         for port, mode in modes.items():
             if mode == -1:
-                machine.entries[port].clear_input()
+                machine.operator_input.entries[port].clear_input()
             elif mode is not None:
                 machine.interrupting[port] = mode
         machine.interrupting_on = any(machine.interrupting.values())
         if data is not None:
-            machine.entries["S"].set_enabled(data == 1)
+            machine.operator_input.entries["S"].set_enabled(on=data == 1)
         return None
 
     return run_command
@@ -72,7 +72,7 @@ def _compile_end(text: str) -> Runner:
         thread = running_thread(c)
         if not thread.stack:
             thread.halt_thread()
-        elif thread.leave_subroutine(restore == 1) == "COMINT" and again:
+        elif thread.leave_subroutine(restore=restore == 1) == "COMINT" and again:
             c.machine.interrupting_on = True
         return None
 

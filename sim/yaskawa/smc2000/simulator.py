@@ -8,13 +8,17 @@ from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
-from sim.yaskawa.base.model import BurnTimes, ControllerModel, MotionFigures
 from sim.yaskawa.base.options import HOP_NS, ChainOptions, Smc2000Options
-from sim.yaskawa.controller import YaskawaBench, YaskawaController
-from sim.yaskawa.language.dialect import COMMANDS, OPERANDS
+from sim.yaskawa.base.timebase import ServoTimebase
+from sim.yaskawa.commands.dialect import COMMANDS, OPERANDS
 from sim.yaskawa.language.expressions import FUNCTIONS
+from sim.yaskawa.language.properties import BurnTimes
 from sim.yaskawa.language.registry import SMC2000_COMMANDS, SMC2000_OPERANDS
-from sim.yaskawa.machine import ControllerCore
+from sim.yaskawa.language.smc2000_parameters import SMC2000 as PARAMETERS
+from sim.yaskawa.machine.controller import YaskawaBench, YaskawaController
+from sim.yaskawa.machine.core import ControllerCore
+from sim.yaskawa.machine.model import ControllerModel
+from sim.yaskawa.motion.figures import MotionFigures
 from sim.yaskawa.ports.serial_ports import CommandPort, GeneralPort
 from sim.yaskawa.smc2000 import cam as smc2000_cam
 from sim.yaskawa.smc2000 import motion as smc2000_motion
@@ -23,7 +27,6 @@ from sim.yaskawa.smc2000 import points as smc2000_points
 from sim.yaskawa.smc2000 import program as smc2000_program
 from sim.yaskawa.smc2000 import serial as smc2000_serial
 from sim.yaskawa.smc2000.chain import ChainBench, DaisyChain
-from sim.yaskawa.smc2000.parameters import SMC2000 as PARAMETERS
 
 OWN_MODULES = (
     smc2000_cam,
@@ -181,7 +184,8 @@ class Smc2000Simulator:
     ) -> YaskawaController:
         """Build one controller."""
         chosen = Smc2000Options.model_validate(dict(options))
-        machine = ControllerCore(clock, MODEL, chosen, oscillator or Oscillator(), timing or FirmwareTiming(), seed)
+        timebase = ServoTimebase(clock, oscillator or Oscillator())
+        machine = ControllerCore(timebase, MODEL, chosen, timing or FirmwareTiming(), seed)
         machine.run_ready()
         return YaskawaController(machine, MODEL.ports)
 

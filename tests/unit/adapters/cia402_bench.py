@@ -11,7 +11,7 @@ from adapters.cia402.driver import Cia402Driver
 from adapters.contract import DriverSetup, Lowered
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_until_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.can import CanFrame
 from orchestrator.link.memory import MemoryWire, can_wire
 from orchestrator.model.fleet import Controller
@@ -74,7 +74,7 @@ class Drives:
         for driver in self.drivers:
             await driver.connect()
             await driver.configure()
-            await driver.set_enabled(["a"], True)
+            await driver.set_enabled(["a"], on=True)
 
     async def until(self, at_ns: int) -> None:
         await sleep_until_ns(self.clock, at_ns)
@@ -98,11 +98,11 @@ class Drives:
         return t0_ns
 
     def fresh(self) -> Cia402Driver:
-        """A driver of the first drive that knows nothing of the others: that of a process that was started anew."""
+        """A driver of the first drive without a connection to the others: that of a restarted process."""
         its = config(1)
         firer = LoopTimedWriter(self.clock)
         return MAKE.create_driver(
-            DriverSetup("d1", its, MAKE.options_model.model_validate({}), self.clock, self.wire.open, firer)
+            DriverSetup("d1", its, MAKE.options_model.model_validate({}), self.clock, self.wire.open_link, firer)
         )
 
     def syncs(self, since_ns: int = 0) -> int:
@@ -119,7 +119,7 @@ def run(
 ) -> None:
     """Run `main` with `count` drives. simulate: options of the simulated drives; options, axis: of the fleet file."""
 
-    async def within(clock: Clock) -> None:
+    async def within(clock: VirtualClock) -> None:
         branches = [
             DeviceSpec(node, dict(simulate or {}), Oscillator(0, 7.0 * node), FirmwareTiming(300 * NS_PER_US), node)
             for node in range(1, count + 1)
@@ -133,11 +133,11 @@ def run(
             its = config(node, options, **axis)
             MAKE.check_config(its)
             setup = DriverSetup(
-                f"d{node}", its, MAKE.options_model.model_validate(its.options), clock, wire.open, firer, shared
+                f"d{node}", its, MAKE.options_model.model_validate(its.options), clock, wire.open_link, firer, shared
             )
             drivers.append(MAKE.create_driver(setup))
         drives = Drives(clock, segment.bus, list(units), drivers, wire, shared)
-        segment.bus.watch(lambda frame, begin_ns, end_ns: drives.frames.append((end_ns, frame)))
+        segment.bus.add_listener(lambda frame, begin_ns, end_ns: drives.frames.append((end_ns, frame)))
         try:
             await main(drives)
         finally:

@@ -1,4 +1,4 @@
-"""A driver before a simulated pp-electronic SMC, with other clients beside it, in virtual time."""
+"""A driver of a simulated pp-electronic SMC, with other clients at the same time, in virtual time."""
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextvars import copy_context
@@ -49,7 +49,7 @@ def controller(names: str = "xyz", serial: bool = False, options: Mapping[str, A
 
 
 class Client:
-    """Somebody else who is connected to the unit."""
+    """Another client that is connected to the controller."""
 
     def __init__(self, unit: PpsmcController, port: str = "tcp") -> None:
         self.raw = b""
@@ -59,7 +59,7 @@ class Client:
         self.raw += data
 
     def send(self, *lines: str, end: str = "\r") -> None:
-        self._connection.receive("".join(line + end for line in lines).encode())
+        self._connection.receive_bytes("".join(line + end for line in lines).encode())
 
 
 @dataclass
@@ -103,7 +103,7 @@ class Bench:
             return self.driver.lower_profiles({}, how or StartOptions(), None)
         plan = plan_step(moves)
         return self.driver.lower_profiles(
-            plan.stretched(plan.duration_s * factor).profiles, how or StartOptions(), None
+            plan.stretch_to(plan.duration_s * factor).profiles, how or StartOptions(), None
         )
 
     async def arm(self, targets: Mapping[str, int], how: StartOptions | None = None) -> tuple[int, PpSmcLowered]:
@@ -178,7 +178,7 @@ def run(
         wire = MemoryWire(clock, model, unit, "serial" if serial else "tcp", "unit a", copy_context(), seed)
         MAKE.check_config(fleet)
         setup = DriverSetup(
-            "a", fleet, MAKE.options_model.model_validate(fleet.options), clock, wire.open, LoopTimedWriter(clock)
+            "a", fleet, MAKE.options_model.model_validate(fleet.options), clock, wire.open_link, LoopTimedWriter(clock)
         )
         driver = MAKE.create_driver(setup)
         assert isinstance(driver, PpSmcDriver)

@@ -1,4 +1,4 @@
-"""How drivers tell of a controller that was restarted behind an open line."""
+"""How drivers report a controller that was restarted on an open line."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from adapters.contract import ControllerRestarted, Driver
 
 
 async def sees_the_restart(driver: Driver) -> None:
-    """A poll gives the link up at once, and the first one after meeting the controller again tells why, once."""
+    """A poll gives the link up at once, and the first one after the reconnection reports the reason, once."""
     with pytest.raises(ControllerRestarted):
         await driver.poll()
     await driver.close()

@@ -1,4 +1,5 @@
-"""Drives and buses that do what they should not: it is said in words with a remedy, and nothing goes on by itself."""
+"""Drives and buses that violate their specification: it is reported in words with a remedy, and nothing continues by
+itself."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,10 +15,10 @@ from adapters.cia402 import MAKE
 from adapters.cia402.words import ABORTS, abort_text
 from adapters.contract import DriverSetup, JogMove
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed
-from orchestrator.link.can import CanFrame, decode, encode
+from orchestrator.link.can import CanFrame, decode_frames, encode_frames
 from orchestrator.link.memory import MemoryWire, can_wire
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import StartOptions
@@ -40,10 +41,10 @@ def aborting(code: int, chosen: Callable[[int], bool]) -> Callable[[bytes], byte
         spoilt = b"\x80" + frame.data[1:4] + code.to_bytes(4, "little")
         return CanFrame(ANSWER, spoilt) if chosen(number) else frame
 
-    return lambda data: encode(*map(spoil, decode(data)))
+    return lambda data: encode_frames(*map(spoil, decode_frames(data)))
 
 
-def test_every_abort_is_told_in_words() -> None:
+def test_every_abort_is_reported_in_words() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         for code in (*ABORTS, 0x1234_5678):
@@ -58,7 +59,7 @@ def test_every_abort_is_told_in_words() -> None:
 
 
 @pytest.mark.parametrize("code", [0x0602_0000, 0x0800_0022, 0x0601_0002, 0x0609_0030, 0x0504_0000])
-def test_an_abort_of_any_access_while_a_drive_is_met_is_said_or_does_no_harm(code: int) -> None:
+def test_an_abort_of_any_access_while_connecting_is_reported_or_harmless(code: int) -> None:
     async def main(world: Drives) -> None:
         draw = Random(code)
         said = 0
@@ -83,7 +84,7 @@ def test_an_abort_of_any_access_while_a_drive_is_met_is_said_or_does_no_harm(cod
 
 @pytest.mark.parametrize("code", [0x0800_0022, 0x0609_0030])
 @pytest.mark.parametrize("streamed", [False, True])
-def test_an_abort_of_any_access_while_arming_is_said_and_nothing_moves(streamed: bool, code: int) -> None:
+def test_an_abort_of_any_access_while_arming_is_reported_and_nothing_moves(streamed: bool, code: int) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         moves = smooth(0, 20_000) if streamed else profiles(0, 20_000)
@@ -103,7 +104,7 @@ def test_an_abort_of_any_access_while_arming_is_said_and_nothing_moves(streamed:
 
 
 @pytest.mark.parametrize("stage", ["rest", "homing", "jog", "trapezoid", "stream"])
-def test_an_emergency_at_any_stage_is_said_and_stops_the_drive(stage: str) -> None:
+def test_an_emergency_at_any_stage_is_reported_and_stops_the_drive(stage: str) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         drive = world.unit.station.drive
@@ -124,19 +125,19 @@ def test_an_emergency_at_any_stage_is_said_and_stops_the_drive(stage: str) -> No
         assert "3210h" in reading.faults[0].text and reading.faults[0].remedy
         assert not reading.axes["a"].enabled
         await world.driver.clear_faults()
-        await world.driver.set_enabled(["a"], True)
+        await world.driver.set_enabled(["a"], on=True)
         await another(world, 0)
 
     run(main, simulate={"home_switch": [-90_000, -80_000]}, homing={"method": "home_switch_negative"}, **SMOOTH)
 
 
 @pytest.mark.parametrize("streamed", [False, True])
-def test_a_drive_that_is_operated_at_its_place_is_said(streamed: bool) -> None:
+def test_a_drive_under_local_control_is_reported(streamed: bool) -> None:
     async def main(world: Drives) -> None:
-        world.unit.set_input(2, True)
+        world.unit.set_input(2, level=True)
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000) if streamed else profiles(0, 40_000)})
-        world.clock.call_at_ns(t0_ns + 300 * NS_PER_MS, lambda: world.unit.set_input(2, False))
+        world.clock.call_at_ns(t0_ns + 300 * NS_PER_MS, lambda: world.unit.set_input(2, level=False))
         _, outcome = await followed(world)
         assert outcome.state == "fault"
         assert "enable input" in outcome.reason
@@ -150,7 +151,7 @@ def test_a_burst_of_error_frames_disturbs_no_stream() -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
         for after_ms in (100, 300, 500):
-            world.clock.call_at_ns(t0_ns + after_ms * NS_PER_MS, lambda: world.bus.disturb(8))
+            world.clock.call_at_ns(t0_ns + after_ms * NS_PER_MS, lambda: world.bus.disturb_frames(8))
         for number in (0, 1):
             _, outcome = await followed(world, number)
             assert outcome.state == "done", outcome.reason
@@ -165,7 +166,7 @@ def test_a_stranger_stops_a_stream_with_the_makes_stop_bytes() -> None:
         t0_ns = await released(world, {0: smooth(0, 40_000)})
         await world.driver.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(config(1)))
         outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
@@ -173,14 +174,14 @@ def test_a_stranger_stops_a_stream_with_the_makes_stop_bytes() -> None:
         await world.rest(300)
         assert world.unit.at_rest()
         assert 0 < world.unit.position("1") < 40_000
-        await world.driver.set_enabled(["a"], True)
+        await world.driver.set_enabled(["a"], on=True)
         await another(world, 0)
 
     run(main, **SMOOTH)
 
 
 def test_two_drives_with_one_node_number_are_found_out() -> None:
-    async def main(clock: Clock) -> None:
+    async def main(clock: VirtualClock) -> None:
         branches = [
             DeviceSpec(1, {}, Oscillator(0, 0.0), FirmwareTiming(300 * NS_PER_US, 200 * NS_PER_US), seed)
             for seed in (1, 2)
@@ -189,7 +190,7 @@ def test_two_drives_with_one_node_number_are_found_out() -> None:
         wire = MemoryWire(clock, can_wire(), segment, "can", "can can0", copy_context(), 3)
         its, shared = config(1), dict[str, Any]()
         setup = DriverSetup(
-            "d1", its, MAKE.options_model.model_validate({}), clock, wire.open, LoopTimedWriter(clock), shared
+            "d1", its, MAKE.options_model.model_validate({}), clock, wire.open_link, LoopTimedWriter(clock), shared
         )
         driver = MAKE.create_driver(setup)
         with pytest.raises((ControllerFault, LinkClosed)) as caught:

@@ -1,4 +1,4 @@
-"""What goes wrong with drives and their bus is said in words, and nothing goes on that should not."""
+"""Faults of drives and their bus are reported in words, and nothing continues that should not."""
 
 from pathlib import Path
 
@@ -7,31 +7,31 @@ from unit.adapters.cia402_bench import Drives, config, run
 
 from adapters.cia402 import MAKE
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.link.can import FRAME_BYTES, CanFrame, decode, encode
+from orchestrator.link.can import FRAME_BYTES, CanFrame, decode_frames, encode_frames
 from orchestrator.model.errors import ControllerFault, Refusal
 from sim import cia402
 
 
-def test_a_following_error_in_a_move_is_said_in_words_and_can_be_reset() -> None:
+def test_a_following_error_in_a_move_is_reported_in_words_and_can_be_reset() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go()
         await world.driver.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
-        world.unit.set_stalled("1", True)
+        world.unit.set_stalled("1", stalled=True)
         outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "following error (8611h)" in outcome.reason
         reading = await world.driver.poll()
         assert [fault.code for fault in reading.faults] == ["emergency"]
         assert reading.faults[0].remedy
-        for refused in (world.driver.set_enabled(["a"], True), world.driver.home_axes(["a"], lambda _: None)):
+        for refused in (world.driver.set_enabled(["a"], on=True), world.driver.home_axes(["a"], lambda _: None)):
             with pytest.raises(Refusal) as caught:
                 await refused
             assert caught.value.code == "fault"
-        world.unit.set_stalled("1", False)
+        world.unit.set_stalled("1", stalled=False)
         await world.driver.clear_faults()
-        await world.driver.set_enabled(["a"], True)
+        await world.driver.set_enabled(["a"], on=True)
         reading = await world.driver.poll()
         assert not reading.faults
         assert reading.axes["a"].enabled
@@ -39,23 +39,23 @@ def test_a_following_error_in_a_move_is_said_in_words_and_can_be_reset() -> None
     run(main, simulate={"objects": {"6065": 500, "6066": 10}})
 
 
-def test_a_drive_that_is_switched_off_by_its_enable_input_is_told_so() -> None:
+def test_a_drive_that_is_switched_off_by_its_enable_input_is_reported_so() -> None:
     async def main(world: Drives) -> None:
-        world.unit.set_input(2, True)
+        world.unit.set_input(2, level=True)
         await world.ready()
         t0_ns = await world.go()
         await world.driver.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
-        world.unit.set_input(2, False)
+        world.unit.set_input(2, level=False)
         outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "enable input" in outcome.reason
         with pytest.raises(Refusal) as caught:
-            await world.driver.set_enabled(["a"], True)
+            await world.driver.set_enabled(["a"], on=True)
         assert caught.value.code == "not-switched"
         assert "enable input" in caught.value.remedy
-        world.unit.set_input(2, True)
-        await world.driver.set_enabled(["a"], True)
+        world.unit.set_input(2, level=True)
+        await world.driver.set_enabled(["a"], on=True)
 
     run(main, simulate={"enable_input": 2})
 
@@ -71,9 +71,9 @@ def test_a_drive_that_was_switched_off_and_on_is_found_out(stage: str) -> None:
         if stage == "moving":
             await world.driver.wait_for_start()
             await world.until(t0_ns + 200 * NS_PER_MS)
-        world.unit.set_power(False)
+        world.unit.set_power(on=False)
         await world.rest(20)
-        world.unit.set_power(True)
+        world.unit.set_power(on=True)
         if stage == "armed":
             await world.rest(300)
             with pytest.raises(Refusal):
@@ -89,7 +89,7 @@ def test_a_drive_that_was_switched_off_and_on_is_found_out(stage: str) -> None:
         await world.rest(300)
         assert (await world.driver.poll()).restarted
         assert not (await world.driver.poll()).restarted
-        await world.driver.set_enabled(["a"], True)
+        await world.driver.set_enabled(["a"], on=True)
         here = (await world.driver.poll()).axes["a"].commanded_counts
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
         await world.arm(0, here + 5000, t0_ns, begin=here)
@@ -105,14 +105,14 @@ def test_a_burst_of_error_frames_disturbs_no_move() -> None:
         await world.ready()
         await world.go()
         await world.driver.wait_for_start()
-        world.bus.disturb(10)
+        world.bus.disturb_frames(10)
         assert (await world.driver.wait_for_end()).state == "done"
         assert world.unit.position("1") == 40_000
 
     run(main)
 
 
-def test_bus_off_in_a_move_is_said_and_a_stop_is_said_again_afterwards() -> None:
+def test_bus_off_in_a_move_is_reported_and_a_stop_is_sent_again_afterwards() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
@@ -121,8 +121,8 @@ def test_bus_off_in_a_move_is_said_and_a_stop_is_said_again_afterwards() -> None
         # Only what this computer sends is destroyed: the drives stay on the bus.
         node = world.bus._nodes[-1]
         node.transmit_errors = 255
-        node.send(CanFrame(0x201, bytes([0x0F, 0])))
-        world.bus.disturb(1)
+        node.queue_frames(CanFrame(0x201, bytes([0x0F, 0])))
+        world.bus.disturb_frames(1)
         outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "bus-off" in outcome.reason
@@ -130,7 +130,7 @@ def test_bus_off_in_a_move_is_said_and_a_stop_is_said_again_afterwards() -> None
             await world.driver.poll()
         assert caught.value.code == "bus-off"
         assert caught.value.remedy
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         assert world.unit.is_moving("1")
         await world.rest(600)
         assert not world.unit.is_moving("1")
@@ -141,7 +141,7 @@ def test_bus_off_in_a_move_is_said_and_a_stop_is_said_again_afterwards() -> None
 
 
 @pytest.mark.parametrize("without", ["6062", "6083", "60FD"])
-def test_an_object_that_can_not_be_mapped_is_named(without: str) -> None:
+def test_an_object_that_cannot_be_mapped_is_named(without: str) -> None:
     async def main(world: Drives) -> None:
         with pytest.raises(ControllerFault) as caught:
             await world.driver.connect()
@@ -182,9 +182,9 @@ def test_a_factor_group_that_differs_is_refused(objects: dict[str, int], options
     run(main, simulate={"objects": objects}, options=options)
 
 
-def test_a_node_that_is_not_there_is_said() -> None:
+def test_a_missing_node_is_reported() -> None:
     async def main(world: Drives) -> None:
-        world.unit.set_power(False)
+        world.unit.set_power(on=False)
         with pytest.raises(ControllerFault) as caught:
             await world.driver.connect()
         assert caught.value.code == "no-answer"
@@ -193,7 +193,7 @@ def test_a_node_that_is_not_there_is_said() -> None:
     run(main)
 
 
-def test_answers_that_come_twice_are_said() -> None:
+def test_duplicate_answers_are_reported() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         world.wire.to_near = lambda data: data * 2 if data[:4] == bytes.fromhex("81050000") else data
@@ -228,7 +228,7 @@ def test_a_late_answer_is_not_taken_for_that_to_something_else() -> None:
     run(main)
 
 
-def test_sdo_aborts_are_told_in_words() -> None:
+def test_sdo_aborts_are_reported_in_words() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         for command, words in (
@@ -265,7 +265,7 @@ def test_an_emergency_between_arming_and_the_promise_is_found_out() -> None:
     run(main)
 
 
-def test_a_fault_just_before_the_start_is_said_by_its_emergency() -> None:
+def test_a_fault_just_before_the_start_is_reported_by_its_emergency() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go()
@@ -324,15 +324,15 @@ def test_a_drive_that_takes_a_mapping_only_pre_operational_is_brought_there() ->
 
     async def main(world: Drives) -> None:
         def orders(data: bytes) -> bytes:
-            frame = decode(data)[0] if len(data) == FRAME_BYTES else None
+            frame = decode_frames(data)[0] if len(data) == FRAME_BYTES else None
             if frame is not None and frame.id == 0:
                 commands.append(frame.data[0])
             return data
 
         def refuses(data: bytes) -> bytes:
-            frame = decode(data)[0]
+            frame = decode_frames(data)[0]
             if frame.id == 0x581 and frame.data[:3] == bytes.fromhex("600014") and 0x80 not in commands:
-                return encode(CanFrame(0x581, bytes.fromhex("8000140122000008")))
+                return encode_frames(CanFrame(0x581, bytes.fromhex("8000140122000008")))
             return data
 
         world.wire.to_far, world.wire.to_near = orders, refuses
@@ -345,7 +345,7 @@ def test_a_drive_that_takes_a_mapping_only_pre_operational_is_brought_there() ->
     run(main)
 
 
-def test_one_that_comes_anew_stops_a_moving_drive_before_it_asks_anything() -> None:
+def test_a_new_connection_stops_a_moving_drive_before_it_queries_anything() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
@@ -357,7 +357,7 @@ def test_one_that_comes_anew_stops_a_moving_drive_before_it_asks_anything() -> N
         assert not world.unit.is_moving("1")
         await fresh.connect()
         await fresh.configure()
-        await fresh.set_enabled(["a"], True)
+        await fresh.set_enabled(["a"], on=True)
         assert (await fresh.poll()).axes["a"].enabled
         await fresh.close()
 

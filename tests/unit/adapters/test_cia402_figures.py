@@ -1,23 +1,27 @@
-"""What is asked of the lowering for CiA 402 drives, and of a bus of them, in a few moves each."""
+"""Requirements of the lowering for CiA 402 drives, and of a bus of them, in a few moves each."""
 
-from orchestrator.bench.can import bench_can
-from orchestrator.bench.can_stream import bench_stream
+import pytest
+
+from orchestrator.bench.can.bus import bench_can
+from orchestrator.bench.can.stream import bench_stream
 from orchestrator.bench.lowering_steppers import bench_stepper
 
 
-def test_lowered_moves_take_what_was_planned_and_are_executed_as_predicted() -> None:
-    found = bench_stepper("cia402", 300, 11)
+@pytest.mark.parametrize("moves", [30, pytest.param(300, marks=pytest.mark.nightly)])
+def test_lowered_moves_take_what_was_planned_and_are_executed_as_predicted(moves: int) -> None:
+    found = bench_stepper("cia402", moves, 11)
     asked = [each for each in found.figures if each.asked]
     assert asked
     assert all(each.met for each in asked), asked
 
 
+@pytest.mark.nightly
 def test_eight_drives_start_together_and_are_armed_hardly_slower_than_their_frames() -> None:
     rows = bench_can(8)
     asked = [row for row in rows if row.asked]
     assert [row.what for row in asked] == ["start skew, one SYNC", "arming compared with its frames"]
     assert all(row.met for row in asked), asked
-    # One after another they are much further apart, so that the figure says something.
+    # One after another they are much further apart, so that the figure is significant.
     assert rows[0].p50 > 10 * rows[1].p99
 
 

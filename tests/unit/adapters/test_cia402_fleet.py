@@ -67,7 +67,7 @@ def test_a_drive_that_is_switched_off_ends_the_step_of_all() -> None:
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, PREPARE)).state == "done"
         virtual.clock.call_at_ns(
-            virtual.clock.now_ns() + 3 * NS_PER_S, lambda: virtual.controllers["d4"].set_power(False)
+            virtual.clock.now_ns() + 3 * NS_PER_S, lambda: virtual.controllers["d4"].set_power(on=False)
         )
         report = await outcome(virtual, move(190))
         assert report.state != "done"

@@ -41,7 +41,7 @@ def test_the_reference_is_found_by_its_method(method: str, place: float | None) 
 
 @pytest.mark.parametrize("inhibit_ms", [10, 20, 40, 100])
 @pytest.mark.parametrize("method", ["current_position", "23", "negative_limit"])
-def test_who_has_found_its_reference_rests(method: str, inhibit_ms: int) -> None:
+def test_a_drive_that_has_found_its_reference_is_at_rest(method: str, inhibit_ms: int) -> None:
     """Its position is another one by then, which is no motion."""
 
     async def main(world: Drives) -> None:
@@ -60,7 +60,7 @@ def test_who_has_found_its_reference_rests(method: str, inhibit_ms: int) -> None
 
 
 def test_a_search_for_the_reference_ends_when_its_drive_is_left() -> None:
-    """It may have fallen silent on a bus that others still have open: nobody hears of its search any more."""
+    """The drive may have become silent on a bus that others still have open: its homing gets no further messages."""
 
     async def main(world: Drives) -> None:
         await world.ready()
@@ -74,7 +74,7 @@ def test_a_search_for_the_reference_ends_when_its_drive_is_left() -> None:
     run(main, simulate=SWITCH, homing={"method": "home_switch_negative", "speed": 2000})
 
 
-def test_a_reference_that_is_not_there_is_said() -> None:
+def test_a_missing_reference_is_reported() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         failed = await world.driver.home_axes(["a"], lambda _: None)
@@ -107,7 +107,7 @@ def test_homing_ends_with_a_stop_or_with_its_callers_patience(cancelled: bool) -
             with pytest.raises(asyncio.CancelledError):
                 await homing
         else:
-            await world.driver.stop(False)
+            await world.driver.stop(abort=False)
             assert "stopped" in str((await homing)["a"])
         await world.rest(400)
         assert not world.unit.is_moving("1")
@@ -148,12 +148,12 @@ def test_a_jog_is_over_for_a_drive_that_was_switched_off_and_on() -> None:
         await world.ready()
         await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, None))
         await world.rest(100)
-        world.unit.set_power(False)
+        world.unit.set_power(on=False)
         await world.rest(20)
-        world.unit.set_power(True)
+        world.unit.set_power(on=True)
         await world.rest(500)
         assert (await world.driver.poll()).restarted
-        await world.driver.set_enabled(["a"], True)
+        await world.driver.set_enabled(["a"], on=True)
         assert not (await world.driver.poll()).axes["a"].moving
         assert await world.driver.home_axes(["a"], lambda _: None) == {}
 
@@ -168,7 +168,7 @@ def test_a_step_is_refused_while_jogging_and_a_jog_while_a_step_is_loaded() -> N
         with pytest.raises(Refusal) as caught:
             await world.arm(0, 50_000, world.clock.now_ns() + 500 * NS_PER_MS)
         assert caught.value.code == "busy"
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         await world.rest(300)
         here = (await world.driver.poll()).axes["a"].commanded_counts
         await world.arm(0, 50_000, world.clock.now_ns() + 500 * NS_PER_MS, begin=here)
@@ -203,7 +203,7 @@ def test_a_stop_takes_the_target_away_and_leaves_the_motor_on(abort: bool) -> No
         await world.driver.wait_for_start()
         await world.until(t0_ns + 700 * NS_PER_MS)
         begun_ns = world.clock.now_ns()
-        await world.driver.stop(abort)
+        await world.driver.stop(abort=abort)
         outcome = await world.driver.wait_for_end()
         assert outcome.state == "stopped"
         took_ms = (world.unit.commanded_motions[-1].end_ns - begun_ns) / NS_PER_MS
@@ -220,7 +220,7 @@ def test_a_stop_takes_the_target_away_and_leaves_the_motor_on(abort: bool) -> No
 def test_outputs_are_written_and_inputs_and_limit_switches_read() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        world.unit.set_input(3, True)
+        world.unit.set_input(3, level=True)
         world.unit.set_limit("1", "forward")
         await world.rest(20)
         reading = await world.driver.poll()

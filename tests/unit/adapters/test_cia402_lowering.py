@@ -66,14 +66,14 @@ def test_too_quick_a_move_is_answered_with_the_duration_that_it_needs() -> None:
     assert lowered.shape.velocity <= VELOCITY
 
 
-def test_what_does_not_move_has_no_set_point() -> None:
+def test_an_axis_that_does_not_move_has_no_set_point() -> None:
     lowered = _driver().lower_profiles({"a": Profile(500, 500, 1.0, [], [], [])}, StartOptions(), None)
     assert lowered.durations_s == {"a": 0.0}
     assert lowered.shape is None
     assert lowered.commands == ()
 
 
-def test_what_can_not_be_done_is_refused_with_a_remedy() -> None:
+def test_an_impossible_request_is_refused_with_a_remedy() -> None:
     jerky = dict(plan_step([AxisMove("a", 0, 40_000, VELOCITY, ACCELERATION, 4e6, order=3)]).profiles)
     waits = StartOptions(wait=TriggerWait(input="go", earliest_ns=0, latest_ns=1))
     far = {"a": Profile(0, 2**31, float(2**31), [1e5], [0.0], [0.0])}
@@ -120,7 +120,7 @@ def test_drives_of_one_bus_agree_on_the_instant_of_the_sync() -> None:
         ({"link": {"kind": "tcp", "host": "10.0.0.1", "port": 1}}, "link.kind"),
     ],
 )
-def test_a_wrong_fleet_file_is_told_what_is_allowed(change: dict[str, Any], words: str) -> None:
+def test_the_refusal_of_a_wrong_fleet_file_names_what_is_allowed(change: dict[str, Any], words: str) -> None:
     plain = config(1).to_plain()
     for key, value in change.items():
         if key == "axes":

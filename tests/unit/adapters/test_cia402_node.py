@@ -1,4 +1,4 @@
-"""A drive as the adapter knows it: who waits for what it says."""
+"""The adapter's representation of a drive: tasks that wait for its messages."""
 
 import asyncio
 
@@ -10,7 +10,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 WAITING = 50
 
 
-def test_who_waits_goes_on_in_the_order_of_asking_in_every_run() -> None:
+def test_waiting_tasks_continue_in_the_order_of_their_requests_in_every_run() -> None:
     async def main(clock: VirtualClock) -> list[int]:
         node = BusDrive(Cia402Bus(clock, 1_000_000), 1, "a", NS_PER_S, outputs=False)
         order: list[int] = []

@@ -35,7 +35,7 @@ def test_one_sync_starts_all_drives_of_a_step() -> None:
 
 
 @pytest.mark.parametrize("released", [False, True])
-def test_one_that_is_disarmed_does_not_start_with_the_others(released: bool) -> None:
+def test_a_disarmed_drive_does_not_start_with_the_others(released: bool) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
@@ -68,8 +68,8 @@ def test_a_released_step_that_is_disarmed_alone_leaves_nothing_waiting() -> None
         await world.rest(5)
         await world.driver.disarm_move()
         await world.until(t0_ns + 500 * NS_PER_MS)
-        # Whoever sends a SYNC now starts nothing.
-        link = await world.wire.open()
+        # A SYNC from any sender now starts nothing.
+        link = await world.wire.open_link()
         link.write(bytes.fromhex("80000000") + bytes(12))
         await world.rest(500)
         assert not world.unit.commanded_motions
@@ -100,7 +100,7 @@ def test_steps_of_one_bus_start_one_after_another_each_with_its_own_sync() -> No
     run(main, count=2)
 
 
-def test_a_lost_sync_is_said_and_nothing_moves() -> None:
+def test_a_lost_sync_is_reported_and_nothing_moves() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         await world.go()
@@ -110,7 +110,7 @@ def test_a_lost_sync_is_said_and_nothing_moves() -> None:
         assert caught.value.code == "not-started"
         assert "SYNC" in caught.value.text
         assert caught.value.remedy
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         await world.driver.disarm_move()
         world.wire.to_far = None
         assert not world.unit.commanded_motions
@@ -131,7 +131,7 @@ def test_a_stranger_stops_a_moving_drive_with_the_makes_stop_bytes() -> None:
         await world.driver.wait_for_start()
         await world.until(t0_ns + 1000 * NS_PER_MS)
         assert world.unit.is_moving("1")
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(config(1)))
         await world.rest(300)
         assert not world.unit.is_moving("1")
@@ -147,7 +147,7 @@ def test_stop_bytes_overwrite_what_waits_for_a_sync() -> None:
         await world.ready()
         await world.go()
         await world.rest(5)
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(config(1)))
         with pytest.raises(ControllerFault):
             await world.driver.wait_for_start()
@@ -156,7 +156,7 @@ def test_stop_bytes_overwrite_what_waits_for_a_sync() -> None:
     run(main)
 
 
-def test_one_that_is_stopped_before_the_start_of_others_is_not_halted_by_their_sync() -> None:
+def test_a_drive_that_is_stopped_before_the_start_of_others_is_not_halted_by_their_sync() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = world.clock.now_ns() + 400 * NS_PER_MS
@@ -166,22 +166,22 @@ def test_one_that_is_stopped_before_the_start_of_others_is_not_halted_by_their_s
             await driver.go()
         await world.rest(5)
         with pytest.raises(Refusal) as caught:
-            await world.drivers[0].set_output(1, True)
+            await world.drivers[0].set_output(1, on=True)
         assert caught.value.code == "busy"
-        await world.drivers[0].stop(False)
+        await world.drivers[0].stop(abort=False)
         await world.rest(50)
         await world.drivers[0].jog_axis("a", JogMove(10_000, 100_000, None))
         await world.drivers[1].wait_for_start()
         await world.drivers[1].wait_for_end()
-        # It had been told to halt, by a word that may still have waited for that SYNC.
+        # It had received a halt, in a controlword that may still have waited for that SYNC.
         assert world.units[0].velocity("1") == pytest.approx(10_000, rel=1e-3)
-        await world.drivers[0].stop(False)
+        await world.drivers[0].stop(abort=False)
 
     run(main, count=2)
 
 
 def test_the_end_of_a_move_from_between_two_counts_is_known_no_better_than_half_a_count() -> None:
-    """A drive that was stopped says the nearer count; a slow move shows the difference."""
+    """A drive that was stopped reports the nearer count; a slow move shows the difference."""
 
     async def main(world: Drives) -> None:
         await world.ready()
@@ -191,7 +191,7 @@ def test_the_end_of_a_move_from_between_two_counts_is_known_no_better_than_half_
             await world.arm(0, here + 40_000, t0_ns, here)
             await world.driver.go()
             await world.until(t0_ns + stopped_ms * NS_PER_MS)
-            await world.driver.stop(False)
+            await world.driver.stop(abort=False)
             await world.rest(500)
             await world.driver.disarm_move()
             here = (await world.driver.poll()).axes["a"].commanded_counts

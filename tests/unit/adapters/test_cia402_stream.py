@@ -14,7 +14,7 @@ from adapters.contract import DriverSetup, HostInterval, JogMove, MoveOutcome
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
-from orchestrator.link.can import CanFrame, encode
+from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
@@ -27,7 +27,7 @@ PERIOD_NS = 10 * NS_PER_MS
 
 def smooth(begin: int, end: int, slower: float = 1.0) -> dict[str, Profile]:
     plan = plan_step([AxisMove("a", begin, end, VELOCITY / 2, ACCELERATION / 2, JERK, order=3)])
-    return dict(plan.stretched(plan.duration_s * slower).profiles)
+    return dict(plan.stretch_to(plan.duration_s * slower).profiles)
 
 
 async def released(world: Drives, moves: dict[int, dict[str, Profile]], after_ms: int = 300) -> int:
@@ -49,7 +49,7 @@ async def followed(world: Drives, number: int = 0) -> tuple[HostInterval, MoveOu
 
 
 @pytest.mark.parametrize(("mode", "simulate"), [(8, {}), (7, {"modes": [1, 6, 7]})])
-def test_a_smooth_move_is_followed_and_its_evidence_holds_the_truth(mode: int, simulate: dict[str, Any]) -> None:
+def test_a_smooth_move_is_followed_and_its_evidence_contains_the_truth(mode: int, simulate: dict[str, Any]) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         for begin, end in ((0, 40_000), (40_000, -3_000), (-3_000, -3_002)):
@@ -72,14 +72,14 @@ def test_a_smooth_move_is_followed_and_its_evidence_holds_the_truth(mode: int, s
             assert span.earliest_ns <= motion.start_ns <= span.latest_ns
             assert outcome.ended["a"].earliest_ns <= motion.end_ns <= outcome.ended["a"].latest_ns
             assert abs(motion.end_ns - motion.start_ns - lowered.durations_s["a"] * NS_PER_S) < 400_000
-            # Beside what lowering says, the plan runs away from it for as long as the SYNC is late.
+            # In addition to the bound of the lowering, the plan advances for as long as the SYNC is late.
             assert off <= lowered.path_error_counts["a"] + profile.peak_velocity * 400e-6
         assert len(world.unit.commanded_motions) == 3
 
     run(main, simulate=simulate, **SMOOTH)
 
 
-def test_the_course_begins_and_ends_when_the_plan_does() -> None:
+def test_the_stream_starts_and_ends_with_the_plan() -> None:
     for end in (2, 3, 100, -2, -77, 40_000):
         for slower in (1.0, 1.37, 20.0):
             profile = smooth(0, end, slower)["a"]
@@ -145,7 +145,7 @@ def test_a_position_that_is_lost_once_is_no_jump() -> None:
     run(main, **SMOOTH)
 
 
-def test_a_position_that_is_lost_is_an_underrun_that_is_said_and_the_drive_brakes() -> None:
+def test_a_lost_setpoint_is_reported_as_an_underrun_and_the_drive_brakes() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000)})
@@ -172,7 +172,7 @@ async def another(world: Drives, number: int) -> None:
 
 
 @pytest.mark.parametrize("mode", [7, 8])
-def test_a_sync_that_is_lost_is_an_underrun_of_all_and_none_goes_on(mode: int) -> None:
+def test_a_lost_sync_is_an_underrun_of_all_drives_and_none_continues(mode: int) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
@@ -191,7 +191,7 @@ def test_a_sync_that_is_lost_is_an_underrun_of_all_and_none_goes_on(mode: int) -
     run(main, count=2, simulate={"modes": [1, 6, mode]}, **SMOOTH)
 
 
-def test_a_host_that_is_too_busy_is_said_and_nothing_goes_on() -> None:
+def test_a_host_that_is_too_busy_is_reported_and_nothing_continues() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000)})
@@ -217,7 +217,7 @@ def test_a_stop_in_a_stream_brakes_by_the_axis_limits_and_leaves_nothing_waiting
         await world.until(t0_ns + when_ms * NS_PER_MS)
         speed = abs(world.unit.velocity("1"))
         for driver in world.drivers:
-            await driver.stop(abort)
+            await driver.stop(abort=abort)
         stopped_ns = world.clock.now_ns()
         await asyncio.wait(following)
         for each in following:
@@ -231,26 +231,26 @@ def test_a_stop_in_a_stream_brakes_by_the_axis_limits_and_leaves_nothing_waiting
             ramp_ns = speed / ACCELERATION * NS_PER_S
             assert world.unit.commanded_motions[-1].end_ns <= stopped_ns + ramp_ns + 2 * NS_PER_MS
         places = [unit.position("1") for unit in world.units]
-        # Whoever sends a SYNC now moves nothing.
-        link = await world.wire.open()
-        link.write(encode(CanFrame(0x080)))
+        # A SYNC from any sender now moves nothing.
+        link = await world.wire.open_link()
+        link.write(encode_frames(CanFrame(0x080)))
         await world.rest(50)
         assert [unit.position("1") for unit in world.units] == places
         for driver in world.drivers:
-            await driver.set_enabled(["a"], True)
+            await driver.set_enabled(["a"], on=True)
         await another(world, 0)
         await another(world, 1)
 
     run(main, count=2, options={"quick_stop_acceleration": ACCELERATION}, **SMOOTH)
 
 
-def test_one_that_stops_does_not_hold_up_the_other() -> None:
+def test_a_drive_that_stops_does_not_delay_the_other() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
         following = [asyncio.get_running_loop().create_task(followed(world, number)) for number in (0, 1)]
         await world.until(t0_ns + 300 * NS_PER_MS)
-        await world.drivers[0].stop(False)
+        await world.drivers[0].stop(abort=False)
         assert [(await each)[1].state for each in following] == ["stopped", "done"]
         assert world.units[1].position("1") == 40_000
         assert world.units[0].position("1") < 30_000
@@ -259,7 +259,7 @@ def test_one_that_stops_does_not_hold_up_the_other() -> None:
     run(main, count=2, **SMOOTH)
 
 
-def test_what_is_disarmed_before_its_stream_does_not_start_with_others() -> None:
+def test_a_drive_that_is_disarmed_before_its_stream_does_not_start_with_others() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
@@ -330,7 +330,7 @@ def test_drives_of_one_bus_that_want_another_period_are_refused() -> None:
         its = config(2, {"period_ms": 20}, **SMOOTH)
         options = MAKE.options_model.model_validate(its.options)
         firer, shared = LoopTimedWriter(world.clock), {SHARED: world.shared[SHARED]}
-        other = MAKE.create_driver(DriverSetup("d2", its, options, world.clock, world.wire.open, firer, shared))
+        other = MAKE.create_driver(DriverSetup("d2", its, options, world.clock, world.wire.open_link, firer, shared))
         with pytest.raises(ControllerFault, match="period_ms"):
             await other.connect()
 
@@ -355,7 +355,7 @@ def test_a_host_that_dies_leaves_drives_that_brake_by_themselves() -> None:
         reading = await world.driver.poll()
         assert any("SYNC lost (8700h)" in fault.text for fault in reading.faults)
         await world.driver.clear_faults()
-        await world.driver.set_enabled(["a"], True)
+        await world.driver.set_enabled(["a"], on=True)
         await another(world, 0)
 
     run(main, **SMOOTH)
@@ -374,30 +374,30 @@ def test_a_host_that_dies_before_its_start_leaves_nothing_that_a_later_sync_star
         for driver in world.drivers:
             await driver.connect()
             await driver.configure()
-        link = await world.wire.open()
-        link.write(encode(CanFrame(0x080)))
+        link = await world.wire.open_link()
+        link.write(encode_frames(CanFrame(0x080)))
         await world.rest(50)
         assert not any(unit.commanded_motions for unit in world.units)
         for number in (0, 1):
-            await world.drivers[number].set_enabled(["a"], True)
+            await world.drivers[number].set_enabled(["a"], on=True)
             await another(world, number)
 
     run(main, count=2, **SMOOTH)
 
 
 @pytest.mark.parametrize("trouble", ["power", "fault", "bus-off", "cut"])
-def test_what_befalls_a_drive_in_its_stream_is_said(trouble: str) -> None:
+def test_a_fault_of_a_drive_in_its_stream_is_reported(trouble: str) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
         following = [asyncio.get_running_loop().create_task(followed(world, number)) for number in (0, 1)]
         await world.until(t0_ns + 300 * NS_PER_MS)
         if trouble == "power":
-            world.unit.set_power(False)
+            world.unit.set_power(on=False)
         elif trouble == "fault":
             world.unit.station.drive.enter_fault(0x4310, 0)
         elif trouble == "bus-off":
-            world.bus._nodes[-1].count(transmit=256)
+            world.bus._nodes[-1].count_errors(transmit=256)
         else:
             world.bus.cut = True
         _, outcome = await following[0]
@@ -405,8 +405,8 @@ def test_what_befalls_a_drive_in_its_stream_is_said(trouble: str) -> None:
         words = {"power": "has not answered", "fault": "(4310h)", "bus-off": "bus-off", "cut": "has not answered"}
         assert words[trouble] in outcome.reason
         if trouble in ("power", "fault"):
-            # The other one is stopped by whoever has started both.
-            await world.drivers[1].stop(False)
+            # The caller that has started both stops the other one.
+            await world.drivers[1].stop(abort=False)
         assert (await following[1])[1].state in ("fault", "stopped")
         await world.rest(600)
         assert all(unit.at_rest() for unit in world.units)

@@ -29,7 +29,7 @@ def test_a_host_that_dies_is_missed_by_drives_that_watch_it(watching: bool) -> N
             await world.driver.connect()
             await world.driver.configure()
             assert not (await world.driver.poll()).axes["a"].enabled
-            await world.driver.set_enabled(["a"], True)
+            await world.driver.set_enabled(["a"], on=True)
             assert (await world.driver.poll()).axes["a"].enabled
 
     run(main, options=WATCHING if watching else {})
@@ -51,9 +51,9 @@ def test_a_host_that_leaves_is_not_missed() -> None:
 def test_a_drive_that_was_off_watches_again() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        world.unit.set_power(False)
+        world.unit.set_power(on=False)
         await world.rest(100)
-        world.unit.set_power(True)
+        world.unit.set_power(on=True)
         await world.rest(500)
         assert (await world.driver.poll()).restarted
         assert int(await world.driver.send_raw("1016:1/32")) == 127 << 16 | 200
@@ -61,7 +61,7 @@ def test_a_drive_that_was_off_watches_again() -> None:
     run(main, options=WATCHING)
 
 
-def test_a_drive_that_can_not_watch_is_named() -> None:
+def test_a_drive_without_a_heartbeat_consumer_is_named() -> None:
     async def main(world: Drives) -> None:
         with pytest.raises(ControllerFault, match="1016h") as caught:
             await world.driver.connect()

@@ -1,4 +1,4 @@
-"""A controller's part in a step that goes wrong about its start, over a driver that does what the test says."""
+"""A controller's part in a step that goes wrong about its start, over a driver that is scripted by the test."""
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 import pytest
 
 from adapters.contract import Driver, HostInterval, Lowered, MoveOutcome
-from adapters.controller.participant import STOP_LEAD_NS, ArmedStep, StepParticipant, StepPhase
+from adapters.controller.participant import STOP_LEAD_NS, ArmedStep, StepParticipant, StepPhase, StepServices
 from adapters.controller.settling import SettlingResult
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
@@ -26,7 +26,10 @@ DEAF = ControllerFault("no-answer", "go was not answered", "")
 
 
 class Scripted:
-    """A driver. told: the orders that it got, in their order. begun, rested: what `started` and `outcome` wait for."""
+    """A driver.
+
+    told: the commands that it got, in their order.
+    begun, rested: what `started` and `outcome` wait for."""
 
     def __init__(self) -> None:
         loop = asyncio.get_running_loop()
@@ -80,7 +83,10 @@ class Scripted:
 
 
 class Desk:
-    """A member of a step, and the driver below it. said: its events; claimed: axes whose start they tell."""
+    """A member of a step, and the driver below it.
+
+    said: its events.
+    claimed: axes whose start they report."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
@@ -92,16 +98,18 @@ class Desk:
             "c",
             cast(Driver, self.driver),
             clock,
-            check=lambda _: None,
-            scale=lambda: FleetScale("s", 0),
-            emit=self._emit,
-            settle=self._settle,
-            spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),
+            StepServices(
+                check=lambda _: None,
+                scale=lambda: FleetScale("s", 0),
+                emit=self._emit,
+                settle=self._settle,
+                spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),
+            ),
             lowering_lock=asyncio.Lock(),
         )
 
     def _emit(
-        self, kind: EventKind, text: str, ticket: ArmedStep, evidence: Mapping[str, object] | None = None
+        self, kind: EventKind, text: str, armed_step: ArmedStep, evidence: Mapping[str, object] | None = None
     ) -> None:
         self.said.append(kind)
         self.claimed[kind] = set(evidence or ())
@@ -151,7 +159,9 @@ def test_go_may_be_for_sooner_than_was_promised() -> None:
 @pytest.mark.parametrize(
     ("can", "sooner_ns", "code"), [(False, SOONER_NS, "not-sooner"), (True, -1, "not-sooner"), (True, T0_NS, "late")]
 )
-def test_who_can_not_begin_sooner_says_so_and_keeps_its_promise(can: bool, sooner_ns: int, code: str) -> None:
+def test_a_member_that_cannot_start_sooner_reports_so_and_keeps_its_promise(
+    can: bool, sooner_ns: int, code: str
+) -> None:
     async def body(desk: Desk) -> None:
         desk.driver.sooner = can
         with pytest.raises(Refusal) as caught:
@@ -164,7 +174,7 @@ def test_who_can_not_begin_sooner_says_so_and_keeps_its_promise(can: bool, soone
 
 
 @pytest.mark.parametrize(("before_ns", "begun"), [(2 * STOP_LEAD_NS, False), (STOP_LEAD_NS, True)])
-def test_who_is_unloaded_while_it_is_told_to_go_is_stopped_at_once_and_says_if_it_may_have_begun(
+def test_a_member_disarmed_during_go_is_stopped_at_once_and_reports_if_it_may_have_started(
     before_ns: int, begun: bool
 ) -> None:
     async def body(desk: Desk) -> None:
@@ -184,11 +194,12 @@ def test_who_is_unloaded_while_it_is_told_to_go_is_stopped_at_once_and_says_if_i
     run(body)
 
 
-def test_what_another_job_has_loaded_is_not_unloaded() -> None:
+def test_a_move_that_another_job_armed_is_not_disarmed() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
         told = list(desk.driver.told)
-        for other in ({"job": "k"}, {"step": 1}):
+        others: tuple[dict[str, Any], ...] = ({"job": "k"}, {"step": 1})
+        for other in others:
             assert (await desk.member.disarm_step(DisarmRequest(**(desk._ref(0) | other)))).may_have_started is False
         assert desk.driver.told == told and desk.member.armed_step is not None and not desk.said
         await desk.member.disarm_step(DisarmRequest(**desk._ref(0)))
@@ -200,7 +211,7 @@ def test_what_another_job_has_loaded_is_not_unloaded() -> None:
 def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_rest() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
-        await desk.member.stop(False, "stop")
+        await desk.member.stop(abort=False, reason="stop")
         desk.driver.begins()
         await desk.later()
         assert desk.member.is_following
@@ -214,7 +225,7 @@ def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_re
 def test_the_end_of_a_step_that_was_stopped_as_it_started_is_not_taken_for_that_of_the_next_one() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
-        await desk.member.stop(False, "stop")
+        await desk.member.stop(abort=False, reason="stop")
         await desk.arm(1, NEXT_T0_NS)
         desk.driver.begins()
         await desk.later()
@@ -226,7 +237,7 @@ def test_the_end_of_a_step_that_was_stopped_as_it_started_is_not_taken_for_that_
 
 
 @pytest.mark.parametrize("closed", [True, False])
-def test_who_was_told_to_go_is_stopped_when_its_link_breaks_or_owes_that(closed: bool) -> None:
+def test_a_member_that_received_go_is_stopped_or_has_a_pending_stop_when_its_link_breaks(closed: bool) -> None:
     """Its line may be open again by then, for others that are on it."""
 
     async def body(desk: Desk) -> None:
@@ -243,13 +254,13 @@ def test_who_was_told_to_go_is_stopped_when_its_link_breaks_or_owes_that(closed:
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_what_did_not_start_is_unloaded(stopped: bool) -> None:
-    """Before the next step, which it would be in the way of; also when somebody has stopped it meanwhile."""
+def test_a_move_that_did_not_start_is_disarmed(stopped: bool) -> None:
+    """Before the next step, which it would block; also when it was stopped meanwhile by another request."""
 
     async def body(desk: Desk) -> None:
         await desk.go()
         if stopped:
-            await desk.member.stop(False, "stop")
+            await desk.member.stop(abort=False, reason="stop")
         desk.driver.begun.set_exception(ControllerFault("not-started", "axis x has not left its place", ""))
         await desk.later()
         assert desk.driver.told[-2:] == ["stop", "disarm"]
@@ -259,8 +270,8 @@ def test_what_did_not_start_is_unloaded(stopped: bool) -> None:
 
 
 @pytest.mark.parametrize("error", [DEAF, Refusal("late", "T0 is past")])
-def test_who_can_not_go_is_stopped_before_it_is_unloaded(error: Exception) -> None:
-    """It may have been released all the same, and only its answer was lost."""
+def test_a_member_that_refuses_go_is_stopped_before_it_is_disarmed(error: Exception) -> None:
+    """It may have been released nevertheless, and only its answer was lost."""
 
     async def body(desk: Desk) -> None:
         desk.driver.refuses_go = error
@@ -273,8 +284,8 @@ def test_who_can_not_go_is_stopped_before_it_is_unloaded(error: Exception) -> No
 
 
 @pytest.mark.parametrize("promised", [False, True])
-def test_who_can_not_be_unloaded_is_owed_a_stop(promised: bool) -> None:
-    """It may wait for a wired start, and nobody knows whether it has heard that it shall not any more."""
+def test_a_member_that_cannot_be_disarmed_has_a_pending_stop(promised: bool) -> None:
+    """It may wait for a wired start, and it is unknown whether it has received the disarm request."""
 
     async def body(desk: Desk) -> None:
         await desk.arm(0, T0_NS)
@@ -291,10 +302,10 @@ def test_who_can_not_be_unloaded_is_owed_a_stop(promised: bool) -> None:
     run(body)
 
 
-def test_what_did_not_start_is_not_unloaded_while_the_next_step_is_armed() -> None:
+def test_a_move_that_did_not_start_is_not_disarmed_while_the_next_step_is_armed() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
-        await desk.member.stop(False, "stop")
+        await desk.member.stop(abort=False, reason="stop")
         loaded: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
         async def arm(*_: object) -> dict[str, int]:
@@ -302,7 +313,7 @@ def test_what_did_not_start_is_not_unloaded_while_the_next_step_is_armed() -> No
             desk.driver.told.append("arm")
             return {}
 
-        desk.driver.arm = arm
+        desk.driver.arm_move = arm  # type: ignore[method-assign]
         arming = asyncio.ensure_future(desk.arm(1, NEXT_T0_NS))
         await desk.later()
         desk.driver.begun.set_exception(ControllerFault("not-started", "the program was halted", ""))
@@ -317,7 +328,7 @@ def test_what_did_not_start_is_not_unloaded_while_the_next_step_is_armed() -> No
 
 @pytest.mark.parametrize("seen", [True, False])
 @pytest.mark.parametrize(("state", "kind"), [("done", "done"), ("fault", "failed")])
-def test_a_start_that_nobody_has_seen_is_claimed_only_once_the_move_is_done(
+def test_an_unobserved_start_is_reported_only_after_the_move_is_done(
     state: Literal["done", "fault"], kind: str, seen: bool
 ) -> None:
     async def main(desk: Desk) -> None:

@@ -1,4 +1,4 @@
-"""What a controller is said to be doing while nobody looks at it: after a stop, before a start, without a link."""
+"""The reported mode of a controller that is not being observed: after a stop, before a start, without a link."""
 
 # pyright: reportPrivateUsage=false
 
@@ -13,7 +13,7 @@ import pytest
 from adapters.contract import AxisReading, ControllerReading, Driver
 from adapters.controller.context import ControllerContext
 from adapters.controller.jogging import JogControl
-from adapters.controller.publisher import StatePublisher
+from adapters.controller.publisher import StatePublisher, StepActivity
 from adapters.controller.status import STARTING, ControllerStatus
 from adapters.controller.supervisor import ControllerSupervisor
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -46,7 +46,7 @@ def nothing(*_: object, **__: object) -> None:
         (2500, 2600, True, "stopping"),  # its driver has not come to the end of the step
     ],
 )
-def test_who_was_told_to_stop_rests_only_when_somebody_has_seen_it(
+def test_a_stopped_controller_is_at_rest_only_after_a_poll_confirms_it(
     read_ns: int, now_ns: int, following: bool, mode: str
 ) -> None:
     reading = ControllerReading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)})
@@ -62,12 +62,12 @@ def test_who_was_told_to_stop_rests_only_when_somebody_has_seen_it(
         instance="i",
     )
     presenter = StatePublisher(
-        cast(ControllerContext, seat), absent, absent, condition, lambda: None, lambda: following, dict
+        cast(ControllerContext, seat), absent, absent, condition, StepActivity(lambda: None, lambda: following, dict)
     )
     assert presenter.current_mode() == mode
 
 
-def test_who_jogged_rests_only_when_somebody_has_seen_it() -> None:
+def test_a_jogged_controller_is_at_rest_only_after_a_poll_confirms_it() -> None:
     """The order to begin may have been on its way when the key was let go."""
 
     async def main(clock: VirtualClock) -> None:
@@ -86,7 +86,7 @@ def test_who_jogged_rests_only_when_somebody_has_seen_it() -> None:
             controller="c", config=CONFIG, driver=driver, bus=absent, keys=absent, clock=clock, instance="i"
         )
         presenter = StatePublisher(
-            cast(ControllerContext, seat), absent, absent, condition, lambda: None, lambda: False, dict
+            cast(ControllerContext, seat), absent, absent, condition, StepActivity(lambda: None, lambda: False, dict)
         )
         condition.referenced["x"] = True
         condition.reading = ControllerReading(
@@ -107,7 +107,7 @@ TWO = CONFIG.model_copy(update={"axes": {"x": CONFIG.axes["x"], "y": CONFIG.axes
 
 
 class Slow:
-    """A driver that needs 0.15 s for each order. ordered: what it was told."""
+    """A driver that needs 0.15 s for each command. ordered: the commands that it received."""
 
     capabilities = SimpleNamespace(costs=SimpleNamespace(stop_ns=NS_PER_S))
 
@@ -165,8 +165,8 @@ def test_orders_of_several_axes_that_take_long_are_renewed_on_their_way(
     run_virtual(main)
 
 
-def test_who_is_said_to_have_come_to_rest_by_itself_is_told_to_all_the_same() -> None:
-    """On a bad line it may have been another one's answer that said so."""
+def test_a_controller_reported_at_rest_by_itself_is_stopped_nevertheless() -> None:
+    """On a bad line another controller's answer may have been taken for its own."""
 
     async def main(clock: VirtualClock) -> None:
         at_rest = AxisReading(0, 0.0, 0.0, moving=False, enabled=True)
@@ -187,8 +187,8 @@ def test_who_is_said_to_have_come_to_rest_by_itself_is_told_to_all_the_same() ->
     run_virtual(main)
 
 
-def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
-    """A member that was released is believed dead after 0.7 s of silence, and its line may be taken until T0."""
+def test_heartbeats_continue_until_t0_and_not_beyond_it_without_a_poll() -> None:
+    """A member that was released counts as dead after 0.7 s of silence, and its line may be reserved until T0."""
     t0_ns = 3 * NS_PER_S
 
     async def main(clock: VirtualClock) -> list[int]:
@@ -227,10 +227,10 @@ def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
         (1001, False, "", False),
     ],
 )
-def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did(
+def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
     read_ns: int, moving: bool, member: str, owed: bool
 ) -> None:
-    """What it was told may have been lost with the link; until it is seen again it may move."""
+    """Its command may have been lost with the link; it may be moving until a poll observes it."""
     reading = ControllerReading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
     condition = ControllerStatus(CONFIG, reading=reading, stopped_ns=STOPPED_NS, may_move=False)
     parts = ("is_following", "is_loading", "stop_pending")
@@ -248,7 +248,7 @@ def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did
     assert condition.may_move is owed
 
 
-def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -> None:
+def test_a_pending_stop_is_repeated_until_the_controller_answers() -> None:
     """What was written into a line that is still broken is lost."""
     told: list[str] = []
 
@@ -269,8 +269,8 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
     async def loaded() -> None:
         return None
 
-    async def main(_: VirtualClock) -> None:
-        unit = SimpleNamespace(
+    async def main(clock: VirtualClock) -> None:
+        unit: Any = SimpleNamespace(
             _stop_pending=True,
             _driver=Broken(),
             _status=ControllerStatus(CONFIG),
@@ -278,11 +278,11 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
             _publisher=SimpleNamespace(emit_event=lambda kind, _: told.append(kind)),
         )
         unit._send_pending_stop = partial(ControllerSupervisor._send_pending_stop, cast(ControllerSupervisor, unit))
-        for _ in range(2):
+        for _attempt in range(2):
             with pytest.raises(ControllerFault):
                 await ControllerSupervisor._connect(cast(ControllerSupervisor, unit))
             assert unit._stop_pending
-        for _ in range(2):
+        for _attempt in range(2):
             await ControllerSupervisor._connect(cast(ControllerSupervisor, unit))
             assert not unit._stop_pending
 
@@ -291,9 +291,9 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
 
 
 @pytest.mark.parametrize("lost_ms", [0, 50])
-def test_who_is_asked_while_it_is_being_met_is_not_online_yet(lost_ms: int) -> None:
-    """A command may find a controller that answers already, whose program is still being looked at; or its poll waits
-    for its turn on a line that is lost and met again meanwhile."""
+def test_a_controller_that_answers_while_it_is_being_connected_is_not_online_yet(lost_ms: int) -> None:
+    """A command may reach a controller that answers already, whose program is still being checked; or its poll waits
+    for its turn on a line that is lost and reconnected meanwhile."""
     taken: list[int] = []
 
     async def main(clock: VirtualClock) -> None:
@@ -320,7 +320,7 @@ def test_who_is_asked_while_it_is_being_met_is_not_online_yet(lost_ms: int) -> N
 
 
 @pytest.mark.parametrize(("by_hand", "until_ns"), [("", 7), ("jogging", None), ("homing", None)])
-def test_who_is_moved_by_hand_is_polled_whatever_else_is_asked_of_it(by_hand: str, until_ns: int | None) -> None:
+def test_a_jogged_controller_is_polled_whatever_else_is_requested_of_it(by_hand: str, until_ns: int | None) -> None:
     condition = ControllerStatus(CONFIG, faults=[])
     if by_hand:
         getattr(condition, by_hand).add("x")

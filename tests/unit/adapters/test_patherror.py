@@ -9,7 +9,7 @@ TRIANGLE = Profile(0, 100, 100.0, (1.0, 0.0, 1.0), (1.0, 0.0, -1.0), (0.0, 0.0, 
 LEGS = [(1.0, 0.0, 100.0), (1.0, 100.0, -100.0)]
 
 
-def test_what_is_executed_as_planned_is_off_by_one_count() -> None:
+def test_a_path_executed_as_planned_is_off_by_one_count() -> None:
     assert path_error_counts(TRIANGLE, LEGS) == pytest.approx(1.0)
     assert path_error_counts(TRIANGLE, [LEGS[0], (0.0, 0.0, 0.0), LEGS[1]]) == pytest.approx(1.0)
 

@@ -33,7 +33,7 @@ READINGS: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("simulate", READINGS, ids=str)
 @pytest.mark.parametrize("serial", [False, True], ids=["tcp", "serial"])
-def test_units_of_every_reading_are_met_and_moved(simulate: dict[str, Any], serial: bool) -> None:
+def test_controllers_of_every_reading_are_connected_and_moved(simulate: dict[str, Any], serial: bool) -> None:
     async def case(bench: Bench) -> None:
         identity = await bench.driver.connect()
         assert identity.model == "pp-electronic SMC"
@@ -115,7 +115,7 @@ def test_a_stop_at_any_moment_leaves_nothing_that_moves(when_ms: int, abort: boo
         t0_ns, lowered = await bench.start({"x": 90_000, "y": -50_000})
         following = asyncio.get_running_loop().create_task(_follow(bench))
         await bench.until(t0_ns + when_ms * NS_PER_MS)
-        await bench.driver.stop(abort)
+        await bench.driver.stop(abort=abort)
         await sleep_ns(bench.clock, lowered.costs.stop_ns)
         assert not bench.moving
         await following
@@ -137,7 +137,7 @@ async def _follow(bench: Bench) -> None:
         assert (await bench.driver.wait_for_end()).state == "stopped"
 
 
-def test_a_stop_does_not_wait_behind_what_blocks_the_first_connection() -> None:
+def test_a_stop_does_not_wait_for_a_blocked_first_connection() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         # Commands of this connection are held back by the unit itself from now on (L2787).
@@ -147,7 +147,7 @@ def test_a_stop_does_not_wait_behind_what_blocks_the_first_connection() -> None:
         asking = asyncio.get_running_loop().create_task(bench.driver.poll())
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
         began_ns = bench.clock.now_ns()
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         assert bench.clock.now_ns() == began_ns
         await bench.rest(3 * NS_PER_S)
         assert 0 < bench.steps("x") < 80_000
@@ -161,7 +161,7 @@ def test_a_stop_does_not_wait_behind_what_blocks_the_first_connection() -> None:
 
 
 @pytest.mark.parametrize("stage", ["idle", "armed", "moving"])
-def test_a_unit_that_somebody_blocks_says_so_and_a_reset_releases_it(stage: str) -> None:
+def test_a_blocked_controller_is_reported_and_a_reset_unblocks_it(stage: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         following = None
@@ -211,9 +211,9 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
             await bench.driver.wait_for_start()
             await bench.until(t0_ns + 200 * NS_PER_MS)
         if restart == "power":
-            bench.unit.set_power(False)
+            bench.unit.set_power(on=False)
             await sleep_ns(bench.clock, 100 * NS_PER_MS)
-            bench.unit.set_power(True)
+            bench.unit.set_power(on=True)
         else:
             await bench.somebody(restart)
         if stage == "moving":
@@ -238,14 +238,14 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
     run(case)
 
 
-def test_a_restart_is_told_before_the_unit_is_compared_with_the_fleet_file_again() -> None:
-    """That takes more than a second on a serial line, and others go on moving meanwhile."""
+def test_a_restart_is_reported_before_the_controller_is_compared_with_the_fleet_file_again() -> None:
+    """The comparison takes more than a second on a serial line, and others continue to move meanwhile."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_power(False)
+        bench.unit.set_power(on=False)
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        bench.unit.set_power(True)
+        bench.unit.set_power(on=True)
         began_ns = bench.clock.now_ns()
         with pytest.raises(ControllerRestarted):
             await bench.driver.poll()
@@ -256,7 +256,7 @@ def test_a_restart_is_told_before_the_unit_is_compared_with_the_fleet_file_again
     run(case, config=controller(serial=True))
 
 
-def test_a_peer_that_vanishes_is_said_at_once() -> None:
+def test_a_peer_that_vanishes_is_reported_at_once() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         asking = asyncio.get_running_loop().create_task(bench.driver.poll())
@@ -266,7 +266,7 @@ def test_a_peer_that_vanishes_is_said_at_once() -> None:
         with pytest.raises(LinkClosed):
             await asking
         with pytest.raises(LinkClosed):
-            await bench.driver.stop(False)
+            await bench.driver.stop(abort=False)
         await bench.reached_again()
         assert (await bench.move({"x": 10})).state == "done"
 
@@ -279,7 +279,7 @@ def test_the_connection_for_stops_is_opened_again() -> None:
         assert len(bench.wire.links) == 2
         bench.wire.links[1].hang_up()
         await sleep_ns(bench.clock, 10 * NS_PER_MS)
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await bench.driver.poll()
         assert len(bench.wire.links) == 2
 
@@ -313,7 +313,7 @@ def test_a_guardian_stops_a_move_over_a_link_of_its_own() -> None:
         await bench.ready()
         t0_ns, _ = await bench.start({"x": 90_000})
         await bench.until(t0_ns + 300 * NS_PER_MS)
-        link = await bench.wire.open()
+        link = await bench.wire.open_link()
         link.write(MAKE.stop_bytes(bench.config))
         await sleep_ns(bench.clock, NS_PER_S)
         assert bench.unit.at_rest() and 0 < bench.steps("x") < 90_000
@@ -329,13 +329,13 @@ def test_outputs_and_inputs_are_read_and_written() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.somebody("dout2")
-        await bench.driver.set_output(5, True)
+        await bench.driver.set_output(5, on=True)
         assert bench.unit.output_level(5) and bench.unit.output_level(1)
-        bench.unit.set_input(3, True)
+        bench.unit.set_input(3, level=True)
         reading = await bench.driver.poll()
         assert reading.outputs[5] and reading.outputs[1] and not reading.outputs[0]
         assert reading.inputs[3] and not reading.inputs[2]
-        await bench.driver.set_output(5, False)
+        await bench.driver.set_output(5, on=False)
         assert not bench.unit.output_level(5) and bench.unit.output_level(1)
 
     run(case, config=controller(**points))

@@ -41,7 +41,7 @@ def config(method: str, direction: str = "negative", **more: Any) -> Any:
 
 
 @pytest.mark.parametrize(("method", "direction"), PLACES)
-def test_each_way_ends_at_its_place_and_knows_it(method: str, direction: str) -> None:
+def test_each_homing_method_ends_at_its_place_and_reports_it(method: str, direction: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         start = -10_000 if (method, direction) in (("org", "positive"), ("index", "positive")) else 700
@@ -87,7 +87,7 @@ def test_without_its_switch_an_axis_fails_and_the_rest_is_done() -> None:
 
 
 @pytest.mark.parametrize("clears", [True, False])
-def test_a_limit_stop_loses_the_reference_and_homing_brings_it_back(clears: bool) -> None:
+def test_a_limit_stop_loses_the_reference_and_homing_restores_it(clears: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert await bench.driver.home_axes(["x"], lambda _: None) == {}
@@ -120,21 +120,21 @@ def test_a_limit_stop_loses_the_reference_and_homing_brings_it_back(clears: bool
 
 @pytest.mark.parametrize("after_ms", [300, 1500])
 @pytest.mark.parametrize("how", ["stop", "abort", "axis", "power", "cancel"])
-def test_what_is_interrupted_is_no_success(how: str, after_ms: int) -> None:
+def test_an_interrupted_homing_is_no_success(how: str, after_ms: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         found: list[str] = []
         homing = asyncio.get_running_loop().create_task(bench.driver.home_axes(["x"], found.append))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         if how == "power":
-            bench.unit.set_power(False)
-            bench.unit.set_power(True)
+            bench.unit.set_power(on=False)
+            bench.unit.set_power(on=True)
         elif how == "axis":
             await bench.driver.stop_axes(["x"])
         elif how == "cancel":
             homing.cancel()
         else:
-            await bench.driver.stop(how == "abort")
+            await bench.driver.stop(abort=how == "abort")
         with contextlib.suppress(Refusal, ControllerFault, LinkClosed, LinkRefused, asyncio.CancelledError):
             assert list(await homing) == ["x"]
         assert not found
@@ -148,14 +148,14 @@ def test_what_is_interrupted_is_no_success(how: str, after_ms: int) -> None:
     run(case, simulate=SWITCHES, config=config("default", speed=1))
 
 
-def test_a_moving_unit_and_a_disabled_axis_are_refused() -> None:
+def test_a_moving_controller_and_a_disabled_axis_are_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.set_enabled(["x"], False)
+        await bench.driver.set_enabled(["x"], on=False)
         for call in (bench.driver.home_axes(["x"], lambda _: None), bench.arm({"x": 100})):
             with pytest.raises(Refusal, match="enable"):
                 await call
-        await bench.driver.set_enabled(["x"], True)
+        await bench.driver.set_enabled(["x"], on=True)
         await bench.somebody("move3:5")
         with pytest.raises(Refusal, match="moves"):
             await bench.driver.home_axes(["x"], lambda _: None)

@@ -1,4 +1,4 @@
-"""Axes of the SMC moved by hand: speeds, ends, several at once, stops at every moment."""
+"""Manual motion of the SMC's axes: speeds, ends, several at once, stops at every moment."""
 
 import asyncio
 import contextlib
@@ -37,7 +37,7 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp_or_at_its_end(sign: int
     run(case)
 
 
-def test_axes_jog_beside_each_other_change_and_stop_alone() -> None:
+def test_axes_jog_independently_and_change_and_stop_alone() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("x", JogMove(5000.0, 40_000.0, 30_000))
@@ -70,7 +70,7 @@ def test_axes_jog_beside_each_other_change_and_stop_alone() -> None:
         (JogMove(-5000.0, 40_000.0, 100), "at-end"),
     ],
 )
-def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str) -> None:
+def test_an_impossible_jog_is_refused_and_nothing_moves(move: JogMove, code: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         with pytest.raises(Refusal) as caught:
@@ -102,7 +102,7 @@ def test_another_motion_a_program_a_block_and_the_input_gate_are_refused() -> No
         await bench.driver.clear_faults()
         await bench.driver.jog_axis("x", move)
         assert bench.unit.is_moving("1")
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
 
     run(case)
 
@@ -141,7 +141,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bo
         await bench.driver.jog_axis("y", JogMove(4000.0, 40_000.0, None))
         jogging = asyncio.get_running_loop().create_task(bench.driver.jog_axis("x", JogMove(8000.0, 40_000.0, None)))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
-        await bench.driver.stop(abort)
+        await bench.driver.stop(abort=abort)
         with contextlib.suppress(Refusal, ControllerFault):
             await jogging
         await sleep_ns(bench.clock, NS_PER_S)
@@ -151,7 +151,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bo
         assert rests == (bench.steps("x"), bench.steps("y"))
         await bench.driver.clear_faults()
         await bench.driver.jog_axis("x", JogMove(-8000.0, 40_000.0, None))
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
 
     run(case, seed=after_ms)
 
@@ -177,7 +177,7 @@ def test_random_hands_never_pass_the_end_nor_the_speed(seed: int) -> None:
                     assert abs(bench.unit.position(motor)) * 1000 <= 9000 + 1e-6
             if draw.random() < 0.3:
                 await bench.driver.stop_axes([name])
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await bench.rest()
 
     run(case, seed=seed)
@@ -191,13 +191,13 @@ def test_an_axis_gentler_than_the_slowest_ramp_jogs_at_a_start_speed() -> None:
         await bench.driver.jog_axis("x", JogMove(9000.0, 500.0, None))
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         assert bench.unit.velocity("1") == pytest.approx(2.0)
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
 
     run(case, config=controller(axis=axis))
 
 
 @pytest.mark.parametrize("cycled", [False, True])
-def test_a_unit_that_was_restarted_since_the_last_jog_begins_none(cycled: bool) -> None:
+def test_a_controller_that_was_restarted_since_the_last_jog_starts_none(cycled: bool) -> None:
     """It has forgotten the speeds that were loaded, and calls the place where it stands 0."""
 
     async def case(bench: Bench) -> None:
@@ -205,8 +205,8 @@ def test_a_unit_that_was_restarted_since_the_last_jog_begins_none(cycled: bool) 
         await bench.driver.jog_axis("x", JogMove(8000.0, 40_000.0, 3000))
         await bench.rest()
         if cycled:
-            bench.unit.set_power(False)
-            bench.unit.set_power(True)
+            bench.unit.set_power(on=False)
+            bench.unit.set_power(on=True)
         before = len(bench.moved())
         jog = bench.driver.jog_axis("x", JogMove(-8000.0, 40_000.0, -1000))
         if cycled:

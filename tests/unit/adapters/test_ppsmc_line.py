@@ -1,4 +1,4 @@
-"""Starts by an input behind a program, and outputs that are switched at T0, judged by the simulated unit's truth."""
+"""Starts by an input after a program, and outputs that are switched at T0, judged by the simulator's ground truth."""
 
 import contextlib
 from random import Random
@@ -22,7 +22,7 @@ DRIVE = TriggerDrive(output="line", active_ns=150 * NS_PER_MS)
 
 
 def raise_at(bench: Bench, at_ns: int, number: int = 2, level: bool = True) -> None:
-    bench.clock.call_at_ns(at_ns, lambda: bench.unit.set_input(number, level))
+    bench.clock.call_at_ns(at_ns, lambda: bench.unit.set_input(number, level=level))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -31,7 +31,7 @@ def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int) -> None:
         draw = Random(seed)
         await bench.ready()
         for _ in range(3):
-            bench.unit.set_input(2, False)
+            bench.unit.set_input(2, level=False)
             targets = {name: draw.randrange(-60_000, 60_000) for name in draw.sample("xyz", draw.randint(1, 3))}
             before = len(bench.moved())
             t0_ns, lowered = await bench.start(targets, StartOptions(wait=WINDOW))
@@ -52,7 +52,7 @@ def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int) -> None:
 
 def test_an_input_that_is_active_low_starts_when_it_falls() -> None:
     async def case(bench: Bench) -> None:
-        bench.unit.set_input(5, True)
+        bench.unit.set_input(5, level=True)
         await bench.ready()
         t0_ns, _ = await bench.start({"y": 3000}, StartOptions(wait=WINDOW.model_copy(update={"input": "low"})))
         raise_at(bench, t0_ns, 5, False)
@@ -64,7 +64,7 @@ def test_an_input_that_is_active_low_starts_when_it_falls() -> None:
 def test_an_input_that_is_active_already_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         with pytest.raises(Refusal) as caught:
             await bench.arm({"x": 3000}, StartOptions(wait=WINDOW))
         assert caught.value.code == "line-level" and "start" in caught.value.text
@@ -85,11 +85,11 @@ def test_before_go_and_after_disarm_no_edge_starts_anything(stage: str) -> None:
             await bench.arm({"x": 9000, "y": 100}, StartOptions(wait=WINDOW))
             if stage == "verified":
                 await bench.driver.verify_armed()
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, 2 * NS_PER_S)
         assert not bench.moved() and bench.unit.at_rest()
         await bench.driver.disarm_move()
-        bench.unit.set_input(2, False)
+        bench.unit.set_input(2, level=False)
         assert (await bench.move({"x": 50})).state == "done"
 
     run(case, config=CONFIG)
@@ -100,7 +100,7 @@ def test_an_edge_between_the_promise_and_go_is_refused() -> None:
         await bench.ready()
         await bench.arm({"x": 9000}, StartOptions(wait=WINDOW))
         await bench.driver.verify_armed()
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         with pytest.raises(Refusal, match="active"):
             await bench.driver.go()
         await bench.driver.disarm_move()
@@ -117,13 +117,13 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool) 
         t0_ns, lowered = await bench.start({"x": 90_000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
         await bench.until(t0_ns + when_ms * NS_PER_MS)
-        await bench.driver.stop(abort)
+        await bench.driver.stop(abort=abort)
         await sleep_ns(bench.clock, lowered.costs.stop_ns)
         assert bench.unit.at_rest()
         rest = bench.steps("x")
-        bench.unit.set_input(2, False)
+        bench.unit.set_input(2, level=False)
         await sleep_ns(bench.clock, NS_PER_S)
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, NS_PER_S)
         assert bench.steps("x") == rest
         with contextlib.suppress(ControllerFault, Refusal):
@@ -135,16 +135,16 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool) 
     run(case, config=CONFIG, seed=when_ms)
 
 
-def test_a_line_that_does_not_come_is_said_and_a_late_one_moves_nothing() -> None:
+def test_a_missing_trigger_edge_is_reported_and_a_late_one_moves_nothing() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
         with pytest.raises(ControllerFault) as caught:
             await bench.driver.wait_for_start()
         assert caught.value.code == "not-started" and "start" in caught.value.text
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await sleep_ns(bench.clock, NS_PER_S)
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
 
@@ -153,7 +153,7 @@ def test_a_line_that_does_not_come_is_said_and_a_late_one_moves_nothing() -> Non
 
 @pytest.mark.parametrize("before_ms", [40, 100, 250])
 @pytest.mark.parametrize("by_line", [True, False])
-def test_a_unit_that_is_reset_before_the_start_claims_none(before_ms: int, by_line: bool) -> None:
+def test_a_controller_that_is_reset_before_the_start_reports_none(before_ms: int, by_line: bool) -> None:
     """It calls the place where it stands another, which is not where the move was to begin."""
 
     async def case(bench: Bench) -> None:
@@ -178,7 +178,7 @@ def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
         raise_at(bench, t0_ns - 300 * NS_PER_MS)
         with pytest.raises(ControllerFault, match="too early"):
             await bench.driver.wait_for_start()
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
 
     run(case, config=CONFIG)
 
@@ -211,7 +211,7 @@ def test_a_program_that_may_not_start_is_refused_by_go() -> None:
         (StartOptions(start_class="clock"), "clock"),
     ],
 )
-def test_what_can_not_be_waited_for_or_driven_is_refused(how: StartOptions, named: str) -> None:
+def test_a_trigger_line_that_cannot_be_used_is_refused(how: StartOptions, named: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         with pytest.raises(Refusal, match=named) as caught:
@@ -228,7 +228,7 @@ def test_without_the_port_there_is_no_start_by_line() -> None:
         with pytest.raises(Refusal, match="io_port"):
             await bench.lowered({"x": 100}, StartOptions(wait=WINDOW))
         with pytest.raises(Refusal, match="no i/o port"):
-            await bench.driver.set_output(1, True)
+            await bench.driver.set_output(1, on=True)
 
     run(case)
 
@@ -243,7 +243,7 @@ def test_the_output_is_switched_within_the_claimed_edge_and_back(
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.somebody("dout65")  # bit 6, which is active low, and bit 0 of somebody else
+        await bench.somebody("dout65")  # bit 6, which is active low, and bit 0 of another client
         edges: list[tuple[int, int, bool]] = []
         bench.unit.on_output(lambda bit, level: edges.append((bench.clock.now_ns(), bit, level)))
         how = StartOptions(drive=DRIVE.model_copy(update={"output": output}))
@@ -286,7 +286,7 @@ def test_disarmed_or_stopped_the_output_is_passive(when_ms: int, by_stop: bool, 
         how = StartOptions(drive=DRIVE.model_copy(update={"hold_ns": 20 * NS_PER_S}))
         t0_ns, lowered = await bench.start(targets, how)
         await bench.until(t0_ns + when_ms * NS_PER_MS)
-        await (bench.driver.stop(False) if by_stop else bench.driver.disarm_move())
+        await (bench.driver.stop(abort=False) if by_stop else bench.driver.disarm_move())
         await sleep_ns(bench.clock, lowered.costs.stop_ns)
         assert not bench.unit.output_level(3) and not bench.moving
         with contextlib.suppress(ControllerFault, Refusal):
@@ -297,10 +297,10 @@ def test_disarmed_or_stopped_the_output_is_passive(when_ms: int, by_stop: bool, 
     run(case, config=CONFIG)
 
 
-def test_a_unit_that_drives_the_line_may_wait_for_it_too() -> None:
+def test_a_controller_that_drives_the_trigger_line_may_wait_for_it_too() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.on_output(lambda bit, level: bench.unit.set_input(2, level) if bit == 3 else None)
+        bench.unit.on_output(lambda bit, level: bench.unit.set_input(2, level=level) if bit == 3 else None)
         wide = TriggerWait(input="start", earliest_ns=-10 * NS_PER_MS, latest_ns=15 * NS_PER_MS)
         _, lowered = await bench.start({"x": 4000, "y": -4000}, StartOptions(wait=wide, drive=DRIVE))
         assert lowered.start_class == "line" and lowered.edge

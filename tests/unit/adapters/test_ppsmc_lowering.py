@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from unit.adapters.ppsmc_bench import controller
 
 from adapters.ppsmc import MAKE, fleetaxes
-from adapters.ppsmc.lowering import PpSmcLowered, lower_step
+from adapters.ppsmc.lowering import ConnectionTraits, PpSmcLowered, lower_step
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import ERRORS, POSITIONS, PROGRAM, SETTINGS, STATUS, TARGETS, leading_number
 from adapters.ppsmc.trapezoid import PpSmcBounds, PpSmcTrapezoid, fit_trapezoid
@@ -17,25 +17,27 @@ from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
-KNOWN = PpSmcOptions().unread_clock().known(0)
+KNOWN = PpSmcOptions().unread_clock().estimate_at(0)
 
 
 def lowered(profile: Profile, options: PpSmcOptions | None = None, **axis: Any) -> PpSmcLowered:
     options = options or PpSmcOptions()
-    known = options.unread_clock().known(0)
-    return lower_step(controller("x", axis=axis), options, 0, 1, known, {"x": profile}, StartOptions())
+    known = options.unread_clock().estimate_at(0)
+    return lower_step(
+        controller("x", axis=axis), options, ConnectionTraits(0, 1, known), {"x": profile}, StartOptions()
+    )
 
 
 def planned(distance: int, velocity: float, acceleration: float, factor: float = 1.0) -> Profile:
     plan = plan_step([AxisMove("x", 0, distance, velocity, acceleration)])
-    return plan.stretched(plan.duration_s * factor).profiles["x"]
+    return plan.stretch_to(plan.duration_s * factor).profiles["x"]
 
 
 def test_the_worked_example() -> None:
     """15,000 steps in 3 s with 10 Hz/ms and 200 Hz are 6200 Hz: ramps of 0.6 s, 1.8 s between them."""
     shape = fit_trapezoid(15_000, 3.0, 10_000.0, PpSmcBounds(20_000, 10_000.0, 200, 200))
     assert shape == PpSmcTrapezoid(15_000, 200, 6200, 10, 10)
-    assert shape.duration_s == pytest.approx(3.0, abs=1e-9)
+    assert shape is not None and shape.duration_s == pytest.approx(3.0, abs=1e-9)
     assert [leg.duration_s for leg in shape.motion_legs] == pytest.approx([0.6, 1.8, 0.6])
 
 
@@ -59,7 +61,7 @@ def test_random_moves_keep_their_limits_and_where_ramps_reach_their_duration() -
         assert shape is not None
         assert limits.start_min <= shape.s <= max(limits.start_min, limits.start_max)
         assert shape.f <= velocity and max(shape.a, shape.d) * 1000 <= acceleration * (1 + 1e-6)
-        # What can not be had to a millisecond is answered with the next longer one.
+        # A duration that is impossible to a millisecond is answered with the next longer one.
         assert shape.duration_s >= duration_s - 0.001 - 1e-9
         if (distance / duration_s) ** 2 > 1000 * duration_s and limits.start_max > 500 and acceleration < 3e5:
             reached += 1
@@ -77,14 +79,16 @@ def test_an_answer_that_is_planned_again_is_kept() -> None:
     assert again.durations_s["x"] == pytest.approx(longer_s, abs=1e-3)
 
 
-def test_slow_axes_of_one_unit_answer_with_a_duration_that_all_of_them_have() -> None:
+def test_slow_axes_of_one_controller_propose_a_common_duration() -> None:
     draw, alike = Random(2), 0
     config = controller("xy", axis={"start_rate": {"min": 0.001, "max": 2}})
     for _ in range(40):
         moves = [AxisMove(name, 0, draw.randrange(300, 900), 110.0, 5000.0) for name in "xy"]
         plan = plan_step(moves)
-        profiles = plan.stretched(draw.uniform(8.2, 12.0)).profiles
-        answered = lower_step(config, PpSmcOptions(), 0, 2, KNOWN, profiles, StartOptions()).durations_s
+        profiles = plan.stretch_to(draw.uniform(8.2, 12.0)).profiles
+        answered = lower_step(
+            config, PpSmcOptions(), ConnectionTraits(0, 2, KNOWN), profiles, StartOptions()
+        ).durations_s
         assert min(answered.values()) > profiles["x"].duration_s - 0.0011
         if max(answered.values()) - min(answered.values()) <= 0.001:
             alike += 1
@@ -92,9 +96,7 @@ def test_slow_axes_of_one_unit_answer_with_a_duration_that_all_of_them_have() ->
             again = lower_step(
                 config,
                 PpSmcOptions(),
-                0,
-                2,
-                KNOWN,
+                ConnectionTraits(0, 2, KNOWN),
                 {n: p.stretch_time(factor) for n, p in profiles.items()},
                 StartOptions(),
             )
@@ -112,7 +114,7 @@ def test_the_rate_of_the_crystal_is_made_up_for(ppm: float) -> None:
     assert move.shape.duration_s == pytest.approx(result.durations_s["x"] * (1 + ppm * 1e-6), abs=1e-12)
 
 
-def test_what_is_sent_and_how_far_it_is_from_the_plan() -> None:
+def test_commands_sent_and_their_deviation_from_the_plan() -> None:
     profile = planned(-39_900, 20_000.0, 100_000.0, 1.2)
     result = lowered(profile)
     assert result.commands[0].startswith("frun1:") and result.commands[-1] == "tbg"
@@ -206,7 +208,7 @@ def test_positions_as_text_are_the_step_that_was_meant(gear: str) -> None:
         (PROGRAM, ["in0.1", "1:a5.0s1r2a3d4"], ["1000001", "0"]),
     ],
 )
-def test_forms_tell_replies_apart(form: Any, yes: list[str], no: list[str]) -> None:
+def test_forms_distinguish_replies(form: Any, yes: list[str], no: list[str]) -> None:
     assert all(form.matches_text(text) for text in yes)
     assert not any(form.matches_text(text) for text in no)
     assert leading_number("1.234deg") == "1.234" and leading_number("-.5") == "-.5" and leading_number("osc") is None

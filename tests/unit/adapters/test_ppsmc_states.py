@@ -1,4 +1,5 @@
-"""States that a person, another program, the unit or the wire may bring about, and what the SMC driver makes of them."""
+"""States that an operator, another program, the controller or the link may cause, and how the SMC driver handles
+them."""
 
 import asyncio
 import contextlib
@@ -48,7 +49,7 @@ def test_leftovers_never_move_and_do_no_harm(lines: Sequence[str], serial: bool)
 @pytest.mark.parametrize("half", ["goto1:5", "move1:5.", "tbg", "1:5s500", "fast1+", "q", "block", "run2-"])
 def test_a_half_typed_line_on_the_serial_port_is_not_completed(half: str) -> None:
     async def case(bench: Bench) -> None:
-        line = await bench.wire.open()
+        line = await bench.wire.open_link()
         line.write(half.encode())
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
 
@@ -65,7 +66,7 @@ def test_a_half_typed_line_on_the_serial_port_is_not_completed(half: str) -> Non
     run(case, config=controller(serial=True))
 
 
-def test_a_moving_unit_and_a_running_program_are_waited_for_and_not_stopped() -> None:
+def test_a_moving_controller_and_a_running_program_are_waited_for_and_not_stopped() -> None:
     async def case(bench: Bench) -> None:
         await bench.somebody("move1:1", "move2:-1")
         assert bench.moving
@@ -81,7 +82,7 @@ def test_a_moving_unit_and_a_running_program_are_waited_for_and_not_stopped() ->
 
 
 @pytest.mark.parametrize("lines", [("osc1:5",), ("clr", "in0.1", "nl", "end", "start:"), ("ccount",)], ids=str)
-def test_a_unit_that_never_rests_is_named(lines: Sequence[str]) -> None:
+def test_a_controller_that_never_comes_to_rest_is_named(lines: Sequence[str]) -> None:
     async def case(bench: Bench) -> None:
         await bench.somebody(*lines)
         with pytest.raises(ControllerFault) as caught:
@@ -102,7 +103,7 @@ def test_a_unit_that_never_rests_is_named(lines: Sequence[str]) -> None:
         ((), controller(axis={"unit": "um"}), "gear of axis x"),
     ],
 )
-def test_a_unit_of_another_configuration_is_refused(lines: Sequence[str], config: Any, named: str) -> None:
+def test_a_controller_of_another_configuration_is_refused(lines: Sequence[str], config: Any, named: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.somebody(*lines)
         await bench.driver.connect()
@@ -113,7 +114,7 @@ def test_a_unit_of_another_configuration_is_refused(lines: Sequence[str], config
     run(case, config=config)
 
 
-def test_an_axis_that_the_unit_has_not_is_refused() -> None:
+def test_an_axis_that_the_controller_lacks_is_refused() -> None:
     async def case(bench: Bench) -> None:
         with pytest.raises(ControllerFault, match="axis 3"):
             await bench.ready()
@@ -142,7 +143,7 @@ def test_a_panel_that_was_unlocked_is_locked_again_before_a_step() -> None:
     run(case)
 
 
-def test_a_panel_is_left_alone_where_the_fleet_file_says_so() -> None:
+def test_a_panel_is_left_alone_if_the_fleet_file_demands_it() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 50})
@@ -161,7 +162,7 @@ def test_a_panel_is_left_alone_where_the_fleet_file_says_so() -> None:
         (("clr", "in0.1", "nl", "end", "start:"), "busy"),
     ],
 )
-def test_what_others_do_between_arming_and_the_promise_is_found(lines: Sequence[str], code: str) -> None:
+def test_changes_by_others_between_arming_and_the_promise_are_detected(lines: Sequence[str], code: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 50_000})
@@ -177,7 +178,7 @@ def test_what_others_do_between_arming_and_the_promise_is_found(lines: Sequence[
     run(case)
 
 
-def test_a_speed_that_the_unit_does_not_take_is_refused_while_arming() -> None:
+def test_a_speed_that_the_controller_rejects_is_refused_while_arming() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         with pytest.raises(Refusal) as caught:
@@ -189,7 +190,7 @@ def test_a_speed_that_the_unit_does_not_take_is_refused_while_arming() -> None:
     run(case, simulate={"fmax_hz": 10_000})
 
 
-def test_a_start_that_the_unit_ignores_is_said() -> None:
+def test_a_start_that_the_controller_ignores_is_reported() -> None:
     """emips: an axis does not move while the input port has another value (L614); nothing else shows that."""
 
     async def case(bench: Bench) -> None:
@@ -200,7 +201,7 @@ def test_a_start_that_the_unit_ignores_is_said() -> None:
             await bench.driver.wait_for_start()
         assert caught.value.code == "not-started" and caught.value.axis == "y"
         assert "emips" in caught.value.remedy
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await bench.rest()
 
     run(case)
@@ -233,7 +234,7 @@ def test_closed_loop(stalled: bool) -> None:
         await bench.ready()
         await bench.somebody(*(f"{name}1:{value}" for name, value in (("edev", 0.01), ("prt", 5), ("prst", 0.3))))
         if stalled:
-            bench.unit.set_stalled("1", True)
+            bench.unit.set_stalled("1", stalled=True)
         before = len(bench.moved())
         await bench.start({"x": 2000})
         started, outcome = await bench.followed()
@@ -269,14 +270,14 @@ def test_an_axis_that_does_not_settle_is_a_fault() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.somebody("edev1:0.01", "prt1:5", "prst1:300")
-        bench.unit.set_stalled("1", True)
+        bench.unit.set_stalled("1", stalled=True)
         outcome = await bench.move({"x": 2000})
         assert outcome.state == "fault" and "does not come to rest" in outcome.reason
 
     run(case, simulate=CLOSED, config=controller("x", options={"loop": {"x": "closed"}}))
 
 
-def test_an_axis_that_somebody_oscillates_is_read() -> None:
+def test_an_axis_that_is_oscillated_by_others_is_read() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.move({"x": 600})
@@ -292,7 +293,7 @@ def test_an_axis_that_somebody_oscillates_is_read() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
-    """Bytes garbled both ways, on a serial port without any check; whatever is said, nothing else starts."""
+    """Bytes garbled both ways, on a serial port without any check; whatever is received, nothing else starts."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()
@@ -313,7 +314,7 @@ def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
             except (Refusal, ControllerFault, LinkClosed, LinkRefused):
                 bench.wire.to_near = bench.wire.to_far = None
                 with contextlib.suppress(ControllerFault):
-                    await bench.driver.stop(False)
+                    await bench.driver.stop(abort=False)
                 await sleep_ns(bench.clock, 3 * NS_PER_S)
                 await bench.driver.disarm_move()
             bench.wire.to_near = bench.wire.to_far = None
@@ -328,7 +329,7 @@ def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
     run(case, seed=seed, config=controller(serial=True))
 
 
-def test_polls_beside_everything_harm_nothing() -> None:
+def test_concurrent_polls_disturb_nothing() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
 
@@ -354,7 +355,7 @@ def test_polls_beside_everything_harm_nothing() -> None:
 def test_an_encoder_that_is_only_read_shows_where_the_stage_is() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_stalled("1", True)
+        bench.unit.set_stalled("1", stalled=True)
         assert (await bench.move({"x": 4000})).state == "done"
         reading = await bench.driver.poll()
         assert reading.axes["x"].commanded_counts == 4000 and reading.axes["x"].actual_counts == 0.0

@@ -1,4 +1,4 @@
-"""How late a start may be written where the fleet file does not say it: what the host can keep."""
+"""How late a start may be written if the fleet file does not set it: what the host can guarantee."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -13,7 +13,7 @@ FIRER = cast(TimedWriter, SimpleNamespace(max_delay_us=ORDINARY_DELAY_US))
 
 
 @pytest.mark.parametrize("make", ["shrc203", "smc30", "ppsmc", "cia402"])
-def test_a_host_that_is_no_real_time_one_promises_less_unless_the_fleet_file_says_otherwise(make: str) -> None:
+def test_a_host_without_real_time_promises_less_unless_the_fleet_file_overrides_it(make: str) -> None:
     options = find_make(make).options_model
     default = apply_writer_delay(FIRER, options.model_validate({}))
     given = apply_writer_delay(FIRER, options.model_validate({"fire_late_us": 300}))
@@ -22,6 +22,6 @@ def test_a_host_that_is_no_real_time_one_promises_less_unless_the_fleet_file_say
 
 
 @pytest.mark.parametrize("make", ["smc4000", "smc2000"])
-def test_who_is_not_started_by_bytes_at_an_instant_has_nothing_to_promise(make: str) -> None:
+def test_a_make_that_is_not_started_by_timed_bytes_promises_nothing(make: str) -> None:
     options = find_make(make).options_model.model_validate({})
     assert apply_writer_delay(FIRER, options) is options

@@ -71,7 +71,9 @@ def test_every_move_is_executed_once_in_order_and_without_a_gap(axes: str, seed:
 @pytest.mark.parametrize("hold_ms", [0, 16, 60])
 @pytest.mark.parametrize("longest_ms", [3, 8])
 @pytest.mark.parametrize("axes", ["x", "xyz"])
-def test_a_chain_that_runs_dry_says_so_and_goes_on_with_no_move_lost(axes: str, longest_ms: int, hold_ms: int) -> None:
+def test_a_chain_that_runs_dry_is_reported_and_continues_with_no_move_lost(
+    axes: str, longest_ms: int, hold_ms: int
+) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(hold_ms)
         await bench.ready()
@@ -128,7 +130,7 @@ def test_a_stop_ends_the_chain_and_leaves_nothing_queued(simulate: dict[str, Any
         moves = {"x": chain_of(Random(1), 50), "y": chain_of(Random(2), 50)}
         task = bench.clock.loop.create_task(bench.driver.run_chain(moves))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
-        await bench.driver.stop(abort)
+        await bench.driver.stop(abort=abort)
         stopped_ns = bench.clock.now_ns()
         reason = ""
         try:
@@ -136,7 +138,7 @@ def test_a_stop_ends_the_chain_and_leaves_nothing_queued(simulate: dict[str, Any
         except Refusal as error:
             assert not bench.moved(), error
         await bench.driver.clear_faults()
-        await bench.driver.set_enabled(["x", "y", "z"], True)
+        await bench.driver.set_enabled(["x", "y", "z"], on=True)
         await bench.driver.poll()
         await bench.driver.poll()
         before = len(bench.unit.commanded_motions)
@@ -167,7 +169,7 @@ def test_a_limit_switch_breaks_the_chain() -> None:
 
 
 @pytest.mark.parametrize("moves", [{}, {"x": []}, {"w": [ChainMove(5, ShrcTrapezoid(5, 100, 100, 1))]}], ids=str)
-def test_a_chain_of_nothing_is_refused_and_leaves_the_unit_free(moves: dict[str, list[ChainMove]]) -> None:
+def test_an_empty_chain_is_refused_and_leaves_the_controller_free(moves: dict[str, list[ChainMove]]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         with pytest.raises(Refusal) as caught:
@@ -215,7 +217,7 @@ def test_a_chain_that_is_read_all_the_while_makes_every_move(seed: int, axes: st
     run(case, seed=seed, config=CONFIG)
 
 
-def test_a_unit_with_one_axis_chains_moves_of_a_few_pulses() -> None:
+def test_a_controller_with_one_axis_chains_moves_of_a_few_pulses() -> None:
     """There the answers to queries of distances would read like completion lines."""
 
     async def case(bench: Bench) -> None:
@@ -239,7 +241,7 @@ def test_a_unit_with_one_axis_chains_moves_of_a_few_pulses() -> None:
         (ChainMove(-5000, ShrcTrapezoid(5000, 100, 10_000, 50)), "soft-limit"),
     ],
 )
-def test_a_chain_beyond_the_limits_is_refused_before_it_begins(move: ChainMove, code: str) -> None:
+def test_a_chain_beyond_the_limits_is_refused_before_it_starts(move: ChainMove, code: str) -> None:
     config = CONFIG.model_copy(deep=True)
     axis = config.axes["x"].model_validate(
         {**config.axes["x"].model_dump(), "soft_limits": {"min": -0.001, "max": 1.0}}
@@ -287,7 +289,7 @@ def test_a_garbled_load_is_found_and_the_chain_ends(nth: int, axes: str) -> None
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_on_a_noisy_line_a_chain_says_where_it_broke_or_has_made_every_move(seed: int) -> None:
+def test_on_a_noisy_line_a_chain_reports_where_it_broke_or_has_made_every_move(seed: int) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         await bench.ready()

@@ -105,7 +105,7 @@ def run(
             clock, serial_wire(38400, hold_ns=hold_ns), unit, unit.port_names[0], "serial a", copy_context(), seed
         )
         setup = DriverSetup(
-            "a", fleet, MAKE.options_model.model_validate(options or {}), clock, wire.open, LoopTimedWriter(clock)
+            "a", fleet, MAKE.options_model.model_validate(options or {}), clock, wire.open_link, LoopTimedWriter(clock)
         )
         driver = MAKE.create_driver(setup)
         assert isinstance(driver, ShrcDriver)
@@ -115,7 +115,7 @@ def run(
     run_virtual(main)
 
 
-def test_a_fresh_unit_is_met_and_read() -> None:
+def test_a_fresh_controller_is_connected_and_read() -> None:
     async def case(bench: Bench) -> None:
         identity = await bench.driver.connect()
         assert (identity.model, identity.firmware, identity.serial) == ("SHRC-203", "V2.00.000", "2106001001")
@@ -158,7 +158,7 @@ def test_starts_and_ends_lie_in_the_claimed_spans(seed: int) -> None:
 def test_the_answer_to_a_poll_is_not_taken_for_the_completion_of_a_move_that_is_released_meanwhile() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_input(1, True)  # its inputs are answered by the digit that motor 1 ends with
+        bench.unit.set_input(1, level=True)  # its inputs are answered by the digit that motor 1 ends with
         for number, after_ms in enumerate(range(2, 44, 3)):
             await bench.arm({"x": 0 if number % 2 else 400})
             poll = asyncio.ensure_future(bench.driver.poll())
@@ -179,7 +179,7 @@ def test_a_disarmed_move_never_runs() -> None:
         await bench.arm({"x": 5000, "z": -4000})
         await bench.driver.disarm_move()
         await bench.driver.disarm_move()
-        await bench.driver.send_raw("G")  # whatever somebody does now
+        await bench.driver.send_raw("G")  # regardless of what others do now
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
 
@@ -222,7 +222,7 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
         await bench.start({"x": 80_000, "y": -70_000})
         await bench.driver.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
-        await bench.driver.stop(abort)
+        await bench.driver.stop(abort=abort)
         outcome = await bench.driver.wait_for_end()
         assert outcome.state == ("fault" if abort else "stopped"), outcome
         for motion in bench.unit.commanded_motions:
@@ -230,7 +230,7 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
             assert motion.end_ns is not None
             assert outcome.ended[name].earliest_ns <= motion.end_ns <= outcome.ended[name].latest_ns
         await bench.driver.clear_faults()
-        await bench.driver.set_enabled(["x", "y", "z"], True)
+        await bench.driver.set_enabled(["x", "y", "z"], on=True)
         count = len(bench.unit.commanded_motions)
         await bench.driver.send_raw("G:W")
         await sleep_ns(bench.clock, NS_PER_S)
@@ -280,9 +280,9 @@ def test_a_power_cycle_is_noticed(when: str) -> None:
             await bench.start({"x": 80_000})
             await bench.driver.wait_for_start()
             await sleep_ns(bench.clock, 200 * NS_PER_MS)
-        bench.unit.set_power(False)
+        bench.unit.set_power(on=False)
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
-        bench.unit.set_power(True)
+        bench.unit.set_power(on=True)
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         if not bench.wire.links:
             await bench.driver.close()

@@ -25,7 +25,7 @@ def mixed(*methods: str) -> Any:
 
 
 async def homed(bench: Bench, *axes: str) -> Mapping[str, Refusal]:
-    """Home, and see that what is said to be found and what has failed are all."""
+    """Home, and check that each axis is reported as either found or failed."""
     found: list[str] = []
     failed = await bench.driver.home_axes(axes, found.append)
     assert sorted([*found, *failed]) == sorted(axes)
@@ -53,7 +53,7 @@ def test_axes_of_different_methods_are_all_homed(simulate: dict[str, Any]) -> No
 def test_the_rest_is_done_though_one_fails() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.set_enabled(["y"], False)
+        await bench.driver.set_enabled(["y"], on=False)
         failed = await homed(bench, "x", "y", "z")
         assert {axis: error.code for axis, error in failed.items()} == {"y": "not-enabled"}
         assert {motion.axis for motion in bench.unit.commanded_motions} == {"1", "3"}
@@ -64,7 +64,7 @@ def test_the_rest_is_done_though_one_fails() -> None:
     run(case)
 
 
-def test_each_axis_is_told_as_soon_as_it_is_there() -> None:
+def test_each_axis_is_reported_as_soon_as_it_is_homed() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         told_ns: dict[str, int] = {}
@@ -80,7 +80,7 @@ def test_each_axis_is_told_as_soon_as_it_is_there() -> None:
 def test_an_error_that_stands_is_named() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.stop(True)
+        await bench.driver.stop(abort=True)
         await bench.driver.poll()
         with pytest.raises(Refusal):
             await homed(bench, "x")
@@ -126,7 +126,7 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool,
         await bench.ready()
         search = asyncio.create_task(homed(bench, "x"))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
-        await (bench.driver.stop(False) if whole else bench.driver.stop_axes(["x"]))
+        await (bench.driver.stop(abort=False) if whole else bench.driver.stop_axes(["x"]))
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
         assert not_found(outcome, "x")
         assert not bench.unit.is_moving("1")
@@ -142,12 +142,12 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool,
 def test_a_cancelled_search_is_ended_by_a_stop_and_polls_stay_right(after_ms: int, speaks: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         search = asyncio.create_task(homed(bench, "x", "y"))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         search.cancel()
         await asyncio.gather(search, return_exceptions=True)
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         for _ in range(6):
             reading = await bench.driver.poll()
             assert reading.inputs[1] is False  # a completion line is not taken for the inputs
@@ -155,7 +155,7 @@ def test_a_cancelled_search_is_ended_by_a_stop_and_polls_stay_right(after_ms: in
         assert not bench.unit.is_moving("1") and not bench.unit.is_moving("2")
         reading = await bench.driver.poll()
         assert reading.inputs[2]
-        await bench.driver.set_output(1, True)
+        await bench.driver.set_output(1, on=True)
         assert not await homed(bench, "x", "y")
 
     fleet = controller(inputs={"door": {"number": 2}}, outputs={"lamp": {"number": 1}})
@@ -169,9 +169,9 @@ def test_a_power_cycle_in_between_is_no_success(after_ms: int, polls: bool) -> N
         await bench.ready()
         search = asyncio.create_task(homed(bench, "x"))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
-        bench.unit.set_power(False)
+        bench.unit.set_power(on=False)
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
-        bench.unit.set_power(True)
+        bench.unit.set_power(on=True)
         if polls:
             with pytest.raises(LinkClosed, match="restarted"):
                 await bench.driver.poll()
@@ -200,12 +200,12 @@ def test_an_open_loop_stage_whose_motor_was_off_has_lost_its_position() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert not any(axis.position_lost for axis in (await bench.driver.poll()).axes.values())
-        await bench.driver.set_enabled(["x"], False)
+        await bench.driver.set_enabled(["x"], on=False)
         bench.unit.push_axis("1", 700)
         reading = await bench.driver.poll()
         assert reading.axes["x"].position_lost and not reading.axes["y"].position_lost
         assert reading.axes["x"].commanded_counts == 0
-        await bench.driver.set_enabled(["x"], True)
+        await bench.driver.set_enabled(["x"], on=True)
         assert not (await bench.driver.poll()).axes["x"].position_lost
         await homed(bench, "x")
         assert bench.unit.commanded_motions[0].end_counts == -1700  # the origin is as much farther away
@@ -216,12 +216,12 @@ def test_an_open_loop_stage_whose_motor_was_off_has_lost_its_position() -> None:
 def test_a_closed_loop_keeps_its_position_and_takes_the_stage_back() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.set_enabled(["x"], False)
+        await bench.driver.set_enabled(["x"], on=False)
         bench.unit.push_axis("1", 700)
         reading = (await bench.driver.poll()).axes["x"]
         assert not reading.position_lost
         assert (reading.commanded_counts, reading.actual_counts) == (0, 700.0)
-        await bench.driver.set_enabled(["x"], True)
+        await bench.driver.set_enabled(["x"], on=True)
         reading = (await bench.driver.poll()).axes["x"]
         assert (reading.commanded_counts, reading.actual_counts) == (0, 0.0)
         await bench.start({"x": 1000})

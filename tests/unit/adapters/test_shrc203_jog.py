@@ -1,4 +1,4 @@
-"""Axes of an SHRC-203 moved by hand, in virtual time; verdicts by the simulator's truth."""
+"""Manual motion of an SHRC-203's axes, in virtual time; judged by the simulator's ground truth."""
 
 import asyncio
 from random import Random
@@ -60,7 +60,7 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp(end: int | None, sign: 
 
 
 @pytest.mark.parametrize(("speed", "end"), [(30_000, 10_000), (-90_000, -25_001), (2_000, 7), (1e6, 3), (1.0, 2)])
-def test_it_comes_to_rest_exactly_at_the_end_of_its_way_without_another_word(speed: float, end: int) -> None:
+def test_a_jog_comes_to_rest_exactly_at_the_end_of_travel_without_another_command(speed: float, end: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         async with Watch(bench.clock, bench.unit, "1") as tracks:
@@ -101,7 +101,7 @@ def test_the_same_jog_again_is_no_stop() -> None:
     run(case)
 
 
-def test_a_ramp_longer_than_the_unit_has_makes_the_jog_slower() -> None:
+def test_a_ramp_longer_than_the_controller_allows_makes_the_jog_slower() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         async with Watch(bench.clock, bench.unit, "1") as tracks:
@@ -113,7 +113,7 @@ def test_a_ramp_longer_than_the_unit_has_makes_the_jog_slower() -> None:
     run(case)
 
 
-def test_axes_jog_beside_each_other_and_stop_alone() -> None:
+def test_axes_jog_independently_and_stop_alone() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("x", jog(30_000.0, 80_000))
@@ -127,7 +127,7 @@ def test_axes_jog_beside_each_other_and_stop_alone() -> None:
         await bench.driver.stop_axes([])
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         assert bench.unit.is_moving("2")
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await rested(bench)
         await rested(bench, "2")
         assert not bench.unit.is_moving("1")
@@ -135,7 +135,7 @@ def test_axes_jog_beside_each_other_and_stop_alone() -> None:
     run(case)
 
 
-def test_a_unit_that_moves_one_axis_at_a_time_says_so() -> None:
+def test_a_controller_that_moves_one_axis_at_a_time_reports_so() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("x", jog(10_000.0, 80_000))
@@ -159,7 +159,7 @@ def test_a_unit_that_moves_one_axis_at_a_time_says_so() -> None:
         (JogMove(-100.0, RAMP, 40), "at-end"),
     ],
 )
-def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str) -> None:
+def test_an_impossible_jog_is_refused_and_nothing_moves(move: JogMove, code: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         with pytest.raises(Refusal) as refused:
@@ -191,14 +191,14 @@ def test_below_its_start_rate_an_axis_does_not_jog() -> None:
 def test_a_motor_that_is_off_an_error_and_another_motion_are_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.set_enabled(["x"], False)
+        await bench.driver.set_enabled(["x"], on=False)
         with pytest.raises(Refusal, match="NG"):
             await bench.driver.jog_axis("x", jog(1000.0))
         await bench.driver.send_raw("MP:2+P90000,S1F1000R10")
         await bench.driver.send_raw("G:2")
         with pytest.raises(Refusal, match="is moving"):
             await bench.driver.jog_axis("y", jog(1000.0))
-        await bench.driver.stop(True)
+        await bench.driver.stop(abort=True)
         with pytest.raises(Refusal, match="emergency"):
             await bench.driver.jog_axis("z", jog(1000.0))
         assert [motion.axis for motion in bench.unit.commanded_motions] == ["2"]
@@ -270,11 +270,11 @@ def test_inputs_outputs_and_motors_are_seen_while_axes_jog() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("x", jog(10_000.0))
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, 10 * NS_PER_MS)
         reading = await bench.driver.poll()
         assert reading.inputs == {number: number == 2 for number in range(1, 7)}
-        await bench.driver.set_output(1, True)
+        await bench.driver.set_output(1, on=True)
         assert (await bench.driver.poll()).outputs[1]
         assert bench.unit.is_moving("1")
 
@@ -290,7 +290,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bo
         begun = asyncio.create_task(bench.driver.jog_axis("x", jog(20_000.0, 50_000)))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         if abort:
-            await bench.driver.stop(True)
+            await bench.driver.stop(abort=True)
         else:
             await bench.driver.stop_axes(["x"])
         (outcome,) = await asyncio.gather(begun, return_exceptions=True)
@@ -301,7 +301,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bo
         assert bench.unit.position("1") < 1500
         if abort:
             await bench.driver.clear_faults()
-            await bench.driver.set_enabled(["x"], True)
+            await bench.driver.set_enabled(["x"], on=True)
         await bench.driver.jog_axis("x", jog(20_000.0, 50_000))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         assert bench.unit.is_moving("1")
@@ -398,12 +398,12 @@ def test_random_hands_never_pass_the_end_nor_the_speed(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_three_hands_and_somebody_who_stops_all(seed: int) -> None:
+def test_three_jogs_and_a_stop_of_all(seed: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         all_three = hands(bench, "xyz", seed)
         watch = Watch(bench.clock, bench.unit, "123", 2 * NS_PER_MS)
-        stops = Polling(bench.clock, lambda: bench.driver.stop(False), 0.5 + seed % 2)
+        stops = Polling(bench.clock, lambda: bench.driver.stop(abort=False), 0.5 + seed % 2)
         async with watch as tracks, stops, Polling(bench.clock, bench.driver.poll):
             await asyncio.gather(*(hand.play(12, alone=False) for hand in all_three))
         for hand in all_three:

@@ -1,4 +1,4 @@
-"""What a person, another program or a power cut leaves behind, and units of other kinds."""
+"""States that an operator, another program or a power cut leaves, and controllers of other kinds."""
 
 import asyncio
 from collections.abc import Mapping
@@ -15,8 +15,8 @@ from orchestrator.model.errors import ControllerFault, Refusal
 
 
 async def by_hand(bench: Bench, *lines: str, end: str = "\r\n") -> None:
-    """Somebody else types at the unit, and goes."""
-    link = await bench.wire.open()
+    """Another client sends commands to the controller, and disconnects."""
+    link = await bench.wire.open_link()
     for line in lines:
         link.write((line + end).encode())
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
@@ -48,7 +48,7 @@ def test_leftovers_never_move_and_are_gone_after_connecting(lines: tuple[str, ..
         await bench.ready()
         await bench.driver.send_raw("G")
         for number in range(1, 7):
-            bench.unit.set_input(number, number == 1)
+            bench.unit.set_input(number, level=number == 1)
         await sleep_ns(bench.clock, 2 * NS_PER_S)
         assert not bench.moved()
         await bench.start({"x": 2000, "y": -3000})
@@ -75,7 +75,7 @@ def test_a_half_typed_line_does_not_harm() -> None:
     run(case)
 
 
-def test_a_moving_unit_is_not_stopped() -> None:
+def test_a_moving_controller_is_not_stopped() -> None:
     async def case(bench: Bench) -> None:
         await by_hand(bench, "MP:1+P3000", "G:1")
         await bench.ready()
@@ -85,13 +85,13 @@ def test_a_moving_unit_is_not_stopped() -> None:
     run(case)
 
 
-def test_a_unit_that_never_rests_is_named() -> None:
+def test_a_controller_that_never_comes_to_rest_is_named() -> None:
     async def case(bench: Bench) -> None:
         await by_hand(bench, "J:1+", "G:1")
         with pytest.raises(ControllerFault) as caught:
             await bench.driver.connect()
         assert caught.value.code == "moving"
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await sleep_ns(bench.clock, NS_PER_S)
         assert bench.unit.at_rest()
 
@@ -107,15 +107,16 @@ def test_an_emergency_stop_is_reported_and_cleared_by_a_reset_only() -> None:
         await bench.driver.clear_faults()
         reading = await bench.driver.poll()
         assert not reading.faults and not reading.axes["x"].enabled
-        await bench.driver.set_enabled(["x"], True)
+        await bench.driver.set_enabled(["x"], on=True)
         assert (await bench.driver.poll()).axes["x"].enabled
 
     run(case)
 
 
 @pytest.mark.parametrize("anew", [False, True])
-def test_what_is_queued_on_an_axis_in_an_error_is_emptied_after_the_reset(anew: bool) -> None:
-    """A limit switch as it is told to start: the unit takes nothing in this error, and can be reached in spite of it."""
+def test_the_queue_of_an_axis_in_an_error_is_emptied_after_the_reset(anew: bool) -> None:
+    """A limit switch as it receives its start: the controller accepts no command in this error, and can be reached
+    nevertheless."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()
@@ -145,7 +146,7 @@ def test_what_is_queued_on_an_axis_in_an_error_is_emptied_after_the_reset(anew: 
 
 
 @pytest.mark.parametrize("when", ["idle", "armed", "released", "moving"])
-def test_a_restart_behind_an_open_line_is_noticed(when: str) -> None:
+def test_a_restart_on_an_open_line_is_noticed(when: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         if when == "armed":
@@ -176,7 +177,7 @@ def test_a_restart_behind_an_open_line_is_noticed(when: str) -> None:
 
 @pytest.mark.parametrize("names", ["x", "z", "xz", "yz"])
 @pytest.mark.parametrize("fixed", [None, 2])
-def test_units_with_fewer_controllable_axes(names: str, fixed: int | None) -> None:
+def test_controllers_with_fewer_controllable_axes(names: str, fixed: int | None) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(names)
         await bench.ready()
@@ -202,7 +203,7 @@ def test_units_with_fewer_controllable_axes(names: str, fixed: int | None) -> No
         ({}, {"nm_per_pulse": 10}, "nm_per_pulse"),
     ],
 )
-def test_a_unit_of_another_configuration_is_refused(
+def test_a_controller_of_another_configuration_is_refused(
     simulate: Mapping[str, Any], options: Mapping[str, Any], said: str
 ) -> None:
     async def case(bench: Bench) -> None:
@@ -219,17 +220,17 @@ def test_inputs_and_outputs() -> None:
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_input(2, True)
-        await bench.driver.set_output(4, True)
-        await bench.driver.set_output(1, True)
-        await bench.driver.set_output(4, False)
+        bench.unit.set_input(2, level=True)
+        await bench.driver.set_output(4, on=True)
+        await bench.driver.set_output(1, on=True)
+        await bench.driver.set_output(4, on=False)
         reading = await bench.driver.poll()
         assert reading.inputs[2] and not reading.inputs[1]
         assert reading.outputs[1] and not reading.outputs[4]
         assert bench.unit.output_level(1) and not bench.unit.output_level(4)
         await bench.start({"x": 40_000, "y": 8_000})
         await bench.driver.wait_for_start()
-        for _ in range(6):  # the input word is 2 while completions 1 and 2 are owed
+        for _ in range(6):  # the input word is 2 while completions 1 and 2 are expected
             reading = await bench.driver.poll()
             assert reading.inputs[2] and not reading.inputs[1]
         assert (await bench.driver.wait_for_end()).state == "done"
@@ -255,10 +256,10 @@ def test_a_closed_loop(settle_ms: int) -> None:
 def test_a_stop_with_one_motor_off_stops_the_others() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.set_enabled(["z"], False)
+        await bench.driver.set_enabled(["z"], on=False)
         await bench.start({"x": 90_000, "y": 80_000})
         await bench.driver.wait_for_start()
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         assert (await bench.driver.wait_for_end()).state == "stopped"
         with pytest.raises(Refusal):
             await bench.arm({"z": 100})
@@ -272,7 +273,7 @@ def test_a_stop_from_a_link_of_its_own() -> None:
         await bench.ready()
         await bench.start({"x": 90_000, "y": 80_000})
         await bench.driver.wait_for_start()
-        link = await bench.wire.open()
+        link = await bench.wire.open_link()
         link.write(MAKE.stop_bytes(bench.config))
         await sleep_ns(bench.clock, 500 * NS_PER_MS)
         assert bench.unit.at_rest()
@@ -289,7 +290,7 @@ def test_stops_at_any_moment_leave_nothing_that_moves(seed: int) -> None:
         for _ in range(4):
             t0_ns = await bench.start({"x": draw.randrange(5_000), "y": draw.randrange(-5_000, 0)})
             await sleep_ns(bench.clock, max(0, t0_ns - bench.clock.now_ns()) + draw.randrange(-5, 8) * NS_PER_MS)
-            await bench.driver.stop(False)
+            await bench.driver.stop(abort=False)
             await bench.driver.disarm_move()
             await sleep_ns(bench.clock, NS_PER_S)
             count = len(bench.moved())
@@ -304,7 +305,7 @@ def test_a_stop_while_armed_is_tidied_up_by_the_next_poll() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await bench.driver.poll()
         await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
@@ -315,7 +316,7 @@ def test_a_stop_while_armed_is_tidied_up_by_the_next_poll() -> None:
     run(case)
 
 
-def test_polls_beside_everything_harm_nothing() -> None:
+def test_concurrent_polls_disturb_nothing() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
 
@@ -345,7 +346,7 @@ def test_a_start_that_was_taken_back_is_not_waited_for() -> None:
         await bench.start({"x": 5000})
         waiting = asyncio.get_running_loop().create_task(bench.driver.wait_for_start())
         await sleep_ns(bench.clock, NS_PER_MS)
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         with pytest.raises(ControllerFault, match="cancelled"):
             await waiting
 

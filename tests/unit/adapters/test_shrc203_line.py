@@ -46,7 +46,7 @@ async def released(bench: Bench, targets: Mapping[str, int], how: StartOptions) 
 
 
 def raise_at(bench: Bench, at_ns: int, number: int = 2, level: bool = True) -> None:
-    bench.clock.call_at_ns(at_ns, lambda: bench.unit.set_input(number, level))
+    bench.clock.call_at_ns(at_ns, lambda: bench.unit.set_input(number, level=level))
 
 
 async def followed(bench: Bench) -> tuple[Mapping[str, HostInterval], MoveOutcome]:
@@ -60,10 +60,10 @@ def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int, other_inpu
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         for number in other_inputs:
-            bench.unit.set_input(number, True)
+            bench.unit.set_input(number, level=True)
         await bench.ready()
         for _ in range(3):
-            bench.unit.set_input(2, False)
+            bench.unit.set_input(2, level=False)
             targets = {name: draw.randrange(-60_000, 60_000) for name in draw.sample("xyz", draw.randint(1, 3))}
             before = len(bench.moved())
             t0_ns, (earliest_ns, latest_ns) = await released(bench, targets, StartOptions(wait=WINDOW))
@@ -88,11 +88,11 @@ def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int, other_inpu
     [{"standby_completion": True}, {"standby_reply_deferred": True}, {"completion_after_stop": False}],
     ids=str,
 )
-def test_units_of_other_readings_start_by_line_as_well(simulate: dict[str, Any]) -> None:
+def test_controllers_of_other_readings_start_by_trigger_line_as_well(simulate: dict[str, Any]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         for target in (70_000, 69_000, 0):
-            bench.unit.set_input(2, False)
+            bench.unit.set_input(2, level=False)
             t0_ns, _ = await released(bench, {"x": target}, StartOptions(wait=WINDOW))
             raise_at(bench, t0_ns)
             started, outcome = await followed(bench)
@@ -108,7 +108,7 @@ def test_units_of_other_readings_start_by_line_as_well(simulate: dict[str, Any])
 
 def test_an_input_that_is_active_low_starts_when_its_current_stops() -> None:
     async def case(bench: Bench) -> None:
-        bench.unit.set_input(5, True)
+        bench.unit.set_input(5, level=True)
         await bench.ready()
         how = StartOptions(wait=WINDOW.model_copy(update={"input": "low"}))
         t0_ns, _ = await released(bench, {"y": 3000}, how)
@@ -122,7 +122,7 @@ def test_an_input_that_is_active_low_starts_when_its_current_stops() -> None:
 @pytest.mark.parametrize("before_ms", [10, 30, 60, 120, 250, 400])
 @pytest.mark.parametrize("off_ms", [5, 40])
 @pytest.mark.parametrize("by_line", [True, False])
-def test_power_lost_and_back_before_the_start_is_no_start(before_ms: int, off_ms: int, by_line: bool) -> None:
+def test_a_power_cycle_before_the_start_is_no_start(before_ms: int, off_ms: int, by_line: bool) -> None:
     """Its prebuffers are as empty as if they had been executed, and the place where it stands is another."""
 
     async def case(bench: Bench) -> None:
@@ -132,9 +132,9 @@ def test_power_lost_and_back_before_the_start_is_no_start(before_ms: int, off_ms
         t0_ns, _ = await released(bench, {"x": 30_000}, StartOptions(wait=WINDOW if by_line else None))
         raise_at(bench, t0_ns)
         await sleep_until_ns(bench.clock, t0_ns - before_ms * NS_PER_MS)
-        bench.unit.set_power(False)
+        bench.unit.set_power(on=False)
         await sleep_ns(bench.clock, off_ms * NS_PER_MS)
-        bench.unit.set_power(True)
+        bench.unit.set_power(on=True)
         with pytest.raises((ControllerFault, LinkClosed)):
             await bench.driver.wait_for_start()
         assert len(bench.moved()) == 1
@@ -145,7 +145,7 @@ def test_power_lost_and_back_before_the_start_is_no_start(before_ms: int, off_ms
 def test_an_input_that_is_active_already_is_refused_and_nothing_waits() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         with pytest.raises(Refusal) as caught:
             await armed(bench, {"x": 3000}, StartOptions(wait=WINDOW))
         assert caught.value.code == "line-level"
@@ -160,13 +160,13 @@ def test_another_input_that_changes_before_the_promise_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         t0_ns, _ = await armed(bench, {"x": 3000}, StartOptions(wait=WINDOW))
-        bench.unit.set_input(4, True)
+        bench.unit.set_input(4, level=True)
         with pytest.raises(Refusal) as caught:
             await bench.driver.verify_armed()
         assert caught.value.code == "other-inputs" and "IN4" in caught.value.text
         await bench.driver.disarm_move()
-        bench.unit.set_input(2, True)
-        bench.unit.set_input(4, False)
+        bench.unit.set_input(2, level=True)
+        bench.unit.set_input(4, level=False)
         await sleep_until_ns(bench.clock, t0_ns + NS_PER_S)
         assert not bench.moved() and bench.unit.at_rest()
 
@@ -179,7 +179,7 @@ def test_another_input_that_changes_before_the_promise_is_refused() -> None:
     [{}, {"stop_keeps_prebuffer": True}, {"standby_completion": True}, {"standby_reply_deferred": True}],
     ids=str,
 )
-def test_what_is_disarmed_never_starts_whatever_the_line_does(stage: str, simulate: dict[str, Any]) -> None:
+def test_a_disarmed_move_never_starts_on_any_trigger_edge(stage: str, simulate: dict[str, Any]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         t0_ns, _ = await armed(bench, {"x": 5000, "z": -4000}, StartOptions(wait=WINDOW))
@@ -194,7 +194,7 @@ def test_what_is_disarmed_never_starts_whatever_the_line_does(stage: str, simula
         raise_at(bench, t0_ns)
         await sleep_until_ns(bench.clock, t0_ns + NS_PER_S)
         assert not bench.moved()
-        bench.unit.set_input(2, False)
+        bench.unit.set_input(2, level=False)
         t0_ns, _ = await released(bench, {"x": 3000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
         assert (await followed(bench))[1].state == "done"
@@ -212,7 +212,7 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, 
         following = bench.clock.loop.create_task(followed(bench))
         raise_at(bench, t0_ns)
         await sleep_until_ns(bench.clock, t0_ns + when_ms * NS_PER_MS)
-        await bench.driver.stop(abort)
+        await bench.driver.stop(abort=abort)
         try:
             _, outcome = await following
         except (ControllerFault, Refusal):
@@ -224,13 +224,13 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, 
         if when_ms < -50:  # later its characters are still on the wire when the line comes
             assert not bench.moved()
         await bench.driver.clear_faults()
-        await bench.driver.set_enabled(["x", "y", "z"], True)
+        await bench.driver.set_enabled(["x", "y", "z"], on=True)
         for _ in range(2):
             await bench.driver.poll()
         assert bench.unit.at_rest()
         before = len(bench.moved())
         for level in (False, True, False):
-            bench.unit.set_input(2, level)
+            bench.unit.set_input(2, level=level)
             await sleep_ns(bench.clock, 50 * NS_PER_MS)
         await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
@@ -242,16 +242,16 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, 
     run(case, config=CONFIG, simulate=simulate)
 
 
-def test_a_line_that_does_not_come_is_said_and_a_late_one_moves_nothing_after_the_stop() -> None:
+def test_a_missing_trigger_edge_is_reported_and_a_late_one_moves_nothing_after_the_stop() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await released(bench, {"x": 5000}, StartOptions(wait=WINDOW))
         with pytest.raises(ControllerFault) as caught:
             await bench.driver.wait_for_start()
         assert caught.value.code == "not-started" and "IN2" in caught.value.text
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved() and bench.unit.at_rest()
 
@@ -263,7 +263,7 @@ def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
         await bench.ready()
         await armed(bench, {"x": 50_000}, StartOptions(wait=WINDOW))
         await bench.driver.verify_armed()
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, 5 * NS_PER_MS)
         await bench.driver.go()
         with pytest.raises(ControllerFault, match="before T0"):
@@ -272,7 +272,7 @@ def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
     run(case, config=CONFIG)
 
 
-def test_a_unit_that_takes_no_standby_at_rest_says_so_before_anything_is_armed() -> None:
+def test_a_controller_without_standby_at_rest_is_refused_before_anything_is_armed() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert bench.driver.capabilities.start_classes == ("host",)
@@ -313,10 +313,10 @@ def test_a_guardians_stop_ends_what_waits_and_what_moves(waits: bool) -> None:
         t0_ns, _ = await released(bench, {"x": 90_000, "y": -500}, how)
         if not waits:
             await sleep_until_ns(bench.clock, t0_ns + 300 * NS_PER_MS)
-        link = await bench.wire.open()  # the host is dead
+        link = await bench.wire.open_link()  # the host is dead
         link.write(MAKE.stop_bytes(CONFIG))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        bench.unit.set_input(2, True)
+        bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, NS_PER_S)
         await link.close()
         assert bench.unit.at_rest()
@@ -351,8 +351,8 @@ def test_the_output_is_switched_within_the_claimed_edge_and_back(
     async def case(bench: Bench) -> None:
         await bench.ready()
         number, active = (3, True) if output == "line" else (6, False)
-        await bench.driver.set_output(1, True)
-        await bench.driver.set_output(6, True)
+        await bench.driver.set_output(1, on=True)
+        await bench.driver.set_output(6, on=True)
         edges = Edges(bench, number)
         drive = DRIVE.model_copy(update={"output": output})
         reading = await bench.driver.poll()
@@ -385,7 +385,7 @@ def test_the_output_is_switched_within_the_claimed_edge_and_back(
 def test_an_output_that_is_active_already_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.set_output(3, True)
+        await bench.driver.set_output(3, on=True)
         with pytest.raises(Refusal) as caught:
             await armed(bench, {}, StartOptions(drive=DRIVE))
         assert caught.value.code == "line-level" and "OUT3" in caught.value.text
@@ -404,7 +404,7 @@ def test_disarmed_or_stopped_the_output_is_passive_at_once(when_ms: int, by_stop
         await sleep_until_ns(bench.clock, t0_ns + when_ms * NS_PER_MS)
         acted_ns = bench.clock.now_ns()
         if by_stop or when_ms > -10:
-            await bench.driver.stop(False)
+            await bench.driver.stop(abort=False)
         if not by_stop:
             await bench.driver.disarm_move()
         with contextlib.suppress(ControllerFault, Refusal):
@@ -423,10 +423,10 @@ def test_disarmed_or_stopped_the_output_is_passive_at_once(when_ms: int, by_stop
     run(case, config=CONFIG)
 
 
-def test_a_unit_that_drives_the_line_may_wait_for_it_too() -> None:
+def test_a_controller_that_drives_the_trigger_line_may_wait_for_it_too() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.on_output(lambda number, level: bench.unit.set_input(2, level) if number == 3 else None)
+        bench.unit.on_output(lambda number, level: bench.unit.set_input(2, level=level) if number == 3 else None)
         for target in (30_000, 0):
             edge = bench.driver.lower_profiles({}, StartOptions(drive=DRIVE), None).edge
             wait = window(sum(e.earliest_ns for e in edge), sum(e.latest_ns for e in edge))
@@ -461,7 +461,7 @@ def test_on_a_noisy_line_nothing_moves_but_what_was_released(seed: int) -> None:
 
         allowed = {0}
         for _ in range(8):
-            bench.unit.set_input(2, False)
+            bench.unit.set_input(2, level=False)
             targets = {name: draw.randrange(-20_000, 20_000) for name in draw.sample("xyz", 2)}
             before, go = len(bench.moved()), False
             bench.wire.to_far = bench.wire.to_near = garble
@@ -475,11 +475,11 @@ def test_on_a_noisy_line_nothing_moves_but_what_was_released(seed: int) -> None:
                 await followed(bench)
             except (Refusal, ControllerFault):
                 bench.wire.to_far = bench.wire.to_near = None
-                await bench.driver.stop(False)
+                await bench.driver.stop(abort=False)
                 await bench.driver.disarm_move()
             bench.wire.to_far = bench.wire.to_near = None
             for level in (False, True):
-                bench.unit.set_input(2, level)
+                bench.unit.set_input(2, level=level)
                 await sleep_ns(bench.clock, 2 * NS_PER_S)
             assert go or len(bench.moved()) == before
             assert bench.unit.at_rest()

@@ -32,7 +32,7 @@ def wire(options: ShrcOptions, char_ns: int) -> ConnectionTraits:
         True,
         step_costs(options, char_ns),
         step_costs(options, char_ns, line=True),
-        options.unread_clock().known(0),
+        options.unread_clock().estimate_at(0),
     )
 
 
@@ -55,7 +55,7 @@ def test_random_moves_keep_their_duration_and_limits() -> None:
         velocity, acceleration = draw.uniform(5_000, 400_000), draw.uniform(20_000, 2_000_000)
         distance = round(10 ** draw.uniform(3.3, 6))
         plan = plan_step([AxisMove("x", 0, distance, velocity, acceleration)])
-        profile = plan.stretched(plan.duration_s * draw.uniform(1.02, 2)).profiles["x"]
+        profile = plan.stretch_to(plan.duration_s * draw.uniform(1.02, 2)).profiles["x"]
         limits = ShrcBounds(velocity, acceleration, 1, max(1, round(velocity / 100)))
         shape = fit_trapezoid(distance, profile.duration_s, profile.durations_s[0], limits)
         assert shape is not None
@@ -76,7 +76,7 @@ def test_a_plan_at_its_limits_is_answered_with_what_it_takes() -> None:
     assert again.durations_s["x"] == pytest.approx(longer, abs=1e-4)
 
 
-def test_what_is_sent_and_how_far_it_is_from_the_plan() -> None:
+def test_commands_sent_and_their_deviation_from_the_plan() -> None:
     profile = plan_step([AxisMove("x", 100, -39_900, 50_000.0, 400_000.0)]).profiles["x"].stretch_time(1.2)
     result = lowered(controller(), profile)
     load, start = result.commands

@@ -1,4 +1,5 @@
-"""Two moves one behind the other: what is chosen, and what the simulated unit makes of it, whatever comes between."""
+"""A move and its follow-up move: how they are chosen, and how the simulated controller executes them under all
+conditions."""
 
 import asyncio
 from collections.abc import Mapping
@@ -35,7 +36,7 @@ def planned(
 ) -> Mapping[str, Profile]:
     moves = [AxisMove(name, start[name], start[name] + each, 90.0, acceleration) for name, each in way.items()]
     plan = plan_step(moves)
-    return plan.stretched(duration_s).profiles
+    return plan.stretch_to(duration_s).profiles
 
 
 async def armed(bench: Bench, way: Mapping[str, int], how: StartOptions | None = None) -> tuple[ShrcLowered, int]:
@@ -52,7 +53,7 @@ async def released(bench: Bench, way: Mapping[str, int], how: StartOptions | Non
     await bench.driver.verify_armed()
     await bench.driver.go()
     if how is not None:
-        bench.clock.call_at_ns(t0_ns, lambda: bench.unit.set_input(2, True))
+        bench.clock.call_at_ns(t0_ns, lambda: bench.unit.set_input(2, level=True))
     return made, t0_ns
 
 
@@ -62,14 +63,14 @@ async def followed(bench: Bench) -> tuple[Mapping[str, HostInterval], MoveOutcom
 
 
 async def nothing_is_left(bench: Bench) -> None:
-    """Nothing moves any more, whoever says `G` or touches the inputs."""
+    """Nothing moves any more, even if another client sends `G` or switches the inputs."""
     for _ in range(2):
         await bench.driver.poll()
     await bench.driver.disarm_move()
     count = len(bench.moved())
     await bench.driver.send_raw("G")
     for number in range(1, 7):
-        bench.unit.set_input(number, number == 2)
+        bench.unit.set_input(number, level=number == 2)
     await sleep_ns(bench.clock, 2 * NS_PER_S)
     assert bench.unit.at_rest() and len(bench.moved()) == count
 
@@ -136,7 +137,7 @@ def test_of_all_pairs_that_take_the_time_the_nearest_to_the_plan_is_taken() -> N
     assert made.path_error_counts["x"] < min(ways) + 1.5
 
 
-def test_one_move_is_preferred_and_where_the_scale_has_to_settle_there_is_no_other() -> None:
+def test_one_move_is_preferred_and_required_if_the_scale_has_to_settle() -> None:
     config, options = one_axis(scale=1000, limits={"velocity": 0.5, "acceleration": 5}), ShrcOptions()
     open_loop = wire(options, 260_000)
     closed_loop = ConnectionTraits(
@@ -155,7 +156,7 @@ def test_one_move_is_preferred_and_where_the_scale_has_to_settle_there_is_no_oth
 
 @pytest.mark.parametrize("how", [None, WAIT], ids=["host", "line"])
 @pytest.mark.parametrize("seed", range(5))
-def test_both_moves_run_and_end_when_it_was_said(seed: int, how: StartOptions | None) -> None:
+def test_both_moves_run_and_end_when_predicted(seed: int, how: StartOptions | None) -> None:
     async def case(bench: Bench) -> None:
         draw, crystal = Random(seed), 1 + ppm * 1e-6
         await bench.ready()
@@ -193,8 +194,8 @@ def test_both_moves_run_and_end_when_it_was_said(seed: int, how: StartOptions | 
     ],
     ids=str,
 )
-def test_units_of_other_readings(simulate: dict[str, Any], how: StartOptions | None) -> None:
-    """The claims hold whatever the hand-over takes; with `handover_us` measured the duration is right, too."""
+def test_controllers_of_other_readings(simulate: dict[str, Any], how: StartOptions | None) -> None:
+    """The bounds hold for any duration of the hand-over; with `handover_us` measured the duration is right, too."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()
@@ -227,8 +228,8 @@ def test_a_stop_at_any_moment_leaves_nothing_that_moves(after_us: int | str, abo
         await sleep_ns(bench.clock, at_ns - bench.clock.now_ns())
         written: list[bytes] = []
         bench.wire.to_far = lambda data: written.append(data) or data
-        await bench.driver.stop(abort)
-        # What `L:` makes of a prebuffer is not said: it is overwritten first.
+        await bench.driver.stop(abort=abort)
+        # The effect of `L:` on a prebuffer is not documented: it is overwritten first.
         assert written[0].startswith(b"L:E" if abort else b"MP:1+P0\r\nMP:2+P0\r\nL:")
         try:
             _, outcome = await following
@@ -239,7 +240,7 @@ def test_a_stop_at_any_moment_leaves_nothing_that_moves(after_us: int | str, abo
         assert bench.clock.now_ns() < at_ns + 2 * NS_PER_S
         if abort:
             await bench.driver.clear_faults()
-            await bench.driver.set_enabled(["x", "y"], True)
+            await bench.driver.set_enabled(["x", "y"], on=True)
         await nothing_is_left(bench)
 
     run(case, simulate={"stop_keeps_prebuffer": True})
@@ -259,7 +260,7 @@ def test_a_guardian_that_stops_between_leaves_nothing_that_moves() -> None:
         await bench.driver.wait_for_start()
         following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
         await sleep_ns(bench.clock, NS_PER_S)
-        link = await bench.wire.open()
+        link = await bench.wire.open_link()
         link.write(MAKE.stop_bytes(bench.config))
         await sleep_ns(bench.clock, NS_PER_S)
         assert bench.unit.at_rest()
@@ -303,7 +304,7 @@ def test_a_second_move_that_is_not_taken_stops_the_step_unless_it_is_taken_then(
     run(case, simulate={"stop_keeps_prebuffer": True})
 
 
-def test_a_second_move_that_comes_too_late_is_said_and_not_run() -> None:
+def test_a_follow_up_move_that_comes_too_late_is_reported_and_not_run() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         made, _ = await released(bench, {"x": 612})
@@ -351,7 +352,7 @@ def test_a_link_that_swallows_everything_while_the_second_is_loaded_ends_in_a_fa
         with pytest.raises(ControllerFault):
             await bench.driver.wait_for_end()
         bench.wire.cut = False
-        await bench.driver.stop(False)
+        await bench.driver.stop(abort=False)
         await sleep_ns(bench.clock, NS_PER_S)
         await nothing_is_left(bench)
 
@@ -416,12 +417,12 @@ def test_a_lost_completion_line_is_found_by_a_look(lost: int) -> None:
 
 @pytest.mark.parametrize("end", ["disarm", "stop"])
 @pytest.mark.parametrize("how", [None, WAIT], ids=["host", "line"])
-def test_what_is_taken_back_before_its_start_never_moves(end: str, how: StartOptions | None) -> None:
+def test_a_move_that_is_withdrawn_before_its_start_never_moves(end: str, how: StartOptions | None) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await armed(bench, SLOW, how)
         if end == "stop":
-            await bench.driver.stop(False)
+            await bench.driver.stop(abort=False)
         await nothing_is_left(bench)
         assert not bench.moved()
         with pytest.raises(Refusal):
@@ -450,7 +451,7 @@ def test_a_noisy_line_takes_no_axis_beyond_its_way(seed: int) -> None:
             except ControllerFault:
                 state = "fault"
             bench.wire.to_far = bench.wire.to_near = None
-            await bench.driver.stop(False)
+            await bench.driver.stop(abort=False)
             await sleep_ns(bench.clock, NS_PER_S)
             now = bench.unit.position("1")
             assert min(at, at + way) <= now <= max(at, at + way)

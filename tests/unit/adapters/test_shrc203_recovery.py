@@ -30,23 +30,23 @@ def test_a_move_is_done_when_it_has_settled_and_ended_when_its_profile_has(settl
         settled_ms = (bench.clock.now_ns() - motion.end_ns) / NS_PER_MS
         assert settle_ms <= settled_ms < settle_ms + 120
         assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
-        assert outcome.ended["x"].latest_ns - motion.end_ns < 10 * NS_PER_MS  # whatever settling took
+        assert outcome.ended["x"].latest_ns - motion.end_ns < 10 * NS_PER_MS  # regardless of the settling time
         assert not (await bench.driver.poll()).axes["x"].moving
 
     run(case, simulate={**CLOSED, "settle_ms": settle_ms}, options=LOOP)
 
 
-def test_a_stage_that_does_not_follow_is_said_and_freed_by_a_reset() -> None:
+def test_a_stage_that_does_not_follow_is_reported_and_freed_by_a_reset() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_stalled("1", True)
+        bench.unit.set_stalled("1", stalled=True)
         await bench.start({"x": 4000})
         await bench.driver.wait_for_start()
         outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "does not settle" in outcome.reason
         reading = await bench.driver.poll()
         assert reading.axes["x"].moving and reading.axes["x"].actual_counts == 0
-        bench.unit.set_stalled("1", False)
+        bench.unit.set_stalled("1", stalled=False)
         await bench.driver.clear_faults()
         await sleep_ns(bench.clock, 200 * NS_PER_MS)
         assert not (await bench.driver.poll()).axes["x"].moving
@@ -58,7 +58,7 @@ def test_a_stage_that_does_not_follow_is_said_and_freed_by_a_reset() -> None:
 def test_an_overflow_is_cleared_by_a_reset() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        bench.unit.set_stalled("1", True)
+        bench.unit.set_stalled("1", stalled=True)
         await bench.start({"x": 60_000})
         await bench.driver.wait_for_start()
         outcome = await bench.driver.wait_for_end()
@@ -67,9 +67,9 @@ def test_an_overflow_is_cleared_by_a_reset() -> None:
         with pytest.raises(Refusal):
             await bench.arm({"x": 0})
         await bench.driver.disarm_move()
-        bench.unit.set_stalled("1", False)
+        bench.unit.set_stalled("1", stalled=False)
         await bench.driver.clear_faults()
-        await bench.driver.set_enabled(["x"], True)
+        await bench.driver.set_enabled(["x"], on=True)
         assert not (await bench.driver.poll()).faults
         assert await moved(bench, {"x": 100}) == "done"
 
@@ -98,7 +98,7 @@ def test_after_an_emergency_stop_in_motion_reset_and_enable_lead_on(excitation_o
         await bench.start({"x": 80_000, "y": 60_000})
         await bench.driver.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
-        await bench.driver.stop(True)
+        await bench.driver.stop(abort=True)
         outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "emergency stop" in outcome.reason
         with pytest.raises(Refusal):
@@ -107,7 +107,7 @@ def test_after_an_emergency_stop_in_motion_reset_and_enable_lead_on(excitation_o
         await bench.driver.clear_faults()
         reading = await bench.driver.poll()
         assert not reading.faults and reading.axes["x"].enabled != excitation_off
-        await bench.driver.set_enabled(["x", "y", "z"], True)
+        await bench.driver.set_enabled(["x", "y", "z"], on=True)
         assert await moved(bench, {"x": 0, "y": 0}) == "done"
 
     run(case, simulate={"emergency_excitation_off": excitation_off})

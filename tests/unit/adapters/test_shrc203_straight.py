@@ -58,7 +58,7 @@ def distance_to_plan(bench: Bench, profiles: Mapping[str, Profile], start_ns: in
 
 
 @pytest.mark.parametrize("distances", [{"x": 1200, "y": -14}, {"x": 1000, "y": 18, "z": -600}])
-def test_a_line_that_single_axes_can_not_keep_is_interpolated_and_keeps_to_its_claims(
+def test_a_path_that_single_axes_cannot_follow_is_interpolated_within_its_bounds(
     distances: dict[str, int],
 ) -> None:
     async def case(bench: Bench) -> None:
@@ -93,7 +93,7 @@ def test_a_line_that_single_axes_can_not_keep_is_interpolated_and_keeps_to_its_c
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_what_is_chosen_is_never_further_from_the_plan(seed: int) -> None:
+def test_the_chosen_method_is_never_further_from_the_plan(seed: int) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         await bench.ready()
@@ -108,7 +108,7 @@ def test_what_is_chosen_is_never_further_from_the_plan(seed: int) -> None:
         try:
             alone = {name: lowered(bench, {name: each}).path_error_counts[name] for name, each in profiles.items()}
         except Refusal:
-            assert made.straight is not None  # single axes can not be so slow
+            assert made.straight is not None  # single axes cannot be so slow
         else:
             assert max(made.path_error_counts.values()) <= max(alone.values())
         if made.straight is not None:
@@ -131,7 +131,7 @@ def test_what_is_chosen_is_never_further_from_the_plan(seed: int) -> None:
         (CONFIG, straight({"x": 1200}, LINE_S, 0.001)),
     ],
 )
-def test_what_is_no_slow_straight_line_in_equal_pulses_goes_by_single_axes(
+def test_other_paths_than_slow_straight_ones_in_equal_pulses_use_single_axes(
     config: Controller, profiles: dict[str, Profile]
 ) -> None:
     async def case(bench: Bench) -> None:
@@ -153,9 +153,9 @@ def test_a_line_that_is_taken_back_never_starts(end: str) -> None:
         if end == "disarm":
             await bench.driver.disarm_move()
         else:
-            await bench.driver.stop(end == "abort")
+            await bench.driver.stop(abort=end == "abort")
             await bench.driver.clear_faults()
-            await bench.driver.set_enabled(["x", "y", "z"], True)
+            await bench.driver.set_enabled(["x", "y", "z"], on=True)
             for _ in range(2):
                 await bench.driver.poll()
         await bench.driver.send_raw("G")

@@ -13,7 +13,7 @@ from adapters.contract import Driver, DriverSetup
 from adapters.toolkit.firing import LoopTimedWriter
 from adapters.yaskawa.smc2000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartOptions
@@ -46,7 +46,7 @@ class World:
 
     async def talk(self, line: str, quiet_ms: int = 60) -> str:
         """What a person types at a terminal of his own, and what comes back until it is quiet."""
-        link = await self.wire.open()
+        link = await self.wire.open_link()
         reply = await typed(self.clock, link, line + "\r", quiet_ms)
         await link.close()
         await sleep_ns(self.clock, NS_PER_MS)
@@ -56,7 +56,7 @@ class World:
         if connect:
             await self.driver.connect()
         await self.driver.configure()
-        await self.driver.set_enabled(["x", "y"], True)
+        await self.driver.set_enabled(["x", "y"], on=True)
         for _ in range(polls):
             await self.driver.poll()
             await sleep_ns(self.clock, 100 * NS_PER_MS)
@@ -64,6 +64,7 @@ class World:
     async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.8) -> tuple[Any, Any, Any, int]:
         """One step, from lowering to its outcome."""
         driver, mapping = self.driver, self.driver.clock_mapping()
+        assert mapping is not None
         t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
         lowered = driver.lower_profiles(profiles, StartOptions(lead_ns=t0_ns - mapping.host_at_ns), mapping)
         await driver.arm_move(lowered, t0_ns, mapping)
@@ -95,7 +96,7 @@ def run(
     ppm: float = 40.0,
     hold_ms: int = 0,
 ) -> Any:
-    async def within(clock: Clock) -> Any:
+    async def within(clock: VirtualClock) -> Any:
         config = Controller.model_validate(fleet or FLEET)
         MAKE.check_config(config)
         oscillator = Oscillator(Random(seed).randrange(10**9), ppm, 0.05, seed)
@@ -105,7 +106,7 @@ def run(
 
         def driver() -> Driver:
             chosen = MAKE.options_model.model_validate(config.options)
-            return MAKE.create_driver(DriverSetup("c", config, chosen, clock, wire.open, LoopTimedWriter(clock)))
+            return MAKE.create_driver(DriverSetup("c", config, chosen, clock, wire.open_link, LoopTimedWriter(clock)))
 
         return await main(World(clock, controller, wire, driver(), driver))
 
@@ -117,7 +118,7 @@ class ChainWorld:
     """Units on one daisy chain, by address, each with a driver."""
 
     clock: Clock
-    units: dict[int, SimulatedController]
+    units: dict[int, Any]  # the queries of a test are specific to each model
     drivers: dict[int, Driver]
     wire: MemoryWire
 
@@ -125,7 +126,7 @@ class ChainWorld:
         async def one(driver: Driver) -> None:
             await driver.connect()
             await driver.configure()
-            await driver.set_enabled(["x"], True)
+            await driver.set_enabled(["x"], on=True)
             for _ in range(polls):
                 await driver.poll()
                 await sleep_ns(self.clock, 100 * NS_PER_MS)
@@ -143,7 +144,7 @@ def run_chain(
 ) -> Any:
     """Each unit has one axis x and an input, a crystal of its own, and another start of its counter."""
 
-    async def within(clock: Clock) -> Any:
+    async def within(clock: VirtualClock) -> Any:
         draw = Random(seed)
         branches = [
             DeviceSpec(
@@ -166,7 +167,7 @@ def run_chain(
             MAKE.check_config(config)
             chosen = MAKE.options_model.model_validate(config.options)
             return MAKE.create_driver(
-                DriverSetup(f"c{address}", config, chosen, clock, wire.open, LoopTimedWriter(clock), shared)
+                DriverSetup(f"c{address}", config, chosen, clock, wire.open_link, LoopTimedWriter(clock), shared)
             )
 
         units = dict(zip(addresses, built, strict=True))

@@ -1,4 +1,5 @@
-"""Several SMC-2000 on one daisy chain: who asks gets its own answer, and what goes wrong with one is not the others'."""
+"""Several SMC-2000 on one daisy chain: each request gets its own answer, and a fault of one does not affect the
+others."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -19,7 +20,7 @@ from orchestrator.model.messages import StartOptions
 
 @pytest.mark.parametrize("first", range(0, 40, 10))
 def test_replies_are_not_mixed_whatever_overlaps(first: int):
-    """Each unit stands at a place of its own and keeps a number of its own; everybody asks everything at random."""
+    """Each controller stands at a position of its own and stores a number of its own; all are queried at random."""
 
     async def main(world: ChainWorld) -> None:
         await world.ready(2)
@@ -38,7 +39,7 @@ def test_replies_are_not_mixed_whatever_overlaps(first: int):
                 elif kind == 3:
                     assert float(await driver.send_raw("MG XMINE")) == 7000 + address
                 elif kind == 4:
-                    await driver.set_output(1, draw.random() < 0.5)
+                    await driver.set_output(1, on=draw.random() < 0.5)
                 else:
                     await driver.stop_axes(["x"])
 
@@ -51,8 +52,8 @@ def test_replies_are_not_mixed_whatever_overlaps(first: int):
 
 
 @pytest.mark.parametrize("hold_ms", [0, 16])
-def test_what_a_program_reports_of_its_error_is_taken_for_nobodys_answer(hold_ms: int):
-    """A program that meets a limit switch at T0 prints its line, and the next unit is asked meanwhile."""
+def test_an_error_report_of_a_program_is_not_taken_for_an_answer(hold_ms: int):
+    """A program that reaches a limit switch at T0 prints its line, and the next controller is polled meanwhile."""
 
     async def main(world: ChainWorld) -> None:
         await world.ready(3)
@@ -78,10 +79,10 @@ def test_what_a_program_reports_of_its_error_is_taken_for_nobodys_answer(hold_ms
 
 
 @pytest.mark.parametrize("asked", ["poll", "command", "meet"])
-def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out(asked: str):
+def test_a_silent_controller_delays_others_by_no_more_than_its_own_timeout(asked: str):
     async def main(world: ChainWorld) -> None:
         await world.ready(5)
-        world.units[2].set_power(False)
+        world.units[2].set_power(on=False)
         driver = world.drivers[2]
         asking: dict[str, Callable[[], Awaitable[object]]] = {
             "poll": driver.poll,
@@ -105,18 +106,18 @@ def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out(asked: s
         await task
         # Silence, twice where the first try may have been disturbed, and the polls of the other two.
         assert max(took_ns) < 450 * NS_PER_MS
-        # It is known to be missing then, and is tried once.
+        # It counts as missing then, and is tried once.
         assert max(took_ns[3:]) < 300 * NS_PER_MS
 
     run_chain(main)
 
 
-def test_who_waits_for_a_turn_goes_before_a_unit_that_is_missing():
-    """However many ask for it: its member, who would meet it again, and a person."""
+def test_waiting_requests_go_before_those_to_a_missing_controller():
+    """Regardless of the number of requests: its member, which would reconnect it, and an operator."""
 
     async def main(world: ChainWorld) -> None:
         await world.ready(5)
-        world.units[2].set_power(False)
+        world.units[2].set_power(on=False)
         for _ in range(2):
             with pytest.raises(ControllerFault):
                 await world.drivers[2].send_raw("MG TIME")
@@ -140,12 +141,12 @@ def test_who_waits_for_a_turn_goes_before_a_unit_that_is_missing():
 
 
 @pytest.mark.parametrize("hold_ms", [0, 16])
-def test_a_power_cycle_of_one_unit_of_three_is_that_units_own(hold_ms: int):
+def test_a_power_cycle_of_one_controller_of_three_affects_only_that_one(hold_ms: int):
     async def main(world: ChainWorld) -> None:
         await world.ready(5)
-        world.units[1].set_power(False)
+        world.units[1].set_power(on=False)
         await sleep_ns(world.clock, NS_PER_S)
-        world.units[1].set_power(True)
+        world.units[1].set_power(on=True)
         for address in (0, 2):
             for _ in range(3):
                 assert not (await world.drivers[address].poll()).restarted
@@ -162,7 +163,7 @@ def test_a_power_cycle_of_one_unit_of_three_is_that_units_own(hold_ms: int):
                 longest_ns = max(longest_ns, world.clock.now_ns() - began_ns)
         await meeting
         assert (await world.drivers[1].poll()).restarted
-        # It is given its program, and asked for it, in parts: whoever moves meanwhile is believed dead after 700 ms.
+        # Its program is loaded and read back in parts: a moving controller counts as dead after 700 ms.
         assert longest_ns < 300 * NS_PER_MS
 
     run_chain(main, hold_ms=hold_ms)
@@ -170,7 +171,7 @@ def test_a_power_cycle_of_one_unit_of_three_is_that_units_own(hold_ms: int):
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("seed", range(10))
-def test_a_stop_reaches_its_unit_within_milliseconds_past_everything_and_no_other(abort: bool, seed: int):
+def test_a_stop_overtakes_everything_and_reaches_only_its_controller_within_milliseconds(abort: bool, seed: int):
     async def main(world: ChainWorld) -> None:
         await world.ready(5)
         for driver in world.drivers.values():
@@ -180,7 +181,7 @@ def test_a_stop_reaches_its_unit_within_milliseconds_past_everything_and_no_othe
         await sleep_ns(world.clock, NS_PER_S + draw.randrange(100 * NS_PER_MS))
         stopped = draw.choice(list(world.drivers))
         at_ns = world.clock.now_ns()
-        await world.drivers[stopped].stop(abort)
+        await world.drivers[stopped].stop(abort=abort)
         assert world.clock.now_ns() == at_ns
         await sleep_ns(world.clock, NS_PER_S)
         for address, unit in world.units.items():
@@ -201,7 +202,7 @@ async def _poll_on(driver: Driver) -> None:
         await driver.poll()
 
 
-def test_a_unit_is_disarmed_while_the_others_go():
+def test_a_controller_is_disarmed_while_the_others_start():
     async def main(world: ChainWorld) -> None:
         await world.ready(20)
         lowered: dict[int, Any] = {}
@@ -238,7 +239,7 @@ def test_a_unit_is_disarmed_while_the_others_go():
         ({"link": {"address": 1}, "host": "far"}, "different `host`"),
     ],
 )
-def test_a_fleet_says_why_controllers_can_not_share_a_port(changes: dict[str, Any], words: str):
+def test_a_fleet_reports_why_controllers_cannot_share_a_port(changes: dict[str, Any], words: str):
     one = FLEET | {"link": FLEET["link"] | {"address": 0}}
     other = one | changes | {"link": one["link"] | changes.get("link", {})}
     with pytest.raises((ValueError, FileError), match=words):

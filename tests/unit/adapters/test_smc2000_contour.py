@@ -107,7 +107,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
             plans = {axis: profile.make_evaluator() for axis, profile in profiles.items()}
             for instant in contour.record_ends[5:]:
                 await sleep_until_ns(world.clock, timebase.true_ns(first + instant))
-                time_s = (mapping.host_ns(first + instant) - t0_ns) * 1e-9
+                time_s = (mapping.to_host_ns(first + instant) - t0_ns) * 1e-9
                 for axis, plan in plans.items():
                     real = world.controller.position(MOTORS[axis]) - profiles[axis].start_counts
                     assert abs(real - plan(time_s).position) <= 1.0
@@ -197,7 +197,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
         at = world.controller.position("X")
-        await world.driver.stop(abort)
+        await world.driver.stop(abort=abort)
         await sleep_ns(world.clock, lowered.costs.stop_ns)
         assert world.controller.at_rest()
         # The wire takes some milliseconds, and a record that is being executed is ended.
@@ -217,7 +217,7 @@ def test_a_stop_while_it_is_loaded_refuses_the_step(after_ms: int, abort: bool):
         await world.ready()
         arming = asyncio.get_running_loop().create_task(armed(world, jerked({"x": (0, 90_000), "y": (0, 30_000)})))
         await sleep_ns(world.clock, after_ms * NS_PER_MS)
-        await world.driver.stop(abort)
+        await world.driver.stop(abort=abort)
         with suppress(Refusal, ControllerFault):
             await arming
         await world.driver.disarm_move()
@@ -228,7 +228,7 @@ def test_a_stop_while_it_is_loaded_refuses_the_step(after_ms: int, abort: bool):
     run(main)
 
 
-def test_a_stop_in_motion_is_told_as_one():
+def test_a_stop_in_motion_is_reported_as_a_stop():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
@@ -236,7 +236,7 @@ def test_a_stop_in_motion_is_told_as_one():
         await world.driver.wait_for_start()
         watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 400 * NS_PER_MS)
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         outcome = await watching
         assert outcome.state == "stopped", outcome
         assert "axis x stopped in the middle of its contour" in outcome.reason
@@ -247,7 +247,7 @@ def test_a_stop_in_motion_is_told_as_one():
     run(main)
 
 
-def test_a_contour_is_played_beside_polls_without_end():
+def test_a_contour_is_played_during_continuous_polls():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 150_000), "y": (0, -30_000)}))
@@ -305,7 +305,7 @@ def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
         ({"contour_upload_s": 3, "contour_sag_counts": 1000}, None),
     ],
 )
-def test_an_upload_that_is_too_long_says_what_would_fit(options: dict[str, Any], words: str | None):
+def test_the_refusal_of_a_too_long_upload_names_what_would_fit(options: dict[str, Any], words: str | None):
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.poll()
@@ -323,7 +323,7 @@ def test_an_upload_that_is_too_long_says_what_would_fit(options: dict[str, Any],
     run(main, fleet=FLEET | {"options": options})
 
 
-def test_trapezoids_go_by_the_registers_however_far_they_are_off():
+def test_trapezoids_use_the_registers_regardless_of_their_deviation():
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.poll()
@@ -335,7 +335,7 @@ def test_trapezoids_go_by_the_registers_however_far_they_are_off():
     run(main)
 
 
-def test_a_unit_of_a_chain_is_loaded_while_the_others_are_polled():
+def test_a_controller_of_a_chain_is_armed_while_the_others_are_polled():
     async def main(world: ChainWorld) -> None:
         await world.ready()
         driver = world.drivers[1]
@@ -371,10 +371,10 @@ def test_the_resident_program_fits_into_the_controller(count: int):
     axes = tuple(range(len(LETTERS) - count, len(LETTERS)))
     lines = program_lines(
         axes,
-        True,
-        3,
-        1,
-        GateTiming.for_options(Smc2000DriverOptions(servo_period_us=250, decode_us=2000), INTERLEAVED_COMMANDS),
+        chained=True,
+        inputs=3,
+        outputs=1,
+        gate=GateTiming.for_options(Smc2000DriverOptions(servo_period_us=250, decode_us=2000), INTERLEAVED_COMMANDS),
     )
     assert len(lines) <= LINES_MOST
     assert all(len(line) <= MAX_LINE for line in lines)

@@ -35,7 +35,7 @@ def test_a_step_runs_from_connect_to_its_outcome():
 @pytest.mark.parametrize(
     ("told", "read"), [(b"XLI=", "XLI"), (b"SP ", "_SPX"), (b"AC ", "_ACX"), (b"DC ", "_DCX"), (b"PA ", "_PRX")]
 )
-def test_what_came_with_another_digit_refuses_the_step(told: bytes, read: str):
+def test_a_value_with_a_garbled_digit_refuses_the_step(told: bytes, read: str):
     def garble(data: bytes) -> bytes:
         return re.sub(rb"(%s)(\d)" % told, lambda found: b"%s%d" % (found[1], int(found[2]) % 9 + 1), data)
 
@@ -77,12 +77,13 @@ def test_spans_and_budgets_hold_over_random_moves_crystals_and_adapters(seed: in
                 motion = motions[letter]
                 assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
                 assert outcome.ended[axis].earliest_ns <= motion.end_ns <= outcome.ended[axis].latest_ns
+                assert motion.end_ns is not None
                 off_ns = motion.start_ns - t0_ns
                 assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
-                # Up to the next whole sample, and what the crystal is not known by.
+                # Up to the next whole sample, plus the uncertainty of the crystal.
                 real_s, told_s = (motion.end_ns - motion.start_ns) * 1e-9, lowered.durations_s[axis]
                 assert -1e-4 * real_s <= real_s - told_s <= 1e-4 * real_s + lowered.tick_ns * 1e-9 + 1e-5
-                # Nothing wider than the clock's own bound and the two samples that the program can not tell apart.
+                # Nothing wider than the clock's own bound and the two samples that the program cannot distinguish.
                 clock_ns = lowered.terms[0].latest_ns - lowered.terms[0].earliest_ns
                 assert started[axis].latest_ns - started[axis].earliest_ns <= 2 * lowered.tick_ns + clock_ns + 2
                 assert clock_ns < 7 * NS_PER_MS
@@ -123,7 +124,7 @@ def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, befo
         await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
-        await world.driver.stop(abort)
+        await world.driver.stop(abort=abort)
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
         assert world.controller.at_rest()
         assert abs(world.controller.position("X")) < 100
@@ -133,7 +134,7 @@ def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, befo
     run(main)
 
 
-def test_disarmed_and_reconnected_units_do_not_start():
+def test_disarmed_and_reconnected_controllers_do_not_start():
     async def main(world: World) -> None:
         await world.ready()
         for way in ("disarm", "reconnect"):

@@ -1,7 +1,7 @@
-"""What the SMC-2000's driver meets on its line, and in the unit itself, and what it makes of it."""
+"""Conditions on the SMC-2000's line and in the controller itself, and how the driver handles them."""
 
 from random import Random
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, LIMITS, World, run, trapezoid, typed
@@ -33,9 +33,9 @@ from orchestrator.model.fleet import Controller
     ],
     ids=repr,
 )
-def test_it_is_reached_in_any_state_and_nothing_moves(before: str):
+def test_it_is_connected_in_any_state_and_nothing_moves(before: str):
     async def main(world: World) -> None:
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         await typed(world.clock, link, before)
         await link.close()
         await sleep_ns(world.clock, NS_PER_MS)
@@ -75,7 +75,7 @@ def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
     run(main, options=options)
 
 
-def test_a_motion_of_somebody_else_goes_on():
+def test_a_motion_started_by_others_continues():
     async def main(world: World) -> None:
         await world.talk("SH;PR 100000;SP 10000;BGX")
         await world.driver.connect()
@@ -167,16 +167,16 @@ def test_lost_and_garbled_bytes_never_become_wrong_values(seed: int):
     run(main, seed=seed)
 
 
-def test_a_power_cycle_and_a_reset_are_told_from_a_broken_cable():
+def test_a_power_cycle_and_a_reset_are_distinguished_from_a_broken_cable():
     async def main(world: World) -> None:
         await world.ready(5)
         for what in ("cut", "power", "reset"):
             if what == "cut":
                 world.wire.cut = True
             elif what == "power":
-                world.controller.set_power(False)
+                world.controller.set_power(on=False)
                 await sleep_ns(world.clock, 5 * NS_PER_S)
-                world.controller.set_power(True)
+                world.controller.set_power(on=True)
             else:
                 await world.driver.send_raw("RS")
             with pytest.raises((LinkClosed, LinkRefused, ControllerFault)):
@@ -193,7 +193,7 @@ def test_a_power_cycle_and_a_reset_are_told_from_a_broken_cable():
     run(main)
 
 
-def test_switches_are_told_in_words_and_a_limit_ends_a_move():
+def test_switches_are_reported_in_words_and_a_limit_ends_a_move():
     async def main(world: World) -> None:
         await world.ready(5)
         world.controller.set_limit("Y", "reverse")
@@ -214,7 +214,7 @@ def test_it_finds_its_reference_by_every_documented_way(method: str):
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.configure()
-        await world.driver.set_enabled(["x"], True)
+        await world.driver.set_enabled(["x"], on=True)
         found: list[str] = []
         assert await world.driver.home_axes(["x"], found.append) == {}
         assert found == ["x"]
@@ -223,14 +223,14 @@ def test_it_finds_its_reference_by_every_documented_way(method: str):
     run(main, fleet=FLEET | {"axes": axes}, options={"home_edge": {"X": 3000}, "index_every": {"X": 500}})
 
 
-def test_commands_that_are_refused_say_why():
+def test_refused_commands_report_the_reason():
     async def main(world: World) -> None:
         await world.ready(3)
         world.controller.set_limit("X", "both")
         await world.driver.poll()
         with pytest.raises(Refusal, match="22 Begin not possible due to Limit Switch"):
-            await world.driver._device.session.send_command("PRX=100")
-            await world.driver._device.session.send_command("BGX")
+            await cast(Any, world.driver)._device.session.send_command("PRX=100")
+            await cast(Any, world.driver)._device.session.send_command("BGX")
         for line in ("DL", "%1", "!BG", "QD A[],0,1"):
             with pytest.raises(Refusal, match="not answered by a single line"):
                 await world.driver.send_raw(line)

@@ -14,7 +14,7 @@ from adapters.smc30.driver import Smc30Driver
 from adapters.smc30.lowering import Smc30Lowered
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
@@ -75,13 +75,13 @@ class World:
         for driver in self.drivers.values():
             await driver.connect()
             await driver.configure()
-            await driver.set_enabled(["x"], True)
+            await driver.set_enabled(["x"], on=True)
             await driver.poll()
 
     async def plan(self, driver: Smc30Driver, target: int, stretch: float = 1.2) -> dict[str, Profile]:
         now = (await driver.poll()).axes["x"].commanded_counts
         plan = plan_step([AxisMove("x", now, target, 5000, 25_000)])
-        return dict(plan.stretched(plan.duration_s * stretch).profiles)
+        return dict(plan.stretch_to(plan.duration_s * stretch).profiles)
 
     def t0(self, lowered: Smc30Lowered, more_ms: int = 100) -> int:
         """An instant that leaves time for arming, promising and releasing."""
@@ -105,15 +105,15 @@ class World:
         await sleep_ns(self.clock, round(ms * NS_PER_MS))
 
     async def power_cycle(self, unit: SimulatedController, off_ms: float) -> None:
-        unit.set_power(False)
+        unit.set_power(on=False)
         await self.sleep(off_ms)
-        unit.set_power(True)
+        unit.set_power(on=True)
 
     async def begun_by_restarted(
         self, unit: SimulatedController, doing: Coroutine[Any, Any, object], after_ms: float, watch_ms: float
     ) -> list[CommandedMotion]:
-        """The unit is switched off and on for a moment while it is told to do something, whatever becomes of that:
-        the motions that it begins from then on."""
+        """Switch the controller off and on for a moment while it receives a command, with any result of that; return
+        the motions that it starts from then on."""
         told = asyncio.ensure_future(doing)
         await self.sleep(after_ms)
         await self.power_cycle(unit, 20)
@@ -124,8 +124,8 @@ class World:
         return [motion for motion in unit.commanded_motions if motion.start_ns >= on_ns]
 
     async def typed(self, data: bytes, ms: float = 60) -> None:
-        """What somebody else says on the line before the drivers are there."""
-        link = await self.wire.open()
+        """Bytes that another client sends on the line before the drivers connect."""
+        link = await self.wire.open_link()
         link.write(data)
         await self.sleep(ms)
         await link.close()
@@ -141,7 +141,7 @@ def run(
 ) -> None:
     """Run `main` with units at these addresses, none: one alone. more: for the configuration of each."""
 
-    async def within(clock: Clock) -> None:
+    async def within(clock: VirtualClock) -> None:
         draw = Random(seed)
         own: list[int | None] = [*addresses] if addresses else [None]
         with_checksum = more.get("options", {}).get("checksum", True)
@@ -164,7 +164,7 @@ def run(
             each = config(address, **more)
             MAKE.check_config(each)
             options = MAKE.options_model.model_validate(each.options)
-            driver = MAKE.create_driver(DriverSetup(f"u{address}", each, options, clock, wire.open, firer, shared))
+            driver = MAKE.create_driver(DriverSetup(f"u{address}", each, options, clock, wire.open_link, firer, shared))
             assert isinstance(driver, Smc30Driver)
             drivers[address] = driver
         units = {address: line.devices[str(place)] for place, address in reversed(list(enumerate(own)))}

@@ -1,4 +1,4 @@
-"""SMC30 moved by hand and homed, judged by the simulator's truth."""
+"""Manual motion and homing of the SMC30, judged by the simulator's ground truth."""
 
 import asyncio
 
@@ -31,7 +31,7 @@ def test_a_jog_ends_exactly_where_its_way_does(end: int) -> None:
     run(main)
 
 
-def test_a_jog_changes_its_speed_by_way_of_a_stop_and_goes_on_when_it_is_repeated() -> None:
+def test_a_jog_changes_its_speed_by_a_stop_and_continues_when_it_is_repeated() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -65,7 +65,7 @@ def test_a_stop_overtakes_a_jog_that_is_being_begun(after_ms: int) -> None:
         driver, unit = world.one
         jogging = asyncio.get_running_loop().create_task(driver.jog_axis("x", JogMove(1000.0, 25_000.0, None)))
         await world.sleep(after_ms)
-        await driver.stop(False)
+        await driver.stop(abort=False)
         await world.sleep(driver.capabilities.costs.stop_ns / NS_PER_MS)
         assert unit.at_rest()
         await asyncio.gather(jogging, return_exceptions=True)
@@ -94,7 +94,7 @@ def test_a_jog_that_is_given_up_stops() -> None:
     run(main)
 
 
-def test_what_can_not_be_jogged_is_refused() -> None:
+def test_an_impossible_jog_is_refused() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -107,7 +107,7 @@ def test_what_can_not_be_jogged_is_refused() -> None:
             await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))
         assert caught.value.code == "busy"
         await driver.disarm_move()
-        await driver.set_enabled(["x"], False)
+        await driver.set_enabled(["x"], on=False)
         with pytest.raises(Refusal) as caught:
             await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))
         assert caught.value.code == "not-enabled"
@@ -116,7 +116,7 @@ def test_what_can_not_be_jogged_is_refused() -> None:
     run(main)
 
 
-def test_a_jog_into_the_end_of_travel_says_which() -> None:
+def test_a_jog_into_the_end_of_travel_reports_which_end() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, _ = world.one
@@ -151,7 +151,7 @@ def test_homing_to_a_user_input(reached: bool) -> None:
         await world.sleep(600)
         assert unit.is_moving("1")
         if reached:
-            unit.set_input(3, True)
+            unit.set_input(3, level=True)
         failed = await homing
         if reached:
             assert failed == {}
@@ -174,12 +174,12 @@ def test_a_search_that_is_ended_has_found_nothing(how: str) -> None:
         await world.sleep(500)
         assert unit.is_moving("1")
         if how == "stop":
-            await driver.stop(False)
+            await driver.stop(abort=False)
         elif how == "cancel":
             homing.cancel()
         else:
-            unit.set_power(False)
-            unit.set_power(True)
+            unit.set_power(on=False)
+            unit.set_power(on=True)
         (result,) = await asyncio.gather(homing, return_exceptions=True)
         await world.sleep(500)
         assert unit.at_rest()
@@ -198,7 +198,7 @@ def test_homing_finds_the_place_again_after_a_kill() -> None:
         driver, _ = world.one
         await driver.jog_axis("x", JogMove(1000.0, 25_000.0, None))
         await world.sleep(300)
-        await driver.stop(True)
+        await driver.stop(abort=True)
         await world.sleep(300)
         assert (await driver.poll()).axes["x"].position_lost
         await driver.home_axes(["x"], lambda _: None)
@@ -211,8 +211,8 @@ def test_outputs_inputs_and_raw() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        await driver.set_output(3, True)
-        unit.set_input(2, True)
+        await driver.set_output(3, on=True)
+        unit.set_input(2, level=True)
         await world.sleep(5)
         reading = await driver.poll()
         assert reading.outputs == {1: False, 2: False, 3: True}
@@ -223,7 +223,7 @@ def test_outputs_inputs_and_raw() -> None:
             await driver.send_raw("VT\rK")
         await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))
         with pytest.raises(Refusal) as caught:
-            await driver.set_output(3, False)
+            await driver.set_output(3, on=False)
         assert caught.value.code == "moving"
         assert await driver.send_raw("F") == "B"
 
@@ -231,7 +231,7 @@ def test_outputs_inputs_and_raw() -> None:
 
 
 @pytest.mark.parametrize("after_ms", range(0, 200, 10))
-def test_a_unit_that_is_restarted_while_its_search_is_prepared_does_not_begin_it(after_ms: int) -> None:
+def test_a_controller_that_is_restarted_while_its_homing_is_prepared_does_not_start_it(after_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -245,7 +245,7 @@ def test_a_unit_that_is_restarted_while_its_search_is_prepared_does_not_begin_it
 
 
 @pytest.mark.parametrize("after_ms", range(0, 200, 10))
-def test_a_unit_that_is_restarted_while_a_jog_is_prepared_does_not_begin_it(after_ms: int) -> None:
+def test_a_controller_that_is_restarted_while_a_jog_is_prepared_does_not_start_it(after_ms: int) -> None:
     """Its counter is 0 again: the end of the way would lie on the other side."""
 
     async def main(world: World) -> None:

@@ -1,4 +1,5 @@
-"""SMC30 that are met in any state, disturbed, refused, garbled, switched off: always a clear fault, never a wrong move."""
+"""SMC30 that are connected in any state, disturbed, refused, garbled, switched off: always a clear fault, never a
+wrong move."""
 
 import asyncio
 import contextlib
@@ -25,10 +26,10 @@ def framed(text: str) -> bytes:
     return text.encode() + bytes((sum(text.encode()) % 128,)) + b"\r"
 
 
-# Met in any state
+# Connected in any state
 
 
-def test_a_unit_left_in_programming_mode_with_a_line_half_typed() -> None:
+def test_a_controller_left_in_programming_mode_with_an_incomplete_line() -> None:
     async def main(world: World) -> None:
         driver, unit = world.one
         await world.typed(framed("2PO") + framed("2+500") + b"2+700")
@@ -77,7 +78,7 @@ def test_a_program_that_does_not_end_is_a_fault_with_a_remedy() -> None:
     run(main, options={"busy_wait_s": 2})
 
 
-def test_a_factor_that_somebody_has_left_changes_no_length() -> None:
+def test_a_leftover_factor_changes_no_length() -> None:
     async def main(world: World) -> None:
         driver, unit = world.one
         await world.typed(framed("con=2.3456") + framed("+450"), 2000)
@@ -168,10 +169,10 @@ def test_a_refusal_at_any_point_of_an_arming_leaves_nothing_armed(error: str, nt
         world.wire.to_near = None
         await driver.disarm_move()
         await world.sleep(500)
-        unit.set_input(1, True)
+        unit.set_input(1, level=True)
         await world.sleep(1500)
         assert not unit.commanded_motions, f"armed: {armed}"
-        unit.set_input(1, False)
+        unit.set_input(1, level=False)
         await driver.clear_faults()
         _, _, outcome = await world.move(driver, 1000)
         assert outcome.state == "done"
@@ -180,11 +181,11 @@ def test_a_refusal_at_any_point_of_an_arming_leaves_nothing_armed(error: str, nt
     run(main, seed=nth)
 
 
-def test_a_unit_without_current_is_not_moved() -> None:
+def test_a_controller_without_current_is_not_moved() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        await driver.set_enabled(["x"], False)
+        await driver.set_enabled(["x"], on=False)
         with pytest.raises(Refusal) as caught:
             await world.arm(driver, 1000)
         assert caught.value.code == "not-enabled"
@@ -249,7 +250,7 @@ def test_noise_on_both_ways_never_makes_a_wrong_move(seed: int) -> None:
             await driver.disarm_move()
             await world.sleep(2500)
             assert unit.at_rest()
-            # It has gone where it was told, or some of that way, or not at all.
+            # It has moved to its target, or part of the distance, or not at all.
             low, high = sorted((profiles["x"].start_counts, target))
             assert low <= unit.position("1") <= high
         assert wrong < 6
@@ -258,10 +259,10 @@ def test_noise_on_both_ways_never_makes_a_wrong_move(seed: int) -> None:
 
 
 @pytest.mark.parametrize("checksum", [True, False])
-def test_two_units_with_one_address_are_said(checksum: bool) -> None:
+def test_two_controllers_with_one_address_are_reported(checksum: bool) -> None:
     async def main(world: World) -> None:
         driver, _ = world.one
-        world.units[3].set_input(1, True)
+        world.units[3].set_input(1, level=True)
         await world.sleep(5)
         with pytest.raises(ControllerFault) as caught:
             await driver.connect()
@@ -274,17 +275,17 @@ def test_two_units_with_one_address_are_said(checksum: bool) -> None:
     run(main, (3, 3), options={"checksum": checksum})
 
 
-def test_a_unit_that_is_off_is_said_and_the_others_are_read() -> None:
+def test_a_controller_that_is_off_is_reported_and_the_others_are_read() -> None:
     async def main(world: World) -> None:
         await world.ready()
-        world.units[2].set_power(False)
+        world.units[2].set_power(on=False)
         with pytest.raises(ControllerFault) as caught:
             await world.drivers[2].poll()
         assert caught.value.code == "no-answer"
         assert "unit 2" in caught.value.text
         for address in (1, 3):
             assert not (await world.drivers[address].poll()).axes["x"].moving
-        world.units[2].set_power(True)
+        world.units[2].set_power(on=True)
         await sees_the_restart(world.drivers[2])
 
     run(main, (1, 2, 3))
@@ -310,7 +311,7 @@ def test_replies_never_mix_while_all_are_read_and_some_are_stopped() -> None:
         reading = [asyncio.get_running_loop().create_task(read(address)) for address in range(1, 8)]
         for _ in range(20):
             await world.sleep(draw.uniform(50, 400))
-            await world.drivers[draw.randrange(1, 8)].stop(draw.random() < 0.5)
+            await world.drivers[draw.randrange(1, 8)].stop(abort=draw.random() < 0.5)
         await world.sleep(2000)
         ended = True
         assert min(await asyncio.gather(*reading)) > 5
@@ -319,7 +320,7 @@ def test_replies_never_mix_while_all_are_read_and_some_are_stopped() -> None:
 
 
 @pytest.mark.parametrize("after_ms", [0, 20, 60, 120, 200, 260])
-def test_a_stop_of_one_unit_while_another_is_loaded(after_ms: int) -> None:
+def test_a_stop_of_one_controller_while_another_is_armed(after_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         one, other = world.drivers[1], world.drivers[2]
@@ -328,7 +329,7 @@ def test_a_stop_of_one_unit_while_another_is_loaded(after_ms: int) -> None:
         lowered = one.lower_profiles(await world.plan(one, 1000), HOST, None)
         arming = asyncio.get_running_loop().create_task(one.arm_move(lowered, world.t0(lowered), None))
         await world.sleep(after_ms)
-        await other.stop(False)
+        await other.stop(abort=False)
         await world.sleep(lowered.costs.stop_ns / NS_PER_MS)
         assert not world.units[2].is_moving("1")
         with contextlib.suppress(Refusal):
@@ -353,20 +354,20 @@ def test_power_lost_in_a_move_is_a_fault_and_noticed() -> None:
         await driver.go()
         await driver.wait_for_start()
         await world.sleep(300)
-        unit.set_power(False)
+        unit.set_power(on=False)
         with pytest.raises(ControllerFault) as caught:
             await driver.wait_for_end()
         assert caught.value.code == "no-answer"
-        unit.set_power(True)
+        unit.set_power(on=True)
         await sees_the_restart(driver)
-        await driver.set_enabled(["x"], True)
+        await driver.set_enabled(["x"], on=True)
         _, _, outcome = await world.move(driver, 500)
         assert outcome.state == "done"
 
     run(main)
 
 
-def test_power_lost_and_back_in_a_move() -> None:
+def test_a_power_cycle_in_a_move() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -382,7 +383,7 @@ def test_power_lost_and_back_in_a_move() -> None:
     run(main)
 
 
-def test_power_lost_and_back_just_before_the_start_is_no_start() -> None:
+def test_a_power_cycle_just_before_the_start_is_no_start() -> None:
     """The unit takes the order to start, has no program any more, and calls the place where it stands another."""
 
     async def main(world: World) -> None:
@@ -429,11 +430,11 @@ def test_a_held_stop_input_ends_the_move_for_good() -> None:
         await driver.go()
         await driver.wait_for_start()
         await world.sleep(300)
-        unit.set_input(4, True)
+        unit.set_input(4, level=True)
         outcome = await driver.wait_for_end()
         assert outcome.state == "fault"
         assert "Stop input" in outcome.reason
-        unit.set_input(4, False)
+        unit.set_input(4, level=False)
         await world.sleep(3000)
         assert unit.at_rest()
         assert unit.position("1") < 5000
@@ -452,7 +453,7 @@ def test_a_kill_in_motion_loses_the_place_and_a_ramp_does_not() -> None:
             await driver.go()
             await driver.wait_for_start()
             await world.sleep(400)
-            await driver.stop(abort)
+            await driver.stop(abort=abort)
             assert (await driver.wait_for_end()).state == "stopped"
             assert unit.at_rest()
             assert (await driver.poll()).axes["x"].position_lost is abort
@@ -461,7 +462,7 @@ def test_a_kill_in_motion_loses_the_place_and_a_ramp_does_not() -> None:
 
 
 @pytest.mark.parametrize("understood", [True, False])
-def test_the_unit_at_address_3_stops_whether_it_understands_z_or_not(understood: bool) -> None:
+def test_the_controller_at_address_3_stops_with_or_without_z(understood: bool) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -476,7 +477,7 @@ def test_the_unit_at_address_3_stops_whether_it_understands_z_or_not(understood:
         await world.sleep(400)
         if not understood:
             world.wire.to_far = deaf
-        await driver.stop(False)
+        await driver.stop(abort=False)
         await world.sleep(driver.capabilities.costs.stop_ns / NS_PER_MS)
         assert unit.at_rest()
         assert (await driver.wait_for_end()).state == "stopped"
@@ -507,9 +508,9 @@ def test_the_counters_end_is_a_fault_until_it_is_cleared() -> None:
     run(main)
 
 
-def test_stop_bytes_stop_all_units_of_the_line_whatever_was_half_typed() -> None:
+def test_stop_bytes_stop_all_controllers_of_the_line_after_any_incomplete_input() -> None:
     async def main(world: World) -> None:
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         for address in range(1, 8):
             link.write(framed(f"{address}T500") + framed(f"{address}+9000"))
         await world.sleep(500)
@@ -594,7 +595,7 @@ def test_two_steps_of_one_line_at_one_instant_are_refused() -> None:
 
 @pytest.mark.parametrize("how", [HOST, wait()])
 @pytest.mark.parametrize("released", [False, True])
-def test_a_stop_before_anybody_follows_the_step_leaves_room_for_the_next(how: StartOptions, released: bool) -> None:
+def test_a_stop_before_the_step_is_followed_leaves_room_for_the_next(how: StartOptions, released: bool) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -602,7 +603,7 @@ def test_a_stop_before_anybody_follows_the_step_leaves_room_for_the_next(how: St
         await driver.verify_armed()
         if released:
             await driver.go()
-        await driver.stop(False)
+        await driver.stop(abort=False)
         await world.sleep(2000)
         assert not unit.commanded_motions
         _, _, outcome = await world.move(driver, 500)
@@ -642,7 +643,7 @@ def test_polls_and_settings_keep_out_of_a_program_that_is_being_loaded(seed: int
                 await world.sleep(draw.uniform(0, 20))
                 on = not on
                 with contextlib.suppress(Refusal):  # a program runs
-                    await driver.set_output(3, on)
+                    await driver.set_output(3, on=on)
 
         busy = asyncio.get_running_loop().create_task(beside())
         for target in (700, 200, 900):
@@ -660,12 +661,14 @@ def _profiles(unit: SimulatedController, target: int) -> Mapping[str, Profile]:
     return plan_step([AxisMove("x", round(unit.position("1")), target, 5000, 25_000)]).profiles
 
 
-def test_units_of_one_line_must_agree_about_the_checksum() -> None:
+def test_controllers_of_one_line_must_agree_about_the_checksum() -> None:
     async def main(world: World) -> None:
         shared = world.drivers[1]._setup.shared
         other = config(2, options={"checksum": False})
         options = MAKE.options_model.model_validate(other.options)
-        setup = DriverSetup("u2", other, options, world.clock, world.wire.open, LoopTimedWriter(world.clock), shared)
+        setup = DriverSetup(
+            "u2", other, options, world.clock, world.wire.open_link, LoopTimedWriter(world.clock), shared
+        )
         with pytest.raises(ControllerFault) as caught:
             await MAKE.create_driver(setup).connect()
         assert caught.value.code == "config-mismatch"

@@ -1,10 +1,10 @@
-"""What is asked of the SMC30's figures, on few rounds of the benchmarks that measure them."""
+"""Requirements of the SMC30's figures, on few rounds of the benchmarks that measure them."""
 
 from orchestrator.bench.lowering_steppers import bench_stepper
 from orchestrator.bench.smc30_bus import ASKED_LINE_MS, ASKED_SLOTS_MS, bench_smc30_bus
 
 
-def test_seven_units_start_together_by_slots_and_by_a_line() -> None:
+def test_seven_controllers_start_together_by_slots_and_by_a_trigger_line() -> None:
     one_by_one, slots, line = bench_smc30_bus(12, seed=5)
     assert one_by_one.p50_ms > 30  # five characters and a decoding for each of six
     assert slots.max_ms <= ASKED_SLOTS_MS

@@ -69,11 +69,11 @@ def test_a_bus_homes_and_starts_together_with_a_verdict_that_holds_the_truth() -
     run_fleet(main, fleet())
 
 
-def test_a_unit_that_is_switched_off_ends_the_step_of_all() -> None:
+def test_a_controller_that_is_switched_off_ends_the_step_of_all() -> None:
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, PREPARE)).state == "done"
         virtual.clock.call_at_ns(
-            virtual.clock.now_ns() + 8 * NS_PER_S, lambda: virtual.controllers["u4"].set_power(False)
+            virtual.clock.now_ns() + 8 * NS_PER_S, lambda: virtual.controllers["u4"].set_power(on=False)
         )
         long = job("[{do: move, to: {" + ", ".join(f"{name}.x: 190" for name in NAMES) + "}}]")
         report = await outcome(virtual, long)

@@ -18,7 +18,7 @@ def window(lowered_terms: object) -> tuple[int, int]:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("live", [False, True])
-def test_a_unit_waits_for_its_line_and_starts_within_its_terms(seed: int, live: bool) -> None:
+def test_a_controller_waits_for_its_trigger_line_and_starts_within_its_bounds(seed: int, live: bool) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -29,7 +29,7 @@ def test_a_unit_waits_for_its_line_and_starts_within_its_terms(seed: int, live: 
         await driver.go()
         assert not (await driver.poll()).axes["x"].moving
         await sleep_until_ns(world.clock, t0_ns)
-        unit.set_input(1, True)
+        unit.set_input(1, level=True)
         span = (await driver.wait_for_start())["x"]
         outcome = await driver.wait_for_end()
         assert outcome.state == "done"
@@ -48,14 +48,14 @@ def test_a_line_that_is_active_already_is_refused() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        unit.set_input(1, True)
+        unit.set_input(1, level=True)
         await world.sleep(5)
         with pytest.raises(Refusal) as caught:
             await world.arm(driver, 6000, wait())
         assert caught.value.code == "line-level"
         await world.sleep(2000)
         assert not unit.commanded_motions
-        unit.set_input(1, False)
+        unit.set_input(1, level=False)
         await driver.disarm_move()
         await world.arm(driver, 6000, wait())
 
@@ -69,11 +69,11 @@ def test_an_input_that_is_active_low_is_waited_for_as_such() -> None:
         with pytest.raises(Refusal) as caught:
             await world.arm(driver, 500, wait())
         assert caught.value.code == "line-level"
-        unit.set_input(1, True)
+        unit.set_input(1, level=True)
         await world.sleep(5)
         lowered, _ = await world.arm(driver, 500, wait())
         assert "N11.09" in lowered.program
-        unit.set_input(1, False)
+        unit.set_input(1, level=False)
         await world.sleep(1000)
         assert unit.position("1") == 500
 
@@ -81,7 +81,7 @@ def test_an_input_that_is_active_low_is_waited_for_as_such() -> None:
 
 
 @pytest.mark.parametrize("way", ["disarm", "stop", "abort"])
-def test_what_waits_is_unloaded_and_a_later_edge_moves_nothing(way: str) -> None:
+def test_a_waiting_controller_is_disarmed_and_a_later_edge_moves_nothing(way: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -90,14 +90,14 @@ def test_what_waits_is_unloaded_and_a_later_edge_moves_nothing(way: str) -> None
         if way == "disarm":
             await driver.disarm_move()
         else:
-            await driver.stop(way == "abort")
+            await driver.stop(abort=way == "abort")
             await driver.disarm_move()
-        unit.set_input(1, True)
+        unit.set_input(1, level=True)
         await world.sleep(3000)
         assert not unit.commanded_motions
         reading = await driver.poll()
         assert not reading.axes["x"].position_lost  # it had not moved
-        unit.set_input(1, False)
+        unit.set_input(1, level=False)
         _, _, outcome = await world.move(driver, 800)
         assert outcome.state == "done"
 
@@ -105,7 +105,7 @@ def test_what_waits_is_unloaded_and_a_later_edge_moves_nothing(way: str) -> None
 
 
 @pytest.mark.parametrize("after_ms", range(0, 180, 10))
-def test_a_unit_that_is_restarted_while_it_is_armed_does_not_wait_for_its_line(after_ms: int) -> None:
+def test_a_controller_that_is_restarted_while_it_is_armed_does_not_wait_for_its_trigger_line(after_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -116,14 +116,14 @@ def test_a_unit_that_is_restarted_while_it_is_armed_does_not_wait_for_its_line(a
         with pytest.raises((Refusal, ControllerFault)):
             await arming
         await sees_the_restart(driver)
-        unit.set_input(1, True)
+        unit.set_input(1, level=True)
         await world.sleep(3000)
         assert not unit.commanded_motions
 
     run(main)
 
 
-def test_a_line_that_never_comes_is_said_and_nothing_is_left_waiting() -> None:
+def test_a_missing_trigger_edge_is_reported_and_nothing_is_left_waiting() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -134,14 +134,14 @@ def test_a_line_that_never_comes_is_said_and_nothing_is_left_waiting() -> None:
         outcome = await driver.wait_for_end()
         assert outcome.state == "fault"
         assert "go" in outcome.reason
-        unit.set_input(1, True)
+        unit.set_input(1, level=True)
         await world.sleep(3000)
         assert not unit.commanded_motions
 
     run(main)
 
 
-def test_power_lost_and_back_before_the_line_is_no_start_where_the_target_is_where_it_wakes_up() -> None:
+def test_a_power_cycle_before_the_edge_is_no_start_even_if_the_target_equals_the_power_up_position() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -159,7 +159,7 @@ def test_power_lost_and_back_before_the_line_is_no_start_where_the_target_is_whe
     run(main)
 
 
-def test_a_waiting_unit_that_was_switched_off_is_not_promised() -> None:
+def test_a_waiting_controller_that_was_switched_off_is_not_promised() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -216,7 +216,7 @@ def test_a_stop_leaves_the_driven_line_passive(abort: bool, moves: bool) -> None
         await driver.go()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
         assert unit.output_level(2)
-        await driver.stop(abort)
+        await driver.stop(abort=abort)
         await world.sleep(lowered.costs.stop_ns / NS_PER_MS)
         assert not unit.output_level(2)
         assert unit.at_rest()
@@ -235,7 +235,7 @@ def test_nothing_is_driven_without_go_and_an_active_line_is_refused() -> None:
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
         assert not unit.output_level(2)
         await driver.disarm_move()
-        await driver.set_output(2, True)
+        await driver.set_output(2, on=True)
         with pytest.raises(Refusal) as caught:
             await driver.arm_move(lowered, world.t0(lowered), None)
         assert caught.value.code == "line-level"
@@ -243,13 +243,13 @@ def test_nothing_is_driven_without_go_and_an_active_line_is_refused() -> None:
     run(main)
 
 
-def test_one_unit_of_a_bus_drives_the_line_that_the_others_wait_for() -> None:
+def test_one_controller_of_a_bus_drives_the_trigger_line_that_the_others_wait_for() -> None:
     async def main(world: World) -> None:
         await world.ready()
         first, *others = world.drivers
         for each in others:
             world.units[first].on_output(
-                lambda number, level, each=each: world.units[each].set_input(1, level) if number == 2 else None
+                lambda number, level, each=each: world.units[each].set_input(1, level=level) if number == 2 else None
             )
         ways = {first: drive(), **dict.fromkeys(others, wait())}
         lowered = {
@@ -270,7 +270,7 @@ def test_one_unit_of_a_bus_drives_the_line_that_the_others_wait_for() -> None:
     run(main, (1, 2, 3, 7), {"input_poll_ms": 1.0})
 
 
-def test_what_can_not_be_waited_for_or_driven_is_refused() -> None:
+def test_a_trigger_line_that_cannot_be_used_is_refused() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, _ = world.one
@@ -292,7 +292,7 @@ def test_what_can_not_be_waited_for_or_driven_is_refused() -> None:
     run(main)
 
 
-def test_a_waiting_unit_that_a_person_stops_is_not_started() -> None:
+def test_a_waiting_controller_that_an_operator_stops_is_not_started() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one

@@ -30,22 +30,22 @@ def texts(reader: ReplyReader, data: bytes) -> list[str | None]:
 
 
 def test_the_manuals_own_line() -> None:
-    assert frame_line("A3", 1, True) == b"1A3%\r"
-    assert frame_line("A3", 1, False) == b"1A3\r"
-    assert frame_line("E", None, True) == b"EE\r"
+    assert frame_line("A3", 1, with_checksum=True) == b"1A3%\r"
+    assert frame_line("A3", 1, with_checksum=False) == b"1A3\r"
+    assert frame_line("E", None, with_checksum=True) == b"EE\r"
 
 
 def test_replies_with_checksum_are_cut_wherever_the_bytes_are_parted() -> None:
     stream = b"YY\rV25=\rT1000\x15\rE1v\r"
     whole = ["Y", "V25", "T1000", "E1"]
-    assert texts(ReplyReader(True), stream) == whole
-    reader = ReplyReader(True)
+    assert texts(ReplyReader(with_checksum=True), stream) == whole
+    reader = ReplyReader(with_checksum=True)
     assert [text for byte in stream for text in texts(reader, bytes([byte]))] == whole
 
 
 def test_a_checksum_that_is_a_return_is_a_part_of_its_line() -> None:
     text = next(f"V+{n}" for n in range(100_000) if line_checksum(f"V+{n}".encode()) == 13)
-    reader = ReplyReader(True)
+    reader = ReplyReader(with_checksum=True)
     assert texts(reader, text.encode() + b"\r") == []
     assert texts(reader, b"\r") == [text]
     # Without the second one it was garbled.
@@ -53,12 +53,12 @@ def test_a_checksum_that_is_a_return_is_a_part_of_its_line() -> None:
 
 
 def test_garbled_lines_are_known_as_such() -> None:
-    assert texts(ReplyReader(True), b"YX\r") == [None]
-    assert texts(ReplyReader(True), b"Y\r") == [None]
-    assert texts(ReplyReader(False), b"V\xb25\rR\r") == [None, "R"]
-    assert texts(ReplyReader(False), b"V\x015\r") == [None]
-    assert texts(ReplyReader(False), b"x" * 500) == [None]
-    assert list(ReplyReader(False).feed_bytes(b"V25\r", 7)) == [ReceivedReply("V25", 7, 4)]
+    assert texts(ReplyReader(with_checksum=True), b"YX\r") == [None]
+    assert texts(ReplyReader(with_checksum=True), b"Y\r") == [None]
+    assert texts(ReplyReader(with_checksum=False), b"V\xb25\rR\r") == [None, "R"]
+    assert texts(ReplyReader(with_checksum=False), b"V\x015\r") == [None]
+    assert texts(ReplyReader(with_checksum=False), b"x" * 500) == [None]
+    assert list(ReplyReader(with_checksum=False).feed_bytes(b"V25\r", 7)) == [ReceivedReply("V25", 7, 4)]
 
 
 # Numbers
@@ -82,7 +82,7 @@ def test_a_ramp_takes_what_its_profile_takes() -> None:
         assert shape.state_at(shape.duration_s + 1) == (steps, 0.0)
 
 
-def test_what_one_command_can_not_time_several_can() -> None:
+def test_several_commands_achieve_a_duration_that_one_cannot() -> None:
     limits = Smc30Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
     for mean in (16.05, 16.3, 17.5, 21.2, 30.3):
         duration_s = 80 / mean
@@ -93,7 +93,7 @@ def test_what_one_command_can_not_time_several_can() -> None:
         assert all(part.t <= limits.start_max for part in shape.parts)
 
 
-def test_what_is_too_slow_gives_the_slowest_that_there_is() -> None:
+def test_a_move_that_is_too_slow_gets_the_slowest_possible_one() -> None:
     limits = Smc30Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
     shape = fit_shape(160, 20.0, 0.1, limits, GAP_S)
     assert shape is not None
@@ -130,7 +130,7 @@ def test_programs_of_a_bus_differ_in_their_delay_only() -> None:
 def test_the_text_of_programs() -> None:
     async def main(world: World) -> None:
         driver, _ = world.one
-        profiles = dict(plan_step([AxisMove("x", 1000, -2000, 5000, 25_000)]).stretched(1.5).profiles)
+        profiles = dict(plan_step([AxisMove("x", 1000, -2000, 5000, 25_000)]).stretch_to(1.5).profiles)
         program = driver.lower_profiles(profiles, HOST, None).program
         assert [line[0] for line in program] == ["S", "T", "R", "D", "G"]
         assert program[-1] == "G-2000"
@@ -149,7 +149,7 @@ def test_the_text_of_programs() -> None:
 def test_a_measured_rate_is_corrected() -> None:
     async def main(world: World) -> None:
         driver, _ = world.one
-        profiles = dict(plan_step([AxisMove("x", 0, 20_000, 5000, 25_000)]).stretched(8.0).profiles)
+        profiles = dict(plan_step([AxisMove("x", 0, 20_000, 5000, 25_000)]).stretch_to(8.0).profiles)
         lowered = driver.lower_profiles(profiles, HOST, None)
         assert lowered.shape is not None
         # Its own seconds are shorter.
@@ -159,14 +159,14 @@ def test_a_measured_rate_is_corrected() -> None:
     run(main, options={"rate_ppm": 500})
 
 
-def test_what_the_unit_can_not_do_is_refused_with_what_would_fit() -> None:
+def test_an_impossible_move_is_refused_with_what_would_fit() -> None:
     async def main(world: World) -> None:
         driver, _ = world.one
 
         def refused(move: AxisMove, longer_s: float = 0.0) -> str:
             plan = plan_step([move])
             with pytest.raises(Refusal) as caught:
-                driver.lower_profiles(dict(plan.stretched(longer_s or plan.duration_s).profiles), HOST, None)
+                driver.lower_profiles(dict(plan.stretch_to(longer_s or plan.duration_s).profiles), HOST, None)
             assert caught.value.remedy
             return caught.value.code
 
@@ -199,12 +199,12 @@ def test_what_the_unit_can_not_do_is_refused_with_what_would_fit() -> None:
         ({"options": {"cheksum": True}}, "cheksum"),
     ],
 )
-def test_what_the_fleet_file_says_wrong_is_named(more: dict[str, Any], place: str) -> None:
+def test_errors_in_the_fleet_file_are_named(more: dict[str, Any], place: str) -> None:
     with pytest.raises(ValueError, match=place):
         MAKE.check_config(config(**more))
 
 
-def test_a_move_of_less_than_a_step_a_second_is_made_as_slowly_as_the_unit_can() -> None:
+def test_a_move_of_less_than_a_step_a_second_is_made_as_slowly_as_the_controller_can() -> None:
     limits = Smc30Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
     shape = fit_shape(2, 30.0, 0.1, limits, 0.05)
     assert shape is not None

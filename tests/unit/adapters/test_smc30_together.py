@@ -44,7 +44,7 @@ async def followed(
     following = {each: asyncio.get_running_loop().create_task(follow(driver)) for each, driver in world.drivers.items()}
     await sleep_until_ns(world.clock, at_ns)
     for driver in stopping:
-        await driver.stop(abort)
+        await driver.stop(abort=abort)
     await world.sleep(world.one[0].capabilities.costs.stop_ns / NS_PER_MS)
     for each, driver in world.drivers.items():
         if driver in stopping:
@@ -78,7 +78,7 @@ def test_all_stop_wherever_their_starting_lines_are(before_ms: int, abort: bool)
 
 @pytest.mark.parametrize("before_ms", [120, 83, 64, 41, 19, 5, 0, -200])
 @pytest.mark.parametrize("which", [1, 3, 7])
-def test_one_stops_and_nothing_wrong_is_said_of_the_others(before_ms: int, which: int) -> None:
+def test_one_stops_and_nothing_wrong_is_reported_of_the_others(before_ms: int, which: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         t0_ns = await released(world)
@@ -91,7 +91,7 @@ def test_one_stops_and_nothing_wrong_is_said_of_the_others(before_ms: int, which
                 assert outcome is None or outcome.state == "stopped"
             elif outcome is not None and outcome.state == "done":
                 assert unit.position("1") == TARGET
-            # Whoever is said not to have started stands still, or was stopped for it.
+            # A controller that is reported as not started stands still, or was stopped for it.
             elif outcome is None:
                 assert unit.position("1") < TARGET
 
@@ -99,7 +99,7 @@ def test_one_stops_and_nothing_wrong_is_said_of_the_others(before_ms: int, which
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_answers_that_the_host_hears_late_are_not_mistaken_for_each_other(seed: int) -> None:
+def test_answers_that_arrive_late_are_not_mistaken_for_each_other(seed: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         await released(world)
@@ -122,7 +122,7 @@ def test_seven_that_jog_are_stopped_together() -> None:
         assert all(unit.is_moving("1") for unit in world.units.values())
         began_ns = world.clock.now_ns()
         for driver in world.drivers.values():
-            await driver.stop(False)
+            await driver.stop(abort=False)
         while any(unit.is_moving("1") for unit in world.units.values()):
             await world.sleep(1)
         # The lines of all, and the ramp.
@@ -135,7 +135,9 @@ def test_seven_that_jog_are_stopped_together() -> None:
 
 @pytest.mark.parametrize("act", ["jog", "home"])
 @pytest.mark.parametrize("after_ms", range(0, 450, 15))
-def test_a_unit_of_a_busy_line_that_is_restarted_before_it_moves_by_hand_does_not_move(act: str, after_ms: int) -> None:
+def test_a_controller_on_a_busy_line_that_is_restarted_before_a_manual_motion_does_not_move(
+    act: str, after_ms: int
+) -> None:
     """Not one line of its program is carried out instead of being kept: it is gone while the others have their turns."""
 
     async def main(world: World) -> None:
@@ -174,7 +176,7 @@ def test_a_line_starts_some_while_slots_start_the_others() -> None:
         await asyncio.gather(*(driver.go() for driver in drivers.values()))
         await sleep_until_ns(world.clock, t0_ns)
         for unit in world.units.values():
-            unit.set_input(1, True)
+            unit.set_input(1, level=True)
         started = await asyncio.gather(*(driver.wait_for_start() for driver in drivers.values()))
         for each, span in zip(drivers, started, strict=True):
             assert span["x"].earliest_ns <= world.units[each].commanded_motions[0].start_ns <= span["x"].latest_ns

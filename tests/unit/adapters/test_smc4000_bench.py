@@ -11,7 +11,7 @@ from adapters.toolkit.firing import LoopTimedWriter
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.smc4000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import LAN, MemoryWire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartOptions
@@ -41,7 +41,7 @@ class World:
 
     async def talk(self, line: str) -> str:
         """What a person types at a terminal of his own."""
-        link = await self.wire.open()
+        link = await self.wire.open_link()
         reply = ""
         link.write(line.encode("latin-1") + b"\r")
         while not reply.endswith((":", "?")):
@@ -52,7 +52,7 @@ class World:
     async def ready(self, polls: int = 30) -> None:
         await self.driver.connect()
         await self.driver.configure()
-        await self.driver.set_enabled(["x", "y"], True)
+        await self.driver.set_enabled(["x", "y"], on=True)
         for _ in range(polls):
             await self.driver.poll()
             await sleep_ns(self.clock, 100 * NS_PER_MS)
@@ -60,6 +60,7 @@ class World:
     async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.5) -> tuple[Any, Any, Any, int]:
         """One step, from lowering to its outcome."""
         driver, mapping = self.driver, self.driver.clock_mapping()
+        assert mapping is not None
         t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
         lowered = driver.lower_profiles(profiles, StartOptions(lead_ns=t0_ns - mapping.host_at_ns), mapping)
         await driver.arm_move(lowered, t0_ns, mapping)
@@ -79,7 +80,7 @@ def run(
     ppm: float = 40.0,
     decode_ns: int = 500_000,
 ) -> Any:
-    async def within(clock: Clock) -> Any:
+    async def within(clock: VirtualClock) -> Any:
         config = Controller.model_validate(fleet or FLEET)
         MAKE.check_config(config)
         oscillator = Oscillator(Random(seed).randrange(10**9), ppm, 0.05, seed)
@@ -89,7 +90,7 @@ def run(
 
         def driver() -> Driver:
             chosen = YaskawaOptions.model_validate(config.options)
-            return MAKE.create_driver(DriverSetup("c", config, chosen, clock, wire.open, LoopTimedWriter(clock)))
+            return MAKE.create_driver(DriverSetup("c", config, chosen, clock, wire.open_link, LoopTimedWriter(clock)))
 
         return await main(World(clock, controller, wire, driver(), driver))
 

@@ -42,7 +42,7 @@ async def armed(world: World, profiles: dict[str, Profile], lead_s: float = 1.5)
 
 
 async def usable(world: World) -> None:
-    """Both axes move again, by registers, by hand and by contour, without anything between."""
+    """Both axes move again, by registers, by jog and by contour, without anything between."""
     mapping = world.driver.clock_mapping()
     assert mapping is not None
     for _ in range(3):
@@ -100,7 +100,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
             plans = {axis: profile.make_evaluator() for axis, profile in profiles.items()}
             for instant in contour.record_ends[5:]:
                 await sleep_until_ns(world.clock, timebase.true_ns(first + instant))
-                time_s = (mapping.host_ns(first + instant) - t0_ns) * 1e-9
+                time_s = (mapping.to_host_ns(first + instant) - t0_ns) * 1e-9
                 for axis, plan in plans.items():
                     real = world.controller.position(MOTORS[axis]) - profiles[axis].start_counts
                     assert abs(real - plan(time_s).position) <= 1.0
@@ -114,6 +114,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
                 assert outcome.ended[axis].earliest_ns <= motion.end_ns <= outcome.ended[axis].latest_ns
                 off_ns = motion.start_ns - t0_ns
                 assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
+                assert motion.end_ns is not None
                 real_s = (motion.end_ns - motion.start_ns) * 1e-9
                 assert abs(real_s - lowered.durations_s[axis]) <= lowered.tick_ns * 1e-9 + 1.1e-4 * real_s
                 clock_ns = lowered.terms[0].latest_ns - lowered.terms[0].earliest_ns
@@ -177,7 +178,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
         speeds = {motor: abs(world.controller.velocity(motor)) for motor in "XY"}
         at = {motor: world.controller.position(motor) for motor in "XY"}
-        await world.driver.stop(abort)
+        await world.driver.stop(abort=abort)
         await sleep_ns(world.clock, lowered.costs.stop_ns)
         assert not any(world.controller.is_moving(motor) for motor in "XY")
         for motor in "XY":
@@ -199,7 +200,7 @@ def test_a_guardians_bytes_stop_what_plays_and_what_waits(after_ms: int, halts: 
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(Controller.model_validate(FLEET)))
         await sleep_ns(world.clock, NS_PER_S)
         assert world.controller.at_rest()
@@ -230,7 +231,7 @@ def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
     run(main, options=options)
 
 
-def test_a_contour_is_played_beside_polls_without_end():
+def test_a_contour_is_played_during_continuous_polls():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 150_000), "y": (0, -30_000)}))
@@ -250,7 +251,7 @@ def test_a_contour_is_played_beside_polls_without_end():
     run(main)
 
 
-def test_a_stop_in_motion_is_told_as_one():
+def test_a_stop_in_motion_is_reported_as_a_stop():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
@@ -258,7 +259,7 @@ def test_a_stop_in_motion_is_told_as_one():
         await world.driver.wait_for_start()
         watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 400 * NS_PER_MS)
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         outcome = await watching
         assert outcome.state == "stopped"
         assert "axis x stopped by a stop command" in outcome.reason
@@ -347,13 +348,13 @@ def test_a_contour_that_is_fed_too_slowly_is_a_fault(refuses: bool):
         await world.ready()
         lowered, _ = await armed(world, jerked({"x": (0, 90_000)}), 3.0)
         assert lowered.load.contour.interval == 3
-        world.controller.machine.timing = FirmwareTiming(decode_ns=2_500_000)  # pyright: ignore
+        world.controller.machine.delay.timing = FirmwareTiming(decode_ns=2_500_000)  # pyright: ignore
         await world.driver.go()
         await world.driver.wait_for_start()
         outcome = await world.driver.wait_for_end()
         assert outcome.state == ("stopped" if refuses else "fault"), outcome
         assert ("program had failed" if refuses else "records came too slowly") in outcome.reason
-        world.controller.machine.timing = FirmwareTiming(decode_ns=500_000)  # pyright: ignore
+        world.controller.machine.delay.timing = FirmwareTiming(decode_ns=500_000)  # pyright: ignore
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         await usable(world)
 
@@ -383,11 +384,11 @@ def test_a_power_cycle_leaves_nothing_of_a_contour():
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
-        world.controller.set_power(False)
+        world.controller.set_power(on=False)
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        world.controller.set_power(True)
+        world.controller.set_power(on=True)
         await world.driver.connect()
-        await world.driver.set_enabled(["x", "y"], True)
+        await world.driver.set_enabled(["x", "y"], on=True)
         await sleep_ns(world.clock, 2 * NS_PER_S)
         assert len(world.controller.commanded_motions) == 1
         await usable(world)
@@ -462,7 +463,7 @@ def test_arrays_and_number_formats_of_others_are_left_as_they_are():
         ({"x": (0, 6_000_000)}, {"array_elements": 400, "contour_sag_counts": 1e9}, None, ""),
     ],
 )
-def test_what_does_not_fit_says_what_would(
+def test_the_refusal_of_a_move_that_does_not_fit_names_what_would(
     way: dict[str, tuple[int, int]], options: dict[str, Any], code: str | None, words: str
 ):
     async def main(world: World) -> None:

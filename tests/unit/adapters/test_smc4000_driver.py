@@ -58,12 +58,13 @@ def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(see
                 assert outcome.ended[axis].earliest_ns <= motion.end_ns <= outcome.ended[axis].latest_ns
                 off_ns = motion.start_ns - t0_ns
                 assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
+                assert motion.end_ns is not None
                 real_s = (motion.end_ns - motion.start_ns) * 1e-9
                 tick_s = lowered.tick_ns * 1e-9
-                # To the sample, at the rate that the mapping knows after a few seconds.
+                # To the sample, at the rate of the clock mapping after a few seconds.
                 assert real_s == pytest.approx(lowered.durations_s[axis], abs=tick_s + 1e-5 + 5e-6 * real_s)
                 assert lowered.durations_s[axis] == pytest.approx(profiles[axis].duration_s, abs=0.501 * tick_s)
-                # Nothing wider than the clock's own bound and the two samples that the program can not tell apart.
+                # Nothing wider than the clock's own bound and the two samples that the program cannot distinguish.
                 clock_ns = lowered.terms[0].latest_ns - lowered.terms[0].earliest_ns
                 assert started[axis].latest_ns - started[axis].earliest_ns <= 2 * lowered.tick_ns + clock_ns + 2
             for _ in range(3):
@@ -93,7 +94,7 @@ def test_the_gate_never_opened_means_no_motion():
 
 
 @pytest.mark.parametrize(("period_us", "decode_us"), [(250, 500), (1000, 500), (5000, 500), (250, 1500), (1000, 3000)])
-def test_a_release_at_the_last_moment_begins_in_time_or_not_at_all(period_us: int, decode_us: int):
+def test_a_release_at_the_last_moment_starts_in_time_or_not_at_all(period_us: int, decode_us: int):
     begun: list[bool] = []
 
     async def main(world: World, before_ns: int) -> None:
@@ -142,7 +143,7 @@ def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, befo
         await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
-        await world.driver.stop(abort)
+        await world.driver.stop(abort=abort)
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
         assert world.controller.at_rest()
         assert abs(world.controller.position("X")) < 100
@@ -152,7 +153,7 @@ def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, befo
     run(main)
 
 
-def test_disarmed_and_reconnected_units_do_not_start():
+def test_disarmed_and_reconnected_controllers_do_not_start():
     async def main(world: World) -> None:
         await world.ready()
         for way in ("disarm", "reconnect", "other"):

@@ -1,6 +1,6 @@
 """What goes wrong on the SMC-4000's link and in the unit itself, and what its driver makes of it."""
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
@@ -40,15 +40,15 @@ def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
         assert outcome.state == "done"
         assert (world.controller.position("X"), world.controller.position("Y")) == (5000, -3000)
         with pytest.raises(Refusal, match="1 Unrecognized command"):
-            await world.driver.set_enabled(["x"], True)
-            await world.driver._device.session.send_command("bg")
+            await world.driver.set_enabled(["x"], on=True)
+            await cast(Any, world.driver)._device.session.send_command("bg")
         assert (await world.driver.send_raw("MG _RPX{F6.0}")).strip() == "005000"
         assert "Unrecognized" in await world.driver.send_raw("tpx")
 
     run(main, options=options)
 
 
-def test_an_input_to_begin_by_that_came_garbled_refuses_the_step():
+def test_a_garbled_start_input_refuses_the_step():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"XLI=0", b"XLI=1")
@@ -93,7 +93,7 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
 
 
 @pytest.mark.parametrize("noise", [b"\xff\xfe\x80\r\n", b"GARBAGE\r\n:", b"\x00" * 200])
-def test_noise_is_a_fault_that_says_what_was_expected(noise: bytes):
+def test_noise_is_a_fault_that_names_what_was_expected(noise: bytes):
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_near = lambda data: noise
@@ -129,7 +129,7 @@ def test_unsolicited_text_between_replies_is_kept_apart():
         world.wire.to_near = lambda data: printed + data
         reading = await world.driver.poll()
         assert reading.axes["x"].commanded_counts == 0
-        await world.driver.set_enabled(["x"], False)
+        await world.driver.set_enabled(["x"], on=False)
         assert not (await world.driver.poll()).axes["x"].enabled
 
     run(main)
@@ -152,14 +152,14 @@ def test_a_reset_by_command_is_noticed_and_the_program_comes_back():
     run(main)
 
 
-def test_a_power_cycle_is_told_from_a_broken_cable():
+def test_a_power_cycle_is_distinguished_from_a_broken_cable():
     async def main(world: World) -> None:
         await world.ready()
         for power in (False, True):
             if power:
-                world.controller.set_power(False)
+                world.controller.set_power(on=False)
                 await sleep_ns(world.clock, 5 * NS_PER_S)
-                world.controller.set_power(True)
+                world.controller.set_power(on=True)
                 await sleep_ns(world.clock, 5 * NS_PER_S)
             with pytest.raises((LinkClosed, LinkRefused, ControllerFault)):
                 if not power:
@@ -177,7 +177,7 @@ def test_a_power_cycle_is_told_from_a_broken_cable():
 
 def test_another_program_is_not_destroyed_while_it_runs():
     async def main(world: World) -> None:
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         for line in (b"DL\r", b"#LOOP;WT 10;JP #LOOP\r\x1a"):
             link.write(line)
             await sleep_ns(world.clock, 100 * NS_PER_MS)
@@ -194,7 +194,7 @@ def test_another_program_is_not_destroyed_while_it_runs():
 
 def test_a_program_that_may_not_be_replaced_stays():
     async def main(world: World) -> None:
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         link.write(b"DL\r")
         link.write(b"#MINE;EN\r\x1a")
         await sleep_ns(world.clock, 100 * NS_PER_MS)
@@ -216,7 +216,7 @@ def test_soft_limits_are_loaded_and_end_a_move_as_a_fault():
         await world.driver.load_soft_limits({"x": (-4000, 9000)})
         assert "9000" in await world.talk("MG _FLX{F10.0}")
         assert "-0000004000" in await world.talk("MG _BLX{F10.0}")
-        await world.driver.set_enabled(["x"], True)
+        await world.driver.set_enabled(["x"], on=True)
         await world.driver.poll()
         _, _, outcome, _ = await world.moved({"x": trapezoid(0, 50_000, 20_000, 200_000)})
         assert outcome.state == "fault"
@@ -255,7 +255,7 @@ def test_limit_switches_are_seen_whatever_their_polarity():
 
 
 @pytest.mark.parametrize("ramp", [600_000, 90_000])
-def test_a_stop_on_the_way_is_told_as_one_and_takes_no_longer_than_declared(ramp: int):
+def test_a_stop_in_motion_is_reported_as_a_stop_and_takes_no_longer_than_declared(ramp: int):
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.clock_mapping()
@@ -265,10 +265,11 @@ def test_a_stop_on_the_way_is_told_as_one_and_takes_no_longer_than_declared(ramp
         await world.driver.go()
         await world.driver.wait_for_start()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         outcome = await world.driver.wait_for_end()
         assert outcome.state == "stopped"
         motion = world.controller.commanded_motions[-1]
+        assert motion.end_ns is not None
         assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
         assert motion.end_ns - (t0_ns + 300 * NS_PER_MS) < lowered.costs.stop_ns
 
@@ -278,8 +279,8 @@ def test_a_stop_on_the_way_is_told_as_one_and_takes_no_longer_than_declared(ramp
 def test_outputs_inputs_and_homing():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.set_output(3, True)
-        world.controller.set_input(2, False)
+        await world.driver.set_output(3, on=True)
+        world.controller.set_input(2, level=False)
         reading = await world.driver.poll()
         assert reading.outputs[3] and not reading.outputs[2]
         assert not reading.inputs[2] and reading.inputs[1]
@@ -300,7 +301,7 @@ def test_homing_methods(method: str, options: dict[str, Any]):
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.configure()
-        await world.driver.set_enabled(["x"], True)
+        await world.driver.set_enabled(["x"], on=True)
         await world.driver.home_axes(["x"], lambda _: None)
         assert world.controller.commanded_motions
         assert (await world.driver.poll()).axes["x"].commanded_counts == 0
@@ -319,7 +320,7 @@ def test_a_moving_controller_is_connected_to_without_being_stopped():
         await driver.configure()
         assert (await driver.poll()).axes["x"].moving
         with pytest.raises(Refusal, match="while running"):
-            await driver.set_enabled(["x"], False)
+            await driver.set_enabled(["x"], on=False)
         await sleep_ns(world.clock, 4 * NS_PER_S)
         assert world.controller.position("X") == 60_000
 
@@ -340,11 +341,11 @@ def test_refusals_before_anything_moves():
             with pytest.raises(Refusal) as refusal:
                 world.driver.lower_profiles({"x": profile}, start, mapping)
             assert refusal.value.code == code
-        await world.driver.set_enabled(["x"], False)
+        await world.driver.set_enabled(["x"], on=False)
         with pytest.raises(Refusal) as refusal:
             await armed(world)
         assert refusal.value.code == "not-enabled"
-        await world.driver.set_enabled(["x"], True)
+        await world.driver.set_enabled(["x"], on=True)
         with pytest.raises(Refusal) as refusal:
             await armed(world, 0.02)
         assert refusal.value.code == "late"
@@ -356,7 +357,7 @@ def test_refusals_before_anything_moves():
     run(main)
 
 
-def test_a_stop_that_is_still_to_be_carried_out_halts_no_step_that_is_loaded_after_it():
+def test_a_stop_that_is_not_yet_executed_halts_no_step_that_is_armed_after_it():
     async def main(world: World) -> None:
         await world.ready()
         driver, controller = world.driver, world.controller
@@ -366,7 +367,7 @@ def test_a_stop_that_is_still_to_be_carried_out_halts_no_step_that_is_loaded_aft
         for abort in (False, True):
             edges.clear()
             for _ in range(4):  # of several people: each command takes its half millisecond
-                await driver.stop(abort)
+                await driver.stop(abort=abort)
             await driver.disarm_move()
             t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
             await driver.arm_move(driver.lower_profiles({}, way, driver.clock_mapping()), t0_ns, driver.clock_mapping())

@@ -16,7 +16,7 @@ BOTH = {"home_edge": {"X": 3000, "Y": 5000}, "index_every": {"X": 2000, "Y": 200
 
 
 async def homed(world: World, *axes: str) -> Mapping[str, Refusal]:
-    """Home, and see that what is said to be found and what has failed are all."""
+    """Home, and check that each axis is reported as either found or failed."""
     found: list[str] = []
     failed = await world.driver.home_axes(axes or ("x", "y"), found.append)
     assert sorted([*found, *failed]) == sorted(axes or ("x", "y"))
@@ -26,7 +26,7 @@ async def homed(world: World, *axes: str) -> Mapping[str, Refusal]:
 def test_axes_home_at_once_and_the_rest_is_done_though_one_fails():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.set_enabled(["x"], False)
+        await world.driver.set_enabled(["x"], on=False)
         failed = await homed(world)
         assert {axis: error.code for axis, error in failed.items()} == {"x": "not-enabled"}
         assert (await world.driver.poll()).axes["y"].commanded_counts == 0
@@ -37,7 +37,7 @@ def test_axes_home_at_once_and_the_rest_is_done_though_one_fails():
     run(main, options=BOTH)
 
 
-def test_each_axis_is_told_as_soon_as_it_is_there():
+def test_each_axis_is_reported_as_soon_as_it_is_homed():
     async def main(world: World) -> None:
         await world.ready()
         told_ns: dict[str, int] = {}
@@ -121,7 +121,7 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool)
         await world.ready()
         search = asyncio.create_task(homed(world, "x"))
         await sleep_ns(world.clock, after_ms * NS_PER_MS)
-        await (world.driver.stop(False) if whole else world.driver.stop_axes(["x"]))
+        await (world.driver.stop(abort=False) if whole else world.driver.stop_axes(["x"]))
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
         assert not_found(outcome, "x")
         await sleep_ns(world.clock, 500 * NS_PER_MS)
@@ -139,7 +139,7 @@ def test_a_cancelled_search_is_ended_by_a_stop(after_ms: int):
         await sleep_ns(world.clock, after_ms * NS_PER_MS)
         search.cancel()
         await asyncio.gather(search, return_exceptions=True)
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         await sleep_ns(world.clock, 500 * NS_PER_MS)
         assert not world.controller.is_moving("X") and not world.controller.is_moving("Y")
         await world.driver.poll()
@@ -169,9 +169,9 @@ def test_a_restart_in_between_is_no_success(way: str):
         search = asyncio.create_task(homed(world, "x"))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         if way == "power":
-            world.controller.set_power(False)
+            world.controller.set_power(on=False)
             await sleep_ns(world.clock, 100 * NS_PER_MS)
-            world.controller.set_power(True)
+            world.controller.set_power(on=True)
         else:
             await world.talk("RS")
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
@@ -181,14 +181,14 @@ def test_a_restart_in_between_is_no_success(way: str):
     run(main, options=BOTH)
 
 
-def test_a_servo_that_was_pushed_while_off_goes_on_from_where_it_is():
+def test_a_servo_that_was_pushed_while_off_continues_from_its_position():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.set_enabled(["x"], False)
+        await world.driver.set_enabled(["x"], on=False)
         world.controller.push_axis("X", 1234)
         reading = (await world.driver.poll()).axes["x"]
         assert reading.actual_counts == 1234 and not reading.position_lost
-        await world.driver.set_enabled(["x"], True)
+        await world.driver.set_enabled(["x"], on=True)
         reading = (await world.driver.poll()).axes["x"]
         assert reading.commanded_counts == reading.actual_counts == 1234
         _, _, outcome, _ = await world.moved({"x": trapezoid(1234, 2234, 20_000, 200_000)})
@@ -207,12 +207,12 @@ def test_a_stepper_that_is_off_has_lost_its_position():
         await world.talk("MTX=2")
         await world.ready()
         assert not any(axis.position_lost for axis in (await world.driver.poll()).axes.values())
-        await world.driver.set_enabled(["x", "y"], False)
+        await world.driver.set_enabled(["x", "y"], on=False)
         world.controller.push_axis("X", 700)
         reading = await world.driver.poll()
         assert reading.axes["x"].position_lost and not reading.axes["y"].position_lost
         assert reading.axes["x"].actual_counts == reading.axes["x"].commanded_counts == 0
-        await world.driver.set_enabled(["x"], True)
+        await world.driver.set_enabled(["x"], on=True)
         assert not (await world.driver.poll()).axes["x"].position_lost
         # The stage stands where it was pushed to: the switch is nearer by as much.
         assert not await homed(world, "x")

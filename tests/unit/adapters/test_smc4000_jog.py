@@ -1,4 +1,4 @@
-"""Axes of an SMC-4000 moved by hand, in virtual time; verdicts by the simulator's truth."""
+"""Manual motion of an SMC-4000's axes, in virtual time; judged by the simulator's ground truth."""
 
 import asyncio
 from itertools import pairwise
@@ -54,7 +54,7 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp(end: int | None, sign: 
 
 
 @pytest.mark.parametrize(("speed", "end"), [(30_000, 10_000), (-90_000, -25_001), (2_000, 7), (12e6, 3), (5.0, 2)])
-def test_it_comes_to_rest_exactly_at_the_end_of_its_way_without_another_word(speed: float, end: int):
+def test_a_jog_comes_to_rest_exactly_at_the_end_of_travel_without_another_command(speed: float, end: int):
     async def main(world: World) -> None:
         await world.ready()
         async with Watch(world.clock, world.controller, "X") as tracks:
@@ -114,7 +114,7 @@ def test_a_gentler_ramp_and_a_nearer_end_go_by_way_of_a_stop():
     run(main)
 
 
-def test_axes_jog_beside_each_other_and_stop_alone():
+def test_axes_jog_independently_and_stop_alone():
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.jog_axis("x", jog(30_000.0, 80_000))
@@ -126,7 +126,7 @@ def test_axes_jog_beside_each_other_and_stop_alone():
         assert world.controller.velocity("Y") == pytest.approx(-20_000, abs=8)
         await world.driver.jog_axis("x", jog(-10_000.0, -500))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         await rested(world)
         await rested(world, "Y")
         assert not world.controller.is_moving("X")
@@ -155,7 +155,7 @@ def test_nothing_is_stopped_where_nothing_is_named():
         (JogMove(-100.0, RAMP, 40), "at-end"),
     ],
 )
-def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str):
+def test_an_impossible_jog_is_refused_and_nothing_moves(move: JogMove, code: str):
     async def main(world: World) -> None:
         await world.ready()
         with pytest.raises(Refusal) as refused:
@@ -167,7 +167,7 @@ def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str):
     run(main)
 
 
-def test_what_would_fit_is_said():
+def test_a_refusal_names_what_would_fit():
     async def main(world: World) -> None:
         await world.ready()
         for move in (JogMove(-1.0, RAMP, None), JogMove(900.0, 900.0, None)):
@@ -185,7 +185,7 @@ def test_what_would_fit_is_said():
 def test_a_motor_that_is_off_and_an_axis_that_moves_otherwise_are_refused():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.set_enabled(["x"], False)
+        await world.driver.set_enabled(["x"], on=False)
         with pytest.raises(Refusal, match="motor off"):
             await world.driver.jog_axis("x", jog(1000.0))
         for line in ("PRY=50000", "SPY=20000", "BGY"):
@@ -248,7 +248,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_us: int, abort: bo
         begun = asyncio.create_task(world.driver.jog_axis("x", jog(20_000.0, 50_000)))
         await sleep_ns(world.clock, after_us * 1000)
         if abort:
-            await world.driver.stop(True)
+            await world.driver.stop(abort=True)
         else:
             await world.driver.stop_axes(["x"])
         (outcome,) = await asyncio.gather(begun, return_exceptions=True)
@@ -298,7 +298,7 @@ def test_a_jog_that_is_cancelled_and_stopped_leaves_the_driver_usable(after_us: 
     run(main, seed=after_us)
 
 
-def test_a_cancelled_begin_stops_by_itself():
+def test_a_cancelled_jog_start_stops_by_itself():
     async def main(world: World) -> None:
         await world.ready()
 
@@ -342,12 +342,12 @@ def test_random_hands_never_pass_the_end_nor_the_speed(seed: int):
 
 
 @pytest.mark.parametrize("seed", range(50))
-def test_two_hands_and_somebody_who_stops_all(seed: int):
+def test_two_jogs_and_a_stop_of_all(seed: int):
     async def main(world: World) -> None:
         await world.ready(3)
         both = hands(world, "xy", seed)
         watch = Watch(world.clock, world.controller, "XY", 2 * NS_PER_MS)
-        stops = Polling(world.clock, lambda: world.driver.stop(False), 1.0 + seed % 3)
+        stops = Polling(world.clock, lambda: world.driver.stop(abort=False), 1.0 + seed % 3)
         async with watch as tracks, stops, Polling(world.clock, world.driver.poll):
             await asyncio.gather(*(hand.play(20, alone=False) for hand in both))
         for hand in both:

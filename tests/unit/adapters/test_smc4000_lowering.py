@@ -9,7 +9,7 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, trapezoid
 
 from adapters.yaskawa.common.contour import FEWEST_RECORDS, ContourLimits, axis_increments, fit_contour, least_interval
-from adapters.yaskawa.common.lowering import ContourLoad, RegisterLoad, YaskawaLowered, lower_moves
+from adapters.yaskawa.common.lowering import ContourLoad, LoweringContext, RegisterLoad, YaskawaLowered, lower_moves
 from adapters.yaskawa.common.model import SMC4000
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.trapezoid import YaskawaBounds, fit_registers
@@ -33,7 +33,9 @@ def mapping(tick_ns: float = TICK_NS) -> TickMapping:
 
 def lower(profiles: Mapping[str, Profile], tick_ns: float = TICK_NS, **options: Any) -> YaskawaLowered:
     motors = {"x": 0, "y": 1}
-    return lower_moves(CONFIG, motors, YaskawaOptions(**options), COSTS, profiles, StartOptions(), mapping(tick_ns))
+    return lower_moves(
+        LoweringContext(CONFIG, motors, YaskawaOptions(**options), COSTS), profiles, StartOptions(), mapping(tick_ns)
+    )
 
 
 def random_plans(draw: Random, order: int, slowest: float = 10.0) -> dict[str, Profile]:
@@ -116,7 +118,7 @@ def test_fast_trapezoids_go_by_registers_and_last_as_planned(seed: int):
 
 
 @pytest.mark.parametrize(("velocity", "ramp"), [(11.0, 30.0), (101.0, 500.0), (3.0, 3.0)])
-def test_slow_trapezoids_go_by_contour_and_say_why(velocity: float, ramp: float):
+def test_slow_trapezoids_use_contour_mode_and_report_why(velocity: float, ramp: float):
     profile = trapezoid(0, round(velocity * 5), velocity, ramp)
     lowered = lower({"x": profile, "y": trapezoid(0, 50_000, 40_000, 204_800)})
     assert isinstance(lowered.load, ContourLoad)
@@ -126,7 +128,7 @@ def test_slow_trapezoids_go_by_contour_and_say_why(velocity: float, ramp: float)
     assert lowered.commands[-1].startswith("(with its registers x ends ")
 
 
-def test_a_slow_trapezoid_that_no_contour_can_hold_is_made_by_registers_and_says_how_long_it_takes():
+def test_a_slow_trapezoid_too_long_for_a_contour_uses_registers_and_reports_its_duration():
     profile = trapezoid(0, 1001 * 100, 1_001.0, 5_000.0)
     lowered = lower({"x": profile}, array_elements=300, contour_sag_counts=0.0)
     assert isinstance(lowered.load, RegisterLoad)
@@ -150,15 +152,19 @@ def test_a_plan_at_its_limits_is_held_by_the_registers_and_answered_with_the_tim
         }
     )
     profile = trapezoid(0, 100_000, 30_001.0, 300_500.0)
-    lowered = lower_moves(config, {"x": 0}, YaskawaOptions(), COSTS, {"x": profile}, StartOptions(), mapping())
+    lowered = lower_moves(
+        LoweringContext(config, {"x": 0}, YaskawaOptions(), COSTS), {"x": profile}, StartOptions(), mapping()
+    )
     assert isinstance(lowered.load, RegisterLoad)
     assert 0 < lowered.durations_s["x"] - profile.duration_s < 1e-3 * profile.duration_s
     again = profile.stretch_time(lowered.durations_s["x"] / profile.duration_s)
-    second = lower_moves(config, {"x": 0}, YaskawaOptions(), COSTS, {"x": again}, StartOptions(), mapping())
+    second = lower_moves(
+        LoweringContext(config, {"x": 0}, YaskawaOptions(), COSTS), {"x": again}, StartOptions(), mapping()
+    )
     assert second.durations_s["x"] == pytest.approx(again.duration_s, abs=2e-4)
 
 
-def test_a_trapezoid_of_uneven_ramps_goes_by_contour():
+def test_a_trapezoid_with_unequal_ramps_uses_contour_mode():
     profile = Profile(0, 100, 50.0, [1.0, 0.5, 2.0], [1.0, 0.0, -0.5], [0.0] * 3)
     lowered = lower({"x": profile})
     assert isinstance(lowered.load, ContourLoad)
@@ -200,7 +206,7 @@ def test_a_move_that_is_faster_than_its_registers_is_refused_with_what_would_fit
     assert "axis x" in refusal.value.text and "at most 1.2e+07" in refusal.value.remedy
 
 
-def test_the_cost_of_arming_goes_with_what_is_loaded():
+def test_the_cost_of_arming_grows_with_the_loaded_data():
     short, long = (
         lower(dict(plan_step([AxisMove("x", 0, way, 5e4, 5e5, 5e6, order=3)]).profiles)) for way in (10_000, 500_000)
     )
@@ -218,16 +224,16 @@ def test_registers_of_a_triangle_and_of_one_count():
 
 
 @pytest.mark.parametrize("lead_ns", range(1_000_000_000, 1_001_000_000, 130_000))
-def test_a_move_ends_at_the_sample_next_to_the_plans_end_once_its_begin_is_known(lead_ns: int):
-    """Not half a sample beside T0 at its begin, and up to a whole one more at its end."""
+def test_a_move_ends_at_the_sample_next_to_the_end_of_the_plan_once_its_start_is_fixed(lead_ns: int):
+    """At most half a sample off T0 at its start, and up to a whole one more at its end."""
     draw, clock = Random(lead_ns), mapping(TICK_NS * (1 + 40e-6))
     t0_ns = clock.host_at_ns + lead_ns
     for _ in range(20):
         way = draw.randrange(200_000, 3_000_000)
         profile = plan_step([AxisMove("x", 0, way, draw.uniform(20_000, 80_000), 4e5, None, order=2)]).profiles["x"]
         motors, how = {"x": 0}, StartOptions(lead_ns=lead_ns, exact=True)
-        lowered = lower_moves(CONFIG, motors, YaskawaOptions(), COSTS, {"x": profile}, how, clock)
-        start_ns = clock.host_ns(round(clock.ticks(t0_ns)))
+        lowered = lower_moves(LoweringContext(CONFIG, motors, YaskawaOptions(), COSTS), {"x": profile}, how, clock)
+        start_ns = clock.to_host_ns(round(clock.to_ticks(t0_ns)))
         end_ns = start_ns + lowered.moves[0].samples * clock.tick_ns
         assert isinstance(lowered.load, RegisterLoad)
         assert abs(end_ns - t0_ns - profile.duration_s * 1e9) <= 0.501 * clock.tick_ns

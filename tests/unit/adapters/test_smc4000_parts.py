@@ -11,9 +11,9 @@ from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import VARIABLES, program_lines
+from adapters.yaskawa.common.session import parse_reply
 from adapters.yaskawa.common.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
 from adapters.yaskawa.smc4000.driver import MAKE
-from adapters.yaskawa.smc4000.session import parse_reply
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
@@ -56,7 +56,7 @@ def test_registers_never_exceed_the_limits_in_host_time():
         assert move.whole_samples >= round(profile.duration_s / tick_s)
 
 
-def test_a_plan_that_uses_its_limits_is_met_when_it_is_planned_again_with_the_answer():
+def test_a_plan_at_its_limits_is_kept_when_it_is_planned_again_with_the_answer():
     tick_ns = 976_500.0
     profile = trapezoid(0, 100_000, 80_001.0, 500_500.0)
     first = fit_registers({"x": profile}, {"x": YaskawaBounds(80_001.0, 500_500.0)}, tick_ns, SMC4000)["x"]
@@ -183,7 +183,7 @@ def test_a_guardians_bytes_stop_what_moves_and_what_waits(halts: bool, before_ms
         await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         await sleep_ns(world.clock, t0_ns - before_ms * NS_PER_MS - world.clock.now_ns())
-        link = await world.wire.open()
+        link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(Controller.model_validate(FLEET)))
         await sleep_ns(world.clock, 3000 * NS_PER_MS)
         assert world.controller.at_rest()
@@ -192,7 +192,7 @@ def test_a_guardians_bytes_stop_what_moves_and_what_waits(halts: bool, before_ms
     run(main, options={"st_halts_programs": halts})
 
 
-def test_a_stop_goes_out_by_the_other_handle_when_its_own_is_closed():
+def test_a_stop_is_sent_on_the_other_handle_when_its_own_is_closed():
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.clock_mapping()
@@ -201,7 +201,7 @@ def test_a_stop_goes_out_by_the_other_handle_when_its_own_is_closed():
         await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         world.wire.links[1].hang_up()
-        await world.driver.stop(False)
+        await world.driver.stop(abort=False)
         await sleep_ns(world.clock, 3000 * NS_PER_MS)
         assert not world.controller.commanded_motions
         assert float(await world.driver.send_raw("MG 7")) == 7

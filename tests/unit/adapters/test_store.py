@@ -9,7 +9,7 @@ import pytest
 
 from adapters.controller.fencing import EpochFence
 from adapters.controller.store import AdapterMemory, FileStore, PersistentMemory, VolatileStore
-from orchestrator.clock.executor import Threaded, run_inline
+from orchestrator.clock.executor import ThreadExecutor, run_inline
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import AdoptRequest, LeaderHeartbeat
 from orchestrator.model.state import EstopLatch
@@ -32,7 +32,7 @@ class Disk(VolatileStore):
         super().save(memory)
 
 
-def test_what_was_kept_is_there_again(tmp_path: Path) -> None:
+def test_stored_values_are_restored(tmp_path: Path) -> None:
     store = FileStore(tmp_path / "state" / "gantry.json")
     assert store.load() == AdapterMemory()
 
@@ -48,7 +48,7 @@ def test_what_was_kept_is_there_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b'{"epoch": "many"}', b"\xff\xfe"])
-def test_a_file_that_can_not_be_read_counts_as_an_estop(tmp_path: Path, content: bytes) -> None:
+def test_an_unreadable_file_counts_as_an_estop(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "gantry.json"
     path.write_bytes(content)
     latch = FileStore(path).load().estop
@@ -59,7 +59,7 @@ def test_a_file_that_can_not_be_read_counts_as_an_estop(tmp_path: Path, content:
 def test_changes_reach_the_disk_in_their_order(tmp_path: Path) -> None:
     async def main() -> None:
         store = FileStore(tmp_path / "gantry.json")
-        remembered = PersistentMemory(store, Threaded("memory"))
+        remembered = PersistentMemory(store, ThreadExecutor("memory"))
         keeping: list[asyncio.Task[None]] = []
         for epoch in range(1, 30):
             remembered.change_values(epoch=epoch)
@@ -71,7 +71,7 @@ def test_changes_reach_the_disk_in_their_order(tmp_path: Path) -> None:
     asyncio.run(main())
 
 
-def test_what_has_been_kept_is_not_written_again_and_what_could_not_be_is() -> None:
+def test_stored_values_are_not_written_again_but_failed_writes_are_repeated() -> None:
     async def main() -> None:
         disk = Disk()
         remembered = PersistentMemory(disk, run_inline)
@@ -106,7 +106,7 @@ def adoption(epoch: int) -> AdoptRequest:
 
 
 @pytest.mark.parametrize("before", [False, True])
-def test_who_can_not_keep_the_reign_is_not_adopted(before: bool) -> None:
+def test_a_leader_whose_epoch_cannot_be_stored_is_not_adopted(before: bool) -> None:
     """Neither at first, nor when an earlier one was: what that has left is still to be dropped."""
 
     async def main() -> None:
@@ -128,13 +128,13 @@ def test_who_can_not_keep_the_reign_is_not_adopted(before: bool) -> None:
     asyncio.run(main())
 
 
-def test_who_asks_while_a_reign_is_being_kept_waits_until_what_was_before_is_dropped() -> None:
+def test_a_request_while_an_epoch_is_being_stored_waits_until_the_previous_work_is_dropped() -> None:
     async def main() -> None:
         done: list[str] = []
 
-        async def slowly(work: Callable[..., Any], *values: Any) -> Any:
+        async def slowly(function: Callable[..., Any], *values: Any) -> Any:
             await asyncio.sleep(0.01)
-            return work(*values)
+            return function(*values)
 
         fence = EpochFence(PersistentMemory(Disk(), slowly))
 

@@ -64,7 +64,7 @@ class Watch:
 
 
 class Polling:
-    """`async with Polling(...)`: polls, or does something else, at a rate beside whatever is done."""
+    """`async with Polling(...)`: polls, or does something else, at a rate, in parallel to the body."""
 
     def __init__(self, clock: Clock, poll: Callable[[], Awaitable[object]], hz: float = 10.0) -> None:
         self._clock = clock
@@ -96,9 +96,12 @@ async def at_rest(clock: Clock, controller: SimulatedController, axis: str, with
 
 @dataclass
 class Hand:
-    """Somebody at the keys of one axis, at random. axis, motor: its names in the fleet and in the make.
+    """An operator at the keys of one axis, at random.
 
-    low, high: the ends of its way. ramp: counts/s². link_ns: from a stop's bytes to the first slower moment.
+    axis, motor: its names in the fleet and in the make.
+    low, high: the ends of its travel.
+    ramp: counts/s².
+    link_ns: from a stop's bytes to the first slower moment.
     """
 
     clock: Clock
@@ -115,7 +118,7 @@ class Hand:
         self.low, self.high = -self.draw.randrange(300, 30_000), self.draw.randrange(300, 30_000)
 
     async def play(self, rounds: int, alone: bool = True) -> None:
-        """Press, change, let go; then let go for good. alone: nobody else stops this axis."""
+        """Press, change, release; then release finally. alone: this axis is not stopped from elsewhere."""
         for _ in range(rounds):
             if self.draw.random() < 0.7:
                 await self._press(alone)
@@ -144,7 +147,8 @@ class Hand:
             await at_rest(self.clock, self.controller, self.motor, slow_ns)
 
     async def check(self, track: Track) -> None:
-        """By the truth: never beyond the ends, never faster than asked, at rest, and where the controller says."""
+        """By the ground truth: never beyond the ends, never faster than requested, at rest, and at the position that
+        the controller reports."""
         assert track.between(self.low, self.high)
         assert track.fastest <= self.top * (1 + 1e-9)
         reading = (await self.driver.poll()).axes[self.axis]

@@ -1,4 +1,4 @@
-"""`tutti job ls` prints what people named their jobs, whatever they wrote."""
+"""`tutti job ls` prints the names that users gave their jobs, with any characters."""
 
 import pytest
 

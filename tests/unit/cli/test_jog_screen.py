@@ -5,12 +5,12 @@ import io
 import pytest
 from rich.console import Console
 
-from orchestrator.cli.jog.keys import Key
+from orchestrator.cli.jog.keys import KeyEvent
 from orchestrator.cli.jog.panel import JogPanel
-from orchestrator.cli.jog.screen import STALE_NS, screen
+from orchestrator.cli.jog.screen import STALE_NS, render_panel
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.state import AxisState, ControllerState, EstopLatch
 
 LIMITS = {"velocity": 200, "acceleration": 1000}
@@ -52,13 +52,13 @@ def panel(count: int = 2, releases: bool = True, **more: object) -> JogPanel:
         epoch=1,
         digest="d",
     )
-    made.hear(state, 0)
+    made.store_state(state, 0)
     return made
 
 
 def shown(made: JogPanel, now_ns: int = 0, columns: int = 80, rows: int = 24) -> list[str]:
     file = io.StringIO()
-    Console(file=file, width=columns, color_system=None).print(screen(made, now_ns, columns, rows))
+    Console(file=file, width=columns, color_system=None).print(render_panel(made, now_ns, columns, rows))
     return [line.rstrip() for line in file.getvalue().splitlines()]
 
 
@@ -83,14 +83,14 @@ def test_a_silent_controller_is_not_shown_as_if_it_were_known() -> None:
 def test_refusals_and_estops_with_their_remedies() -> None:
     made = panel()
     latch = EstopLatch(event="e", actor="ann", reason="hand in the machine", utc="")
-    made.hear(made.states["gantry"].model_copy(update={"estop": latch}), 0)
-    made.lost(RefusalDetails(code="leased", text="gantry.a0 is in use by bob", remedy="ask them"))
+    made.store_state(made.states["gantry"].model_copy(update={"estop": latch}), 0)
+    made.handle_lease_lost(Refusal("leased", "gantry.a0 is in use by bob", "ask them"))
     text = "\n".join(shown(made))
     assert "E-STOP by ann: hand in the machine → `tutti reset` when it is safe" in text
     assert "refused: gantry.a0 is in use by bob (leased) → ask them" in text
 
 
-def test_it_says_what_letting_go_means_on_this_terminal() -> None:
+def test_it_shows_what_letting_go_means_on_this_terminal() -> None:
     assert any("Releases are reported" in line for line in shown(panel()))
     assert any("within 120" in line for line in shown(panel(releases=False)))
 
@@ -99,7 +99,7 @@ def test_it_says_what_letting_go_means_on_this_terminal() -> None:
 def test_the_chosen_axis_and_the_keys_are_always_in_sight(rows: int) -> None:
     made = panel(count=40)
     for _ in range(25):
-        made.key(Key("down"), NS_PER_S)
+        made.handle_key(KeyEvent("down"), NS_PER_S)
     lines = shown(made, rows=rows)
     assert len(lines) <= rows
     assert any("▸ gantry.a25" in line for line in lines)

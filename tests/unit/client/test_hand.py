@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from orchestrator.bus.base import Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import BusSample
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.memory.bus import MemoryNet
 from orchestrator.client import Refusal, Tutti
 from orchestrator.client.manual import ManualControl
@@ -18,12 +18,12 @@ from orchestrator.model.service import AcquireAxes, AxesAcquired, ReleaseAxes
 
 
 class Stage:
-    """A coordinator and two adapters. `refuse`: what they say to a verb from now on."""
+    """A coordinator and two adapters. `refuse`: their answer to a verb from now on."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
         self.net = MemoryNet(clock, seed=3)
-        self.keys = Keys("lab")
+        self.keys = FleetKeys("lab")
         self.taken: list[AcquireAxes] = []
         self.returned: list[ReleaseAxes] = []
         self.jogs: list[tuple[str, JogRequest]] = []
@@ -33,12 +33,12 @@ class Stage:
         self._ids = 0
 
     async def start(self) -> Tutti:
-        self.coordinator = self.net.join("coordinator")
-        await self.coordinator.serve(self.keys.svc("acquire-axes"), self._take)
-        await self.coordinator.serve(self.keys.svc("release-axes"), self._release)
+        self.coordinator = self.net.join_process("coordinator")
+        await self.coordinator.serve(self.keys.service("acquire-axes"), self._take)
+        await self.coordinator.serve(self.keys.service("release-axes"), self._release)
         for name in ("gantry", "stage"):
-            await self.net.join(name).serve(self.keys.cmd(name, "jog"), self._jog(name))
-        return Tutti(self.net.join("client"), "lab", "somebody", self._new_id)
+            await self.net.join_process(name).serve(self.keys.command(name, "jog"), self._jog(name))
+        return Tutti(self.net.join_process("client"), "lab", "somebody", self._new_id)
 
     def of(self, controller: str) -> list[JogRequest]:
         return [request for name, request in self.jogs if name == controller]
@@ -51,17 +51,17 @@ class Stage:
         code = self.refuse.get(verb)
         return None if code is None else RefusalDetails(code=code, text=f"{verb}: {code}")
 
-    async def _take(self, sample: Sample) -> bytes:
+    async def _take(self, sample: BusSample) -> bytes:
         request = AcquireAxes.model_validate_json(sample.payload)
         self.taken.append(request)
         return AxesAcquired(refused=self._refusal("take"), axes=request.axes).to_json()
 
-    async def _release(self, sample: Sample) -> bytes:
+    async def _release(self, sample: BusSample) -> bytes:
         self.returned.append(ReleaseAxes.model_validate_json(sample.payload))
         return Reply().to_json()
 
-    def _jog(self, name: str) -> Callable[[Sample], Coroutine[Any, Any, bytes]]:
-        async def answer(sample: Sample) -> bytes:
+    def _jog(self, name: str) -> Callable[[BusSample], Coroutine[Any, Any, bytes]]:
+        async def answer(sample: BusSample) -> bytes:
             request = JogRequest.model_validate_json(sample.payload)
             self.jogs.append((name, request))
             before, self.ordered[name] = self.ordered.get(name), request.velocities
@@ -101,7 +101,7 @@ def test_the_lease_is_taken_renewed_and_given_back() -> None:
     on_stage(test)
 
 
-def test_it_is_given_back_although_the_user_fails() -> None:
+def test_a_lease_is_released_although_the_user_code_fails() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         with pytest.raises(ValueError, match="mistake"):
             async with hand_of(tutti) as hand:
@@ -140,7 +140,7 @@ def test_another_speed_that_takes_long_is_renewed_meanwhile() -> None:
 
 
 @pytest.mark.parametrize("then", ["stopped", "cancelled", "another"])
-def test_an_order_that_is_not_wanted_any_more_is_not_renewed(then: str) -> None:
+def test_an_obsolete_jog_command_is_not_renewed(then: str) -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         stage.order_s = 0.5
         async with hand_of(tutti) as hand:
@@ -171,7 +171,7 @@ def test_each_taking_has_a_holder_of_its_own() -> None:
     on_stage(test)
 
 
-def test_who_is_refused_holds_nothing() -> None:
+def test_a_refused_client_holds_no_lease() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         stage.refuse["take"] = "leased"
         with pytest.raises(Refusal) as error:
@@ -183,7 +183,7 @@ def test_who_is_refused_holds_nothing() -> None:
     on_stage(test)
 
 
-def test_a_jog_goes_to_each_controller_at_once_and_in_order() -> None:
+def test_jog_commands_go_to_each_controller_at_once_and_in_order() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             await hand.jog({"gantry.x": 5.0, "gantry.y": -1.0, "stage.u": 0.5})
@@ -214,7 +214,7 @@ def test_a_jog_goes_to_each_controller_at_once_and_in_order() -> None:
     on_stage(test)
 
 
-def test_one_that_refuses_stops_the_others() -> None:
+def test_a_controller_that_refuses_stops_the_others() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             stage.refuse["stage"] = "not-enabled"
@@ -227,7 +227,7 @@ def test_one_that_refuses_stops_the_others() -> None:
     on_stage(test)
 
 
-def test_a_lease_that_ended_early_is_told_and_moves_nothing_more() -> None:
+def test_a_lease_that_ended_early_is_reported_and_moves_nothing_more() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             stage.refuse["take"] = "permit"
@@ -243,7 +243,7 @@ def test_a_lease_that_ended_early_is_told_and_moves_nothing_more() -> None:
     on_stage(test)
 
 
-def test_an_adapter_that_knows_no_lease_ends_it_here() -> None:
+def test_an_adapter_without_the_lease_ends_it_here() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             await hand.jog({"gantry.x": 5.0})

@@ -1,4 +1,4 @@
-"""Doing something while a disk is told of it."""
+"""An action that runs while its record is written to disk."""
 
 import asyncio
 
@@ -7,7 +7,7 @@ import pytest
 from orchestrator.clock.executor import run_while_recording
 
 
-def test_what_is_told_is_on_disk_before_anything_comes_of_what_was_done() -> None:
+def test_a_record_is_on_disk_before_its_action_has_an_effect() -> None:
     said: list[str] = []
 
     async def tell(error: Exception | None = None) -> None:

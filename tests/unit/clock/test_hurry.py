@@ -1,4 +1,4 @@
-"""Real-time priorities: asked for where there are any, and never needed."""
+"""Real-time priorities: requested if available, and never required."""
 
 import asyncio
 import os
@@ -6,7 +6,13 @@ from collections.abc import Callable
 
 import pytest
 
-from orchestrator.clock.realtime import STEP_BACK_S, Urgency, hurry, may_hurry, step_back
+from orchestrator.clock.realtime import (
+    YIELD_S,
+    RealtimePriority,
+    can_set_realtime_priority,
+    set_realtime_priority,
+    yield_priority,
+)
 
 
 @pytest.fixture
@@ -19,17 +25,22 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
 
 
 def test_children_are_as_urgent_unless_they_are_not_meant_to_be(asked: list[tuple[int, int]]) -> None:
-    assert hurry(Urgency.SERVICE)
-    assert hurry(Urgency.GUARDIAN, children=False)
-    assert asked == [(os.SCHED_RR, Urgency.SERVICE), (os.SCHED_RR | os.SCHED_RESET_ON_FORK, Urgency.GUARDIAN)]
+    assert set_realtime_priority(RealtimePriority.SERVICE)
+    assert set_realtime_priority(RealtimePriority.GUARDIAN, children=False)
+    assert asked == [
+        (os.SCHED_RR, RealtimePriority.SERVICE),
+        (os.SCHED_RR | os.SCHED_RESET_ON_FORK, RealtimePriority.GUARDIAN),
+    ]
 
 
-def test_what_everybody_waits_for_goes_first() -> None:
-    assert Urgency.FIRING > Urgency.GUARDIAN > Urgency.BUS > Urgency.SERVICE
+def test_a_process_that_all_wait_for_gets_priority() -> None:
+    assert RealtimePriority.FIRING > RealtimePriority.GUARDIAN > RealtimePriority.BUS > RealtimePriority.SERVICE
 
 
 @pytest.mark.parametrize("nice_too", [True, False])
-def test_a_user_who_may_not_goes_on_without(monkeypatch: pytest.MonkeyPatch, nice_too: bool) -> None:
+def test_a_user_without_the_permission_continues_without_priority(
+    monkeypatch: pytest.MonkeyPatch, nice_too: bool
+) -> None:
     niced: list[int] = []
 
     def refused(*_: object) -> None:
@@ -37,30 +48,30 @@ def test_a_user_who_may_not_goes_on_without(monkeypatch: pytest.MonkeyPatch, nic
 
     monkeypatch.setattr(os, "sched_setscheduler", refused)
     monkeypatch.setattr(os, "nice", niced.append if nice_too else refused)
-    assert not may_hurry(Urgency.FIRING)
+    assert not can_set_realtime_priority(RealtimePriority.FIRING)
     assert niced == []
-    assert not hurry(Urgency.FIRING)
+    assert not set_realtime_priority(RealtimePriority.FIRING)
     assert [each < 0 for each in niced] == [True] * nice_too
 
 
-def test_who_asks_whether_it_may_is_as_urgent_as_before(asked: list[tuple[int, int]]) -> None:
+def test_checking_the_permission_does_not_change_the_priority(asked: list[tuple[int, int]]) -> None:
     before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-    assert may_hurry(Urgency.FIRING)
-    assert asked == [(os.SCHED_RR, Urgency.FIRING), before]
+    assert can_set_realtime_priority(RealtimePriority.FIRING)
+    assert asked == [(os.SCHED_RR, RealtimePriority.FIRING), before]
 
 
-def test_who_steps_back_is_as_urgent_again_a_moment_later(
+def test_a_process_that_yields_regains_its_priority_a_moment_later(
     asked: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
         monkeypatch.setattr(loop, "call_later", lambda after_s, call, *values: later.append((after_s, call, values)))
-        step_back(Urgency.SERVICE)
+        yield_priority(RealtimePriority.SERVICE)
 
     later: list[tuple[float, Callable[..., object], tuple[object, ...]]] = []
     asyncio.run(main())
     assert asked == [(os.SCHED_OTHER, 0)]
     ((after_s, call, values),) = later
-    assert after_s == STEP_BACK_S
+    assert after_s == YIELD_S
     call(*values)
-    assert asked[1:] == [(os.SCHED_RR, Urgency.SERVICE)]
+    assert asked[1:] == [(os.SCHED_RR, RealtimePriority.SERVICE)]

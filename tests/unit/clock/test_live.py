@@ -2,12 +2,12 @@
 
 import gc
 
-from orchestrator.clock.live import begin_live
+from orchestrator.clock.live import prepare_live_process
 
 
-def test_what_was_loaded_is_not_looked_through_again() -> None:
+def test_loaded_objects_are_not_scanned_again() -> None:
     try:
-        begin_live()
+        prepare_live_process()
         assert gc.get_freeze_count() > 1000
         assert len(gc.get_objects()) < 1000
     finally:

@@ -7,13 +7,13 @@ import pytest
 
 from orchestrator.bench.rates import CASES, bench_rates
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
-from orchestrator.clock.inferred import UnreadClock
-from orchestrator.clock.latency import KEPT, Latency, LatencyEstimator
-from orchestrator.clock.rate import Gate, Measure, RateEstimator
+from orchestrator.clock.inferred import InferredClock
+from orchestrator.clock.latency import MAX_STARTS, LatencyEstimator, StartLatency
+from orchestrator.clock.rate import RateEstimator, RateGate, RateMeasurement
 from orchestrator.clock.timed import TimedMove
 from sim.core.oscillator import Oscillator
 
-START = Latency(NS_PER_MS, 0, 3 * NS_PER_MS)
+START = StartLatency(NS_PER_MS, 0, 3 * NS_PER_MS)
 SPEED, RAMP_S = 5000.0, 0.5
 
 
@@ -35,10 +35,10 @@ def made(
     at_ns = begin_ns + NS_PER_S
     while told and at_ns < end_ns - NS_PER_S:
         way = SPEED * ((crystal.device_ns(at_ns) - began_ns) / NS_PER_S - RAMP_S / 2)
-        move.stood(int(way), 1.0, at_ns - way_ns(), at_ns + back_ns())
+        move.add_position(int(way), 1.0, at_ns - way_ns(), at_ns + back_ns())
         at_ns += 100 * NS_PER_MS
-    move.moved(end_ns - draw.randrange(1, 5 * NS_PER_MS))
-    move.ended(end_ns + back_ns())
+    move.mark_moving(end_ns - draw.randrange(1, 5 * NS_PER_MS))
+    move.mark_ended(end_ns + back_ns())
     return move
 
 
@@ -52,70 +52,74 @@ def mean_ppm(crystal: Oscillator, begin_ns: int, seconds: int) -> float:
 def test_bounds_hold_the_truth_and_the_rate_comes_near_to_it(seed: int, told: bool) -> None:
     draw = Random(seed)
     crystal = Oscillator(0, draw.uniform(-60, 60), 0.05, seed)
-    clock, now_ns, widths = UnreadClock(0.0, 100.0, START), NS_PER_S, list[float]()
+    clock, now_ns, widths = InferredClock(0.0, 100.0, START), NS_PER_S, list[float]()
     for _ in range(12):
         begin_ns, duration_s = now_ns + draw.randrange(20 * NS_PER_S), draw.uniform(10, 60)
         move = made(crystal, begin_ns, duration_s, draw, held_ns=draw.choice([0, 16 * NS_PER_MS]), told=told)
         now_ns = begin_ns + round(duration_s * NS_PER_S * 1.001)
-        clock.learn(move, begin_ns - NS_PER_MS, None, now_ns)
-        low, high = clock.rate.span_ppm(now_ns, 60.0)
-        assert clock.rate.consistent and low <= mean_ppm(crystal, now_ns, 60) <= high
-        least_ns, most_ns = clock.rate.took_ns(duration_s, now_ns)
+        clock.learn_from_move(move, begin_ns - NS_PER_MS, None, now_ns)
+        low, high = clock.crystal_rate.range_ppm(now_ns, 60.0)
+        assert clock.crystal_rate.consistent and low <= mean_ppm(crystal, now_ns, 60) <= high
+        least_ns, most_ns = clock.crystal_rate.host_duration_ns(duration_s, now_ns)
         end_ns = crystal.true_ns(crystal.device_ns(begin_ns) + round(duration_s * NS_PER_S))
         assert least_ns <= end_ns - begin_ns <= most_ns
-        earliest_ns, latest_ns = move.start_ns(clock.rate, now_ns)
+        earliest_ns, latest_ns = move.start_interval_ns(clock.crystal_rate, now_ns)
         assert earliest_ns <= begin_ns <= latest_ns
         widths.append(high - low)
     assert widths[-1] < 130
-    assert abs(clock.rate.rate_ppm - mean_ppm(crystal, now_ns, 60)) < (4 if told else 45)
+    assert abs(clock.crystal_rate.rate_ppm - mean_ppm(crystal, now_ns, 60)) < (4 if told else 45)
 
 
 def test_a_held_back_end_widens_and_does_not_move() -> None:
-    """The completion line comes 50 ms late: on the slow side the move says nothing any more, and nothing false."""
+    """The completion line comes 50 ms late: on the slow side the move gives no more information, and no false one."""
     crystal, draw = Oscillator(0, 30.0), Random(1)
-    clock = UnreadClock(0.0, 100.0, START)
+    clock = InferredClock(0.0, 100.0, START)
     for number in range(5):
         move = made(crystal, (1 + 100 * number) * NS_PER_S, 60.0, draw, told=False)
-        clock.learn(move, (1 + 100 * number) * NS_PER_S, None, (62 + 100 * number) * NS_PER_S)
-    before = clock.rate
+        clock.learn_from_move(move, (1 + 100 * number) * NS_PER_S, None, (62 + 100 * number) * NS_PER_S)
+    before = clock.crystal_rate
     late = made(crystal, 601 * NS_PER_S, 60.0, draw, told=False)
-    late.ended(661 * NS_PER_S + 50 * NS_PER_MS)
-    clock.learn(late, 601 * NS_PER_S, None, 662 * NS_PER_S)
-    assert clock.rate.consistent and clock.rate.low_ppm <= 30.0 <= clock.rate.high_ppm
-    assert abs(clock.rate.rate_ppm - before.rate_ppm) < 5
+    late.mark_ended(661 * NS_PER_S + 50 * NS_PER_MS)
+    clock.learn_from_move(late, 601 * NS_PER_S, None, 662 * NS_PER_S)
+    assert clock.crystal_rate.consistent and clock.crystal_rate.low_ppm <= 30.0 <= clock.crystal_rate.high_ppm
+    assert abs(clock.crystal_rate.rate_ppm - before.rate_ppm) < 5
 
 
-def test_a_crystal_that_jumps_is_noticed_and_learned_anew() -> None:
+def test_a_crystal_that_jumps_is_noticed_and_estimated_again() -> None:
     draw = Random(3)
-    crystal, clock, now_ns = Oscillator(0, 40.0, 0.001, 3), UnreadClock(0.0, 100.0, START), NS_PER_S
+    crystal, clock, now_ns = Oscillator(0, 40.0, 0.001, 3), InferredClock(0.0, 100.0, START), NS_PER_S
     said: list[bool] = []
     for number in range(12):
         if number == 6:
             crystal.change_rate(-90.0)
         move = made(crystal, now_ns, 60.0, draw)
         now_ns += 62 * NS_PER_S
-        clock.learn(move, now_ns, None, now_ns)
-        said.append(clock.rate.consistent)
+        clock.learn_from_move(move, now_ns, None, now_ns)
+        said.append(clock.crystal_rate.consistent)
     assert said[:6] == [True] * 6 and False in said[6:8] and said[8:] == [True] * 4
-    assert clock.rate.low_ppm <= -50.0 <= clock.rate.high_ppm and abs(clock.rate.rate_ppm + 50) < 5
+    assert (
+        clock.crystal_rate.low_ppm <= -50.0 <= clock.crystal_rate.high_ppm and abs(clock.crystal_rate.rate_ppm + 50) < 5
+    )
 
 
-def test_what_contradicts_the_assumed_leaves_the_assumed() -> None:
+def test_a_measurement_that_contradicts_the_assumption_is_ignored() -> None:
     rates = RateEstimator(10.0, 100.0)
-    assert rates.take([], [], 5)
-    assert not rates.take([Gate(150.0, 160.0, NS_PER_S, 1.0)], [Measure(155.0, 1.0, NS_PER_S)], NS_PER_S)
-    assert (rates.rate.rate_ppm, rates.rate.span_ppm(NS_PER_S, 1.0)) == (10.0, (-90.0, 110.0))
+    assert rates.add_move([], [], 5)
+    assert not rates.add_move(
+        [RateGate(150.0, 160.0, NS_PER_S, 1.0)], [RateMeasurement(155.0, 1.0, NS_PER_S)], NS_PER_S
+    )
+    assert (rates.rate.rate_ppm, rates.rate.range_ppm(NS_PER_S, 1.0)) == (10.0, (-90.0, 110.0))
     assert not rates.rate.consistent
-    assert rates.take([Gate(20.0, 30.0, 2 * NS_PER_S, 1.0)], [], 2 * NS_PER_S)
+    assert rates.add_move([RateGate(20.0, 30.0, 2 * NS_PER_S, 1.0)], [], 2 * NS_PER_S)
     assert rates.rate.consistent and rates.rate.rate_ppm == pytest.approx(25.0)
 
 
-def test_what_is_known_fades_with_time_but_never_beyond_what_is_assumed() -> None:
+def test_the_measured_rate_loses_precision_with_time_but_never_beyond_the_assumption() -> None:
     rates = RateEstimator(0.0, 100.0)
-    rates.take([Gate(20.0, 22.0, 0, 1.0)], [], 0)
+    rates.add_move([RateGate(20.0, 22.0, 0, 1.0)], [], 0)
     bounds = [rates.rate.bound_ppm(age_s * NS_PER_S, 10.0) for age_s in (0, 10, 1000, 10**8)]
     assert bounds == sorted(bounds) and bounds[0] < 3 and bounds[-1] == pytest.approx(121)
-    rates.forget()
+    rates.discard_moves()
     assert rates.rate == RateEstimator(0.0, 100.0).rate
 
 
@@ -123,9 +127,9 @@ def test_the_middle_of_starts_is_learned_where_nothing_is_held_back() -> None:
     draw, prompt, held = Random(4), LatencyEstimator(START), LatencyEstimator(START)
     for _ in range(30):
         start_ns = round(draw.uniform(1.4, 2.2) * NS_PER_MS)
-        prompt.take(0, start_ns + 50 * NS_PER_US, start_ns + 50 * NS_PER_US)
+        prompt.add_start(0, start_ns + 50 * NS_PER_US, start_ns + 50 * NS_PER_US)
         answered_ns = start_ns + draw.randrange(16 * NS_PER_MS)
-        held.take(0, answered_ns, answered_ns)
+        held.add_start(0, answered_ns, answered_ns)
     assert abs(prompt.latency.usual_ns - 1.85 * NS_PER_MS) < 0.15 * NS_PER_MS
     assert held.latency == replace(START, starts=30)
 
@@ -133,14 +137,14 @@ def test_the_middle_of_starts_is_learned_where_nothing_is_held_back() -> None:
 def test_the_second_start_outside_the_promise_widens_it_for_as_long_as_it_is_kept() -> None:
     starts = LatencyEstimator(START)
     for each_ms, promised_ms in ((180, None), (4, 4), (5, 5)):
-        starts.take(each_ms * NS_PER_MS, (each_ms + 1) * NS_PER_MS, None)
+        starts.add_start(each_ms * NS_PER_MS, (each_ms + 1) * NS_PER_MS, None)
         latest_ns = START.latest_ns if promised_ms is None else promised_ms * NS_PER_MS
         assert (starts.latency.earliest_ns, starts.latency.latest_ns) == (START.earliest_ns, latest_ns)
-    for _ in range(KEPT - 2):
-        starts.take(NS_PER_MS, 2 * NS_PER_MS, None)
+    for _ in range(MAX_STARTS - 2):
+        starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None)
     # The one that was late for once is gone: what is left of the others is one.
     assert starts.latency.latest_ns == 4 * NS_PER_MS
-    starts.take(NS_PER_MS, 2 * NS_PER_MS, None)
+    starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None)
     assert starts.latency.latest_ns == START.latest_ns
 
 
@@ -148,7 +152,7 @@ def test_starts_before_the_promise_widen_it_as_well() -> None:
     starts = LatencyEstimator(START)
     for _ in range(2):
         assert starts.latency.earliest_ns == START.earliest_ns
-        starts.take(-3 * NS_PER_MS, -2 * NS_PER_MS, None)
+        starts.add_start(-3 * NS_PER_MS, -2 * NS_PER_MS, None)
     assert starts.latency.earliest_ns == -2 * NS_PER_MS
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.queue import EventQueue
-from orchestrator.clock.virtual import Process, VirtualClock, VirtualDeadlock, run_virtual
+from orchestrator.clock.virtual import VirtualClock, VirtualDeadlock, VirtualProcess, run_virtual
 
 
 def test_time_jumps_and_ties_run_in_order() -> None:
@@ -25,7 +25,7 @@ def test_time_jumps_and_ties_run_in_order() -> None:
 def test_a_frozen_process_catches_up_and_a_killed_one_never_runs_again() -> None:
     async def main(clock: VirtualClock) -> list[object]:
         log: list[object] = []
-        process = Process(clock.loop, "p")
+        process = VirtualProcess(clock.loop, "p")
 
         async def beat() -> None:
             try:
@@ -35,13 +35,13 @@ def test_a_frozen_process_catches_up_and_a_killed_one_never_runs_again() -> None
             finally:
                 log.append("finally")
 
-        process.start(beat())
+        process.start_task(beat())
         await asyncio.sleep(1.5)
         process.freeze()
         await asyncio.sleep(5)
         process.resume()
         await asyncio.sleep(1.2)
-        process.on_death(lambda: log.append("reaped"))
+        process.add_death_callback(lambda: log.append("reaped"))
         process.kill()
         await asyncio.sleep(10)
         return log
@@ -72,4 +72,4 @@ def test_event_queue() -> None:
     queue.run_until_ns(100)
     assert log == [20]
     assert queue.now_ns() == 100
-    assert not queue.step()
+    assert not queue.make_next_call()

@@ -38,7 +38,7 @@ def test_the_phases_of_two_crystals_meet_within_the_time_that_they_need() -> Non
     assert at_once < later <= 10**10 + 25 * 10**9 + 2 * TICK_NS
     assert meet_ns <= CLOSE_ENOUGH * TICK_NS < apart_ns
     assert spread_about([slow, fast], later) < meet_ns + 200
-    # They meet again after a tick's worth of drift, and nobody waits for that.
+    # They coincide again after a tick's worth of drift, and no step waits for that.
     much_later, again_ns = find_closest_ticks([slow, fast], 10**10, 300 * 10**9)
     assert (much_later, again_ns) == (later, meet_ns)
 

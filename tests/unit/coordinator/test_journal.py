@@ -7,8 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.clock.executor import Threaded
-from orchestrator.coordinator.journal.journal import EpochOvertaken, JobHasEnded, Journal, JournalError, RetryOrigin
+from orchestrator.clock.executor import ThreadExecutor
+from orchestrator.coordinator.journal.journal import (
+    EpochOvertaken,
+    JobHasEnded,
+    Journal,
+    JournalError,
+    QueueEntryOptions,
+    RetryOrigin,
+    StepDecision,
+)
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse_document
 from orchestrator.model.job import Job
@@ -40,9 +48,9 @@ def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:
     path = tmp_path / "state" / "journal.db"
     journal = Journal(path)
     terms = QueueTerms(priority=3, repeat=2, after="b", at="2026-12-01T12:00:00+02:00", missed="run", held=True)
-    assert journal.accept_job("a", "key", JOB, utc(1), terms, RetryOrigin("z", 1)) == ("a", True)
+    assert journal.accept_job("a", "key", JOB, utc(1), QueueEntryOptions(terms, RetryOrigin("z", 1))) == ("a", True)
     assert journal.accept_job("b", "key", JOB, utc(2)) == ("a", False)
-    # Another process sees it at once, whatever becomes of this one.
+    # Another process sees it at once, even if this one dies.
     row = Journal(path).load_record("a")
     assert row is not None
     assert row.terms == terms
@@ -71,7 +79,7 @@ def test_jobs_are_found_by_state_name_and_time() -> None:
     assert found(state="queued", name="fill", since_utc=utc(5)) == ["8", "6"]
 
 
-def test_what_is_not_queued_any_more_can_not_be_brought_back() -> None:
+def test_a_job_that_is_no_longer_queued_cannot_be_restored() -> None:
     journal = Journal(":memory:")
     journal.accept_job("a", "a", JOB, utc(1))
     end(journal, "a", "cancelled")
@@ -89,10 +97,10 @@ def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
     journal = Journal(":memory:")
     for number in range(1, 11):
         journal.accept_job(str(number), f"k{number}", JOB, utc(number))
-        journal.record_decision(str(number), 0, 1, 1, "gantry", utc(number))
+        journal.record_decision(str(number), StepDecision(0, 1, 1, "gantry"), utc(number))
         if number not in (2, 9):
             end(journal, str(number))
-    journal.accept_job("x", "x", JOB, utc(11), QueueTerms(after="3"))
+    journal.accept_job("x", "x", JOB, utc(11), QueueEntryOptions(QueueTerms(after="3")))
     assert journal.prune_jobs(utc(8), keep=5) == 4
     # 2 has not ended, x comes after 3, and of the newest five none goes.
     assert sorted(row.id for row in journal.find_jobs(99)[0]) == sorted(["2", "3", "7", "8", "9", "10", "x"])
@@ -103,7 +111,7 @@ def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
     assert journal.prune_jobs(utc(30), keep=1000) == 0
 
 
-def test_what_has_ended_stays_so_and_an_older_reign_is_over() -> None:
+def test_an_ended_job_stays_ended_and_an_older_leader_cannot_write() -> None:
     journal = Journal(":memory:")
     epoch = journal.take_epoch(0)
     journal.accept_job("1", "k1", JOB, utc(1))
@@ -111,7 +119,7 @@ def test_what_has_ended_stays_so_and_an_older_reign_is_over() -> None:
     with pytest.raises(JobHasEnded, match="job 1 is done already"):
         end(journal, "1", "failed")
     with pytest.raises(JobHasEnded):
-        journal.record_decision("1", 0, epoch, 1, "gantry", utc(2))
+        journal.record_decision("1", StepDecision(0, epoch, 1, "gantry"), utc(2))
     assert journal.list_decisions("1") == [] and [each.state for each in journal.list_transitions("1")][-1] == "done"
     journal.require_latest_epoch(epoch)
     journal.take_epoch(0)
@@ -149,7 +157,7 @@ def test_the_way_from_older_versions(tmp_path: Path, version: int) -> None:
 
 
 def refused(path: Path) -> str:
-    """What opening says; the file is what it was."""
+    """The result of opening; the file is unchanged."""
     before = path.read_bytes()
     with pytest.raises(JournalError) as caught:
         Journal(path)
@@ -159,7 +167,7 @@ def refused(path: Path) -> str:
     return str(caught.value)
 
 
-def test_what_is_no_journal_of_ours_is_not_touched(tmp_path: Path) -> None:
+def test_a_foreign_file_is_not_touched(tmp_path: Path) -> None:
     text = tmp_path / "text"
     text.write_text("no data base at all" * 100)
     assert "file is not a database" in refused(text)
@@ -179,7 +187,7 @@ def test_what_is_no_journal_of_ours_is_not_touched(tmp_path: Path) -> None:
         Journal(tmp_path)
 
 
-def test_a_damaged_journal_is_said_and_not_written_to(tmp_path: Path) -> None:
+def test_a_damaged_journal_is_reported_and_not_written_to(tmp_path: Path) -> None:
     path = tmp_path / "journal.db"
     journal = Journal(path)
     for number in range(300):
@@ -204,7 +212,7 @@ def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
             journal.accept_job(str(accepted), str(accepted), JOB, utc(1))
             accepted += 1
     assert "free space" in caught.value.remedy
-    # Nothing that was refused is half there, and all goes on when there is room.
+    # A refused write leaves no partial record, and everything continues when there is space again.
     assert len(journal.list_unfinished()) == accepted
     with pytest.raises(JournalError):
         journal.accept_job("x", "x", JOB, utc(1))
@@ -217,7 +225,7 @@ def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
     assert {row.state for row in journal.list_unfinished()}.isdisjoint(FINISHED_STATES)
 
 
-def test_a_body_that_can_not_be_read_names_the_job() -> None:
+def test_an_unreadable_body_names_the_job() -> None:
     journal = Journal(":memory:")
     journal.accept_job("a", "a", JOB, utc(1))
     journal._db.execute("UPDATE jobs SET body = '{}'")  # pyright: ignore[reportPrivateUsage]
@@ -225,9 +233,10 @@ def test_a_body_that_can_not_be_read_names_the_job() -> None:
         journal.load_job("a")
 
 
-def test_it_is_closed_behind_the_calls_that_still_use_it() -> None:
-    """Closed under a call of another thread, SQLite ended a deposed coordinator with a segmentation fault."""
-    journal, runs = Journal(":memory:"), Threaded("journal")
+def test_it_is_closed_after_the_calls_that_still_use_it() -> None:
+    """Closed under a call of another thread, SQLite ended a coordinator that had lost its leadership with a
+    segmentation fault."""
+    journal, runs = Journal(":memory:"), ThreadExecutor("journal")
     go_on, used = threading.Event(), list[str]()
 
     def slow() -> None:

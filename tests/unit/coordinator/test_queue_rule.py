@@ -37,7 +37,7 @@ def ids(begin: list[WaitingJob]) -> list[str]:
     return [each.row.id for each in begin]
 
 
-def test_what_an_earlier_one_waits_for_is_kept_for_it() -> None:
+def test_resources_that_an_earlier_job_waits_for_are_reserved_for_it() -> None:
     a, b, c, d = (waiting(name, place) for place, name in enumerate("abcd"))
     queue = [(a, {"x", "y"}), (b, {"y"}), (c, {"z"}), (d, set[str]())]
     choice = choose_jobs([(each, frozenset(needs)) for each, needs in queue], {"x": "in use by ben (alignment)"})
@@ -48,7 +48,7 @@ def test_what_an_earlier_one_waits_for_is_kept_for_it() -> None:
     }
 
 
-def test_what_is_kept_back_is_in_nobodys_way() -> None:
+def test_a_held_job_blocks_no_other() -> None:
     held, timed, late = waiting("a", 0, held_by="ben"), waiting("b", 1, due=False, at_utc="10:00"), waiting("c", 2)
     after = waiting("d", 3)
     after.pending = "q"

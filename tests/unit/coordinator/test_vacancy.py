@@ -1,12 +1,12 @@
-"""Who stands by and was stopped itself has heard nobody: that is no silence of others."""
+"""A standby that was stopped itself has received nothing: that is no silence of others."""
 
 import asyncio
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from orchestrator.bus.base import Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import BusSample
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS
@@ -23,12 +23,12 @@ REIGN = LeaderHeartbeat(
     origin_host_ns=0,
     utc="2026-01-01T00:00:00Z",
 )
-BEAT = Sample("tutti/v1/demo/leader", REIGN.to_json())
+BEAT = BusSample("tutti/v1/demo/leader", REIGN.to_json())
 STOPPED_NS = 2 * NS_PER_S
 
 
 class Drowsy:
-    """A clock whose process is stopped once: what is due meanwhile comes when it goes on."""
+    """A clock whose process is stopped once: timers that are due meanwhile fire when it continues."""
 
     def __init__(self, clock: VirtualClock, from_ns: int) -> None:
         self._clock = clock
@@ -44,15 +44,15 @@ class Drowsy:
 
 def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
     async def main(clock: VirtualClock) -> None:
-        hear: list[Callable[[Sample], None]] = []
+        hear: list[Callable[[BusSample], None]] = []
 
-        async def subscribe(_: str, callback: Callable[[Sample], None]) -> Any:
+        async def subscribe(_: str, callback: Callable[[BusSample], None]) -> Any:
             hear.append(callback)
             return SimpleNamespace(undeclare=lambda: asyncio.sleep(0))
 
         drowsy: Any = Drowsy(clock, NS_PER_S)
         bus: Any = SimpleNamespace(subscribe=subscribe)
-        standing = asyncio.ensure_future(wait_for_vacancy(bus, Keys("demo"), drowsy))
+        standing = asyncio.ensure_future(wait_for_vacancy(bus, FleetKeys("demo"), drowsy))
         # Its bus wakes some time after it: the heartbeats of the time between are gone.
         for _ in range(50):
             await sleep_ns(clock, HEARTBEAT_NS)

@@ -43,7 +43,7 @@ def test_frames(frame: str, bits: int) -> None:
         ["--listen", "pty:x", "--oscillator", '{"drift": 1}'],
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_is_reported_in_one_line(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         parse_arguments([*USUAL, *wrong])
     assert end.value.code == 2
@@ -60,7 +60,7 @@ def test_what_is_wrong_is_said_in_one_line(wrong: list[str], capsys: pytest.Capt
         ('{"input": [0, true]}', "input.0"),
     ],
 )
-def test_a_line_that_can_not_be_acted_upon_says_why(line: str, named: str) -> None:
+def test_the_refusal_of_a_line_reports_the_reason(line: str, named: str) -> None:
     controller = find_simulator("smc4000").build_controller(EventQueue(), {})
     with pytest.raises(EnvironmentRefused, match=named):
         change_environment(controller, line)

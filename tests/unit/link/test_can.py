@@ -12,12 +12,12 @@ from orchestrator.link.can import (
     ERROR_RESTARTED,
     CanFrame,
     FrameReader,
-    decode,
-    encode,
+    decode_frames,
+    encode_frames,
     frame_ns,
     longest_bits,
 )
-from orchestrator.link.can_bus import CanNode, MemoryCanBus, exact_bits, stuffable
+from orchestrator.link.can_bus import CanNode, MemoryCanBus, exact_bits, stuffable_bits
 
 BIT_NS = 1000
 FRAMES = (
@@ -31,7 +31,7 @@ FRAMES = (
 
 
 class Bench:
-    """A bus of 1 Mbit/s with nodes whose frames and troubles are noted."""
+    """A bus of 1 Mbit/s with nodes whose frames and faults are recorded."""
 
     def __init__(self, count: int = 3, **more: float) -> None:
         self.clock = EventQueue()
@@ -39,11 +39,11 @@ class Bench:
         self.heard: list[list[tuple[int, CanFrame]]] = [[] for _ in range(count)]
         self.troubles: list[list[int]] = [[] for _ in range(count)]
         self.sent: list[tuple[CanFrame, int, int]] = []
-        self.bus.watch(lambda *each: self.sent.append(each))
+        self.bus.add_listener(lambda *each: self.sent.append(each))
         self.nodes = [self._attach(place) for place in range(count)]
 
     def _attach(self, place: int) -> CanNode:
-        return self.bus.attach(
+        return self.bus.attach_node(
             lambda frame: self.heard[place].append((self.clock.now_ns(), frame)), self.troubles[place].append
         )
 
@@ -53,27 +53,27 @@ class Bench:
 
 @pytest.mark.parametrize("frame", FRAMES, ids=str)
 def test_frames_survive_their_bytes(frame: CanFrame) -> None:
-    assert decode(encode(frame)) == [frame]
+    assert decode_frames(encode_frames(frame)) == [frame]
     reader = FrameReader()
-    found = [each for byte in encode(frame, frame) for each in reader.feed(bytes([byte]))]
+    found = [each for byte in encode_frames(frame, frame) for each in reader.add_bytes(bytes([byte]))]
     assert found == [frame, frame]
 
 
 def test_a_frame_is_the_kernels_struct() -> None:
-    assert encode(CanFrame(0x123, b"\x01\x02")) == bytes.fromhex("23010000 02000000 0102000000000000")
-    assert encode(CanFrame(0x123, extended=True))[:4] == bytes.fromhex("23010080")
+    assert encode_frames(CanFrame(0x123, b"\x01\x02")) == bytes.fromhex("23010000 02000000 0102000000000000")
+    assert encode_frames(CanFrame(0x123, extended=True))[:4] == bytes.fromhex("23010080")
     with pytest.raises(ValueError, match="17 bytes"):
-        decode(bytes(17))
+        decode_frames(bytes(17))
 
 
 @pytest.mark.parametrize(("identifier", "data"), [(0x800, b""), (-1, b""), (1, bytes(9))])
-def test_what_is_no_frame_is_refused(identifier: int, data: bytes) -> None:
+def test_an_invalid_frame_is_refused(identifier: int, data: bytes) -> None:
     with pytest.raises(ValueError, match="CAN"):
         CanFrame(identifier, data)
 
 
 def test_bits_of_a_frame() -> None:
-    # 8 bytes: 34 + 64 bits that can be stuffed, up to 24 stuff bits, and 13 behind them: 135 at the most.
+    # 8 bytes: 34 + 64 bits that can be stuffed, up to 24 stuff bits, and 13 after them: 135 at the most.
     assert longest_bits(CanFrame(1, bytes(8))) == 135
     assert longest_bits(CanFrame(1, bytes(8), extended=True)) == 160
     assert longest_bits(CanFrame(1, bytes(8), rtr=True)) == longest_bits(CanFrame(1))
@@ -81,7 +81,7 @@ def test_bits_of_a_frame() -> None:
 
 
 def plainly(bits: str) -> int:
-    """Stuff bits, one bit after another as the standard tells it."""
+    """Stuff bits, one bit after another as in the standard."""
     stuffed, run, last = 0, 0, ""
     for bit in bits:
         run = run + 1 if bit == last else 1
@@ -92,7 +92,7 @@ def plainly(bits: str) -> int:
 
 
 def remainder(bits: str) -> int:
-    """The CRC, one bit after another as the standard tells it."""
+    """The CRC, one bit after another as in the standard."""
     crc = 0
     for bit in bits:
         carry = crc >> 14 ^ int(bit)
@@ -107,7 +107,7 @@ def test_stuff_bits_and_crc_are_those_of_the_standard() -> None:
         identifier = draw.getrandbits(29 if extended else 11) & draw.getrandbits(29)
         data = bytes(draw.choice((0, 0xFF, draw.getrandbits(8))) for _ in range(draw.randrange(9)))
         frame = CanFrame(identifier, data, extended, draw.random() < 0.1)
-        bits = stuffable(frame)
+        bits = stuffable_bits(frame)
         payload = 0 if frame.rtr else 8 * len(data)
         assert len(bits) == (54 if extended else 34) + payload
         assert remainder(bits) == 0  # once more over a frame with its CRC appended
@@ -116,15 +116,15 @@ def test_stuff_bits_and_crc_are_those_of_the_standard() -> None:
 
 
 def test_the_bits_of_a_sync() -> None:
-    bits = stuffable(CanFrame(0x080))
+    bits = stuffable_bits(CanFrame(0x080))
     # start of frame, identifier, RTR, IDE, reserved, length
     assert bits[:19] == "0" + "00010000000" + "0" + "0" + "0" + "0000"
 
 
-def test_a_frame_takes_its_bits_and_reaches_everybody_else() -> None:
+def test_a_frame_takes_its_bit_time_and_reaches_every_other_node() -> None:
     bench = Bench()
     frame = CanFrame(0x123, b"\x01\x02\x03")
-    bench.nodes[0].send(frame)
+    bench.nodes[0].queue_frames(frame)
     bench.wait(1)
     end_ns = (exact_bits(frame) - 3) * BIT_NS
     assert bench.heard == [[], [(end_ns, frame)], [(end_ns, frame)]]
@@ -134,11 +134,11 @@ def test_a_frame_takes_its_bits_and_reaches_everybody_else() -> None:
 
 def test_the_lowest_identifier_wins_and_a_sender_keeps_its_order() -> None:
     bench = Bench()
-    bench.nodes[0].send(CanFrame(0x300), CanFrame(0x100))
-    bench.nodes[1].send(CanFrame(0x200))
-    bench.nodes[2].send(CanFrame(0x200 << 18, extended=True), CanFrame(0x081))
+    bench.nodes[0].queue_frames(CanFrame(0x300), CanFrame(0x100))
+    bench.nodes[1].queue_frames(CanFrame(0x200))
+    bench.nodes[2].queue_frames(CanFrame(0x200 << 18, extended=True), CanFrame(0x081))
     bench.wait(2)
-    # Standard before extended with the same first bits; node 0 keeps 0x100 behind 0x300, which waits for all others.
+    # Standard before extended with the same first bits; node 0 keeps 0x100 after 0x300, which waits for all others.
     assert [frame.id for frame, _, _ in bench.sent] == [0x200, 0x200 << 18, 0x081, 0x300, 0x100]
     begins = [begin for _, begin, _ in bench.sent]
     ends = [end for _, _, end in bench.sent]
@@ -147,16 +147,16 @@ def test_the_lowest_identifier_wins_and_a_sender_keeps_its_order() -> None:
 
 def test_a_node_that_sorts_by_identifier_sends_the_lowest_first() -> None:
     bench = Bench(2)
-    node = bench.bus.attach(lambda frame: None, by_identifier=True)
-    node.send(CanFrame(0x300), CanFrame(0x100), CanFrame(0x200))
+    node = bench.bus.attach_node(lambda frame: None, by_identifier=True)
+    node.queue_frames(CanFrame(0x300), CanFrame(0x100), CanFrame(0x200))
     bench.wait(2)
     assert [frame.id for frame, _, _ in bench.sent] == [0x100, 0x200, 0x300]
 
 
 def test_a_destroyed_frame_is_sent_again_and_counted() -> None:
     bench = Bench()
-    bench.bus.disturb(3)
-    bench.nodes[0].send(CanFrame(0x123))
+    bench.bus.disturb_frames(3)
+    bench.nodes[0].queue_frames(CanFrame(0x123))
     bench.wait(2)
     assert len(bench.sent) == 1
     assert bench.nodes[0].transmit_errors == 3 * 8 - 1
@@ -165,71 +165,71 @@ def test_a_destroyed_frame_is_sent_again_and_counted() -> None:
 
 def test_a_burst_of_error_frames_takes_the_sender_off_the_bus_and_a_restart_brings_it_back() -> None:
     bench = Bench()
-    bench.bus.disturb(32)
-    bench.nodes[0].send(CanFrame(0x123))
+    bench.bus.disturb_frames(32)
+    bench.nodes[0].queue_frames(CanFrame(0x123))
     bench.wait(5)
-    assert bench.nodes[0].state == "off"
-    assert bench.nodes[1].state == "active"
+    assert bench.nodes[0].node_state == "off"
+    assert bench.nodes[1].node_state == "active"
     assert [each for each in bench.troubles[0] if each in (ERROR_PASSIVE, ERROR_BUS_OFF)] == [
         ERROR_PASSIVE,
         ERROR_BUS_OFF,
     ]
-    bench.nodes[0].send(CanFrame(0x124))
-    bench.nodes[0].restart()
+    bench.nodes[0].queue_frames(CanFrame(0x124))
+    bench.nodes[0].leave_bus_off()
     bench.wait(1.3)
-    assert bench.nodes[0].state == "off"
+    assert bench.nodes[0].node_state == "off"
     bench.wait(0.2)
-    assert bench.nodes[0].state == "active"
+    assert bench.nodes[0].node_state == "active"
     assert bench.troubles[0][-1] == ERROR_RESTARTED
-    bench.nodes[0].send(CanFrame(0x125))
+    bench.nodes[0].queue_frames(CanFrame(0x125))
     bench.wait(1)
     assert [frame.id for _, frame in bench.heard[1]] == [0x125]
 
 
 def test_alone_on_a_bus_a_node_becomes_passive_and_waits_for_company() -> None:
     bench = Bench(1)
-    bench.nodes[0].send(CanFrame(0x123))
+    bench.nodes[0].queue_frames(CanFrame(0x123))
     bench.wait(50)
-    assert bench.nodes[0].state == "passive"
+    assert bench.nodes[0].node_state == "passive"
     assert bench.nodes[0].transmit_errors == 128
     assert bench.troubles[0][-1] == ERROR_NO_ACKNOWLEDGE
     heard: list[CanFrame] = []
-    bench.bus.attach(heard.append)
+    bench.bus.attach_node(heard.append)
     bench.wait(1)
     assert [frame.id for frame in heard] == [0x123]
 
 
-def test_a_broken_wire_lets_nobody_hear_anybody() -> None:
+def test_a_broken_wire_separates_all_nodes() -> None:
     bench = Bench()
     bench.bus.cut = True
-    bench.nodes[0].send(CanFrame(0x123))
+    bench.nodes[0].queue_frames(CanFrame(0x123))
     bench.wait(20)
     assert bench.heard == [[], [], []]
     bench.bus.cut = False
-    bench.bus.wake()
+    bench.bus.retry_frames()
     bench.wait(1)
     assert len(bench.heard[1]) == 1
 
 
-def test_a_node_of_another_bit_rate_hears_nothing_and_destroys_what_it_sends() -> None:
+def test_a_node_of_another_bit_rate_receives_nothing_and_destroys_what_it_sends() -> None:
     bench = Bench(2)
     heard: list[CanFrame] = []
-    wrong = bench.bus.attach(heard.append, bitrate=500_000)
-    bench.nodes[0].send(CanFrame(0x123))
+    wrong = bench.bus.attach_node(heard.append, bitrate=500_000)
+    bench.nodes[0].queue_frames(CanFrame(0x123))
     bench.wait(1)
     assert (len(bench.heard[1]), heard) == (1, [])
-    wrong.send(CanFrame(0x200))
+    wrong.queue_frames(CanFrame(0x200))
     bench.wait(20)
-    assert wrong.state == "off"
+    assert wrong.node_state == "off"
     assert len(bench.heard[1]) == 1
 
 
 def test_two_nodes_with_one_identifier_and_different_data_destroy_each_other() -> None:
     bench = Bench()
-    bench.nodes[0].send(CanFrame(0x181, b"\x01"))
-    bench.nodes[1].send(CanFrame(0x181, b"\x02"))
+    bench.nodes[0].queue_frames(CanFrame(0x181, b"\x01"))
+    bench.nodes[1].queue_frames(CanFrame(0x181, b"\x02"))
     bench.wait(20)
-    assert [node.state for node in bench.nodes] == ["off", "off", "active"]
+    assert [node.node_state for node in bench.nodes] == ["off", "off", "active"]
     assert bench.sent == []
 
 
@@ -237,7 +237,7 @@ def test_errors_come_by_chance_from_the_seed_alone() -> None:
     def run() -> list[tuple[CanFrame, int, int]]:
         bench = Bench(error_rate=0.05)
         for number in range(200):
-            bench.nodes[number % 3].send(CanFrame(0x100 + number, bytes([number])))
+            bench.nodes[number % 3].queue_frames(CanFrame(0x100 + number, bytes([number])))
             bench.wait(0.5)
         return bench.sent
 
@@ -250,11 +250,11 @@ def test_errors_come_by_chance_from_the_seed_alone() -> None:
 
 def test_a_node_that_loses_power_spoils_its_frame() -> None:
     bench = Bench()
-    bench.nodes[0].send(CanFrame(0x123, bytes(8)))
+    bench.nodes[0].queue_frames(CanFrame(0x123, bytes(8)))
     bench.wait(0.05)
-    bench.nodes[0].connect(False)
+    bench.nodes[0].set_connected(connected=False)
     bench.wait(1)
     assert bench.heard == [[], [], []]
-    bench.nodes[0].send(CanFrame(0x124))
+    bench.nodes[0].queue_frames(CanFrame(0x124))
     bench.wait(1)
     assert bench.sent == []

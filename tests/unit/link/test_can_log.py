@@ -6,14 +6,14 @@ import can
 import pytest
 
 from adapters.link.can_log import LogFormat, write_log
-from orchestrator.link.can import CanFrame, encode
-from orchestrator.link.trace import Entry
+from orchestrator.link.can import CanFrame, encode_frames
+from orchestrator.link.trace import TraceEntry
 
-ENTRIES: list[Entry] = [
-    (1_000_000_000, "out", encode(CanFrame(0x080), CanFrame(0x201, b"\x0f\0"))),
-    (1_002_000_000, "in", encode(CanFrame(0x181, b"\x37\x02"))),
-    (1_003_000_000, "in", encode(CanFrame(0x1ABCDEF, b"\x01", extended=True))),
-    (1_004_000_000, "out", encode(CanFrame(0x701, b"\0", rtr=True))),
+ENTRIES: list[TraceEntry] = [
+    (1_000_000_000, "out", encode_frames(CanFrame(0x080), CanFrame(0x201, b"\x0f\0"))),
+    (1_002_000_000, "in", encode_frames(CanFrame(0x181, b"\x37\x02"))),
+    (1_003_000_000, "in", encode_frames(CanFrame(0x1ABCDEF, b"\x01", extended=True))),
+    (1_004_000_000, "out", encode_frames(CanFrame(0x701, b"\0", rtr=True))),
 ]
 
 

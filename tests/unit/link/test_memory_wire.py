@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.link.memory import LAN, PIECE_CHARACTERS, PROMISED_NS, FarConnection, MemoryWire, serial_wire
-from orchestrator.link.supply import Supply
+from orchestrator.link.memory import DEFAULT_JITTER_NS, LAN, PIECE_CHARACTERS, FarConnection, MemoryWire, serial_wire
+from orchestrator.link.supply import PowerSupply
 
 
 class Echo:
@@ -16,7 +16,7 @@ class Echo:
     def __init__(self, clock: VirtualClock) -> None:
         self.arrived_ns: list[int] = []
         self.taken = False
-        self.supply = Supply()
+        self.supply = PowerSupply()
         self._clock = clock
         self._send: Callable[[bytes], None] = lambda _: None
 
@@ -29,7 +29,7 @@ class Echo:
     def say(self, data: bytes) -> None:
         self._send(data)
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         self.arrived_ns.append(self._clock.now_ns())
         self._send(data)
 
@@ -37,42 +37,42 @@ class Echo:
         self.taken = False
 
 
-def test_lines_that_the_tail_has_kept_are_told_and_answers_are_not() -> None:
+def test_lines_that_the_tail_has_kept_are_reported_and_answers_are_not() -> None:
     async def main(clock: VirtualClock) -> None:
         echo = Echo(clock)
         wire = MemoryWire(clock, replace(LAN, tail_chance=0.1), echo, "tcp", "unit", copy_context(), seed=5)
-        link = await wire.open()
+        link = await wire.open_link()
         sent_ns: list[int] = []
         for _ in range(50):
             sent_ns.append(link.write(b"?\r"))
             await sleep_ns(clock, 20 * NS_PER_MS)
-        late_ns = [sent for sent, came in zip(sent_ns, echo.arrived_ns, strict=True) if came - sent > PROMISED_NS]
+        late_ns = [sent for sent, came in zip(sent_ns, echo.arrived_ns, strict=True) if came - sent > DEFAULT_JITTER_NS]
         assert 0 < len(late_ns) < 15 and wire.late_ns == late_ns
-        assert wire.kept_a_start(late_ns[0]) and wire.kept_a_start(late_ns[0] + 200 * NS_PER_MS)
-        assert not wire.kept_a_start(late_ns[0] - 1) and not wire.kept_a_start(late_ns[-1] + NS_PER_S)
+        assert wire.delayed_start(late_ns[0]) and wire.delayed_start(late_ns[0] + 200 * NS_PER_MS)
+        assert not wire.delayed_start(late_ns[0] - 1) and not wire.delayed_start(late_ns[-1] + NS_PER_S)
 
     run_virtual(main)
 
 
 def test_a_port_can_be_opened_as_soon_as_it_is_closed() -> None:
-    """The controller hears of the one before the other, like bytes."""
+    """The controller receives the one before the other, like bytes."""
 
     async def main(clock: VirtualClock) -> None:
         wire = MemoryWire(clock, LAN, Echo(clock), "serial", "unit", copy_context())
         for _ in range(20):
-            await (await wire.open()).close()
+            await (await wire.open_link()).close()
 
     run_virtual(main)
 
 
-def test_what_has_not_left_a_serial_port_when_power_is_lost_never_does() -> None:
-    """Long answers come piece by piece; behind the power cut the line is free at once."""
+def test_bytes_still_in_a_serial_port_when_power_is_lost_are_never_sent() -> None:
+    """Long answers come piece by piece; after the power cut the line is free at once."""
 
     async def main(clock: VirtualClock) -> None:
         echo = Echo(clock)
         model = serial_wire(9600)
         wire = MemoryWire(clock, model, echo, "serial", "unit", copy_context())
-        link = await wire.open()
+        link = await wire.open_link()
         said = bytes(range(65, 91)) * 20
         begun_ns = clock.now_ns()
         echo.say(said)
@@ -80,7 +80,7 @@ def test_what_has_not_left_a_serial_port_when_power_is_lost_never_does() -> None
         piece_ns = PIECE_CHARACTERS * model.char_ns
         assert first.data == said[:PIECE_CHARACTERS] and first.at_ns - begun_ns >= piece_ns
         await sleep_until_ns(clock, begun_ns + 100 * model.char_ns)
-        echo.supply.switched(False, clock.now_ns())
+        echo.supply.set_power(on=False, at_ns=clock.now_ns())
         await sleep_until_ns(clock, begun_ns + 200 * model.char_ns)
         echo.say(b"again")
         assert first.data + (await link.read()).data == said[:100]

@@ -34,7 +34,7 @@ def test_lines_arrive_each_at_its_own_end_and_in_order() -> None:
     assert arrived[-1][1] == b"H"
 
 
-def test_what_a_sender_without_power_had_still_to_send_is_lost() -> None:
+def test_unsent_bytes_of_a_sender_without_power_are_lost() -> None:
     arrived: list[tuple[int, bytes]] = []
 
     async def test(clock: VirtualClock) -> None:

@@ -1,4 +1,4 @@
-"""Units are exact, and profiles say what they do."""
+"""Units are exact, and profiles describe their motion."""
 
 import random
 from fractions import Fraction

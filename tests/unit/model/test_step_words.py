@@ -22,5 +22,5 @@ STEPS = TypeAdapter[Step](Step)
         ({"do": "set-position", "axes": {"a.x": None, "a.y": 1}}, "set-position axes a.x=null a.y=1"),
     ],
 )
-def test_a_step_says_what_its_file_says(plain: dict[str, object], text: str) -> None:
+def test_a_step_description_matches_its_file(plain: dict[str, object], text: str) -> None:
     assert describe_step(STEPS.validate_python(plain)) == text

@@ -4,13 +4,13 @@ from io import StringIO
 
 from rich.console import Console
 
-from orchestrator.bus.base import Sample
-from orchestrator.bus.keys import Keys
+from orchestrator.bus.base import BusSample
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.report import JobProgress, JobState
-from orchestrator.monitor.fleet_view import JOBS_SHOWN, LiveView
+from orchestrator.monitor.fleet_view import MAX_JOBS_SHOWN, LiveView
 
 
-def progress(job_id: str, state: JobState, step: int = 0) -> Sample:
+def progress(job_id: str, state: JobState, step: int = 0) -> BusSample:
     said = JobProgress(
         job_id=job_id,
         name="scan",
@@ -24,40 +24,40 @@ def progress(job_id: str, state: JobState, step: int = 0) -> Sample:
         reason="",
         utc="2026-01-01T00:00:00Z",
     )
-    return Sample(f"tutti/v1/lab/job/{job_id}/state", said.to_json())
+    return BusSample(f"tutti/v1/lab/job/{job_id}/state", said.to_json())
 
 
 def screen(view: LiveView) -> str:
     console = Console(width=100, record=True, file=StringIO())
-    console.print(view.render())
+    console.print(view.render_screen())
     return console.export_text()
 
 
 def test_jobs_that_run_side_by_side_are_all_shown_and_of_ended_ones_the_newest() -> None:
-    view = LiveView(Keys("lab"))
-    assert view.take(progress("aaaa", "running"))
-    assert view.take(progress("bbbb", "running"))
-    assert view.take(progress("aaaa", "running")) is None
-    assert view.take(progress("aaaa", "running", 1))
+    view = LiveView(FleetKeys("lab"))
+    assert view.take_sample(progress("aaaa", "running"))
+    assert view.take_sample(progress("bbbb", "running"))
+    assert view.take_sample(progress("aaaa", "running")) is None
+    assert view.take_sample(progress("aaaa", "running", 1))
     assert "aaaa" in screen(view) and "bbbb" in screen(view)
     for job_id in ("cccc", "dddd"):
-        view.take(progress(job_id, "done", 2))
+        view.take_sample(progress(job_id, "done", 2))
     assert "cccc" not in screen(view) and "dddd" in screen(view)
-    view.take(progress("aaaa", "running", 2))
+    view.take_sample(progress("aaaa", "running", 2))
     assert "dddd" in screen(view)
 
 
-def test_a_long_queue_is_cut_behind_what_runs() -> None:
-    view = LiveView(Keys("lab"))
-    for number in range(JOBS_SHOWN + 3):
-        view.take(progress(f"q{number:03}", "queued"))
-    view.take(progress("zzzz", "running"))
+def test_a_long_queue_is_cut_after_the_running_jobs() -> None:
+    view = LiveView(FleetKeys("lab"))
+    for number in range(MAX_JOBS_SHOWN + 3):
+        view.take_sample(progress(f"q{number:03}", "queued"))
+    view.take_sample(progress("zzzz", "running"))
     shown = screen(view)
     assert "zzzz" in shown and "and 4 more jobs" in shown
 
 
 def test_a_step_has_the_number_that_from_step_takes() -> None:
-    view = LiveView(Keys("lab"))
-    line = view.take(progress("aaaa", "running", 1))
+    view = LiveView(FleetKeys("lab"))
+    line = view.take_sample(progress("aaaa", "running", 1))
     assert line is not None and "step 1 move, 2 of 3" in line
     assert "step 1 move, 2 of 3" in screen(view)

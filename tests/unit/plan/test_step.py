@@ -1,4 +1,4 @@
-"""Plans: synchronised, inside limits, straight where a line is asked for, exact at the ends."""
+"""Plans: synchronised, inside limits, straight where a linear path is requested, exact at the ends."""
 
 import random
 from fractions import Fraction
@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.plan import shape
 from orchestrator.plan.shape import PlanError
-from orchestrator.plan.step import AxisMove, Targets, plan_step
+from orchestrator.plan.step import AxisMove, ExactTargets, plan_step
 
 
 def random_moves(draw: random.Random, orders: tuple[int, ...] = (2, 3)) -> list[AxisMove]:
@@ -78,37 +78,37 @@ def test_refusals_name_axis_and_reason() -> None:
     assert plan_step([AxisMove("c.x", 150, 50, 10, 10, soft_limits=(0, 100))]).profiles
 
 
-def test_a_failing_solver_is_asked_again_and_then_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_solver_is_retried_and_then_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     moves = [AxisMove("c.x", 0, 1000, 100, 1000, 1e5, 3), AxisMove("c.y", 0, 500, 100, 1000, 1e5, 3)]
-    honest = shape._ruckig
+    honest = shape._run_ruckig
     asked: list[int] = []
 
-    def only_alone(bounds, synchronised, margin):  # type: ignore[no-untyped-def]
+    def only_alone(bounds, margin, *, synchronised):  # type: ignore[no-untyped-def]
         asked.append(len(bounds.distance))
         if len(bounds.distance) > 1:
             raise PlanError("made to fail")
-        return honest(bounds, synchronised, margin)
+        return honest(bounds, margin, synchronised=synchronised)
 
-    monkeypatch.setattr(shape, "_ruckig", only_alone)
+    monkeypatch.setattr(shape, "_run_ruckig", only_alone)
     plan = plan_step(moves)
     assert asked == [2, 2, 1, 1]
     assert plan.profiles["c.y"].duration_s == pytest.approx(plan.duration_s)
 
-    monkeypatch.setattr(shape, "_ruckig", lambda *_: (_ for _ in ()).throw(PlanError("never")))
+    monkeypatch.setattr(shape, "_run_ruckig", lambda *_, **__: (_ for _ in ()).throw(PlanError("never")))
     with pytest.raises(PlanError, match=r"c\.x: no motion found \(never"):
         plan_step(moves)
 
 
 def test_no_waypoints_ever_reach_ruckig() -> None:
     plan_step([AxisMove("c.x", 0, 1000, 100, 1000, 1e5, 3)])
-    assert list(shape.workspace(1)[2].intermediate_positions) == []
+    assert list(shape.get_workspace(1)[2].intermediate_positions) == []
 
 
 def test_a_thousand_relative_moves_there_and_back_end_on_the_same_count() -> None:
-    targets, per_unit, counts = Targets(), Fraction(10_000, 3), 17
+    targets, per_unit, counts = ExactTargets(), Fraction(10_000, 3), 17
     for sign in [1, -1] * 500:
-        here = targets.position("c.x", counts, per_unit)
+        here = targets.exact_position("c.x", counts, per_unit)
         target = here + sign * Fraction(1, 7)
         counts = round(target * per_unit)
-        targets.reached("c.x", target, counts)
+        targets.record_target("c.x", target, counts)
     assert counts == 17

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.queue import EventQueue
-from orchestrator.link.can import CanFrame, FrameReader, encode
+from orchestrator.link.can import CanFrame, FrameReader, encode_frames
 from sim.cia402 import CIA402
 from sim.cia402.unit import SimulatedDrive
 from sim.core.controller import DeviceSpec, FirmwareTiming
@@ -53,7 +53,7 @@ class CanBench:
         reader = FrameReader()
 
         def heard(data: bytes) -> None:
-            self.frames.extend((self.clock.now_ns(), frame) for frame in reader.feed(data))
+            self.frames.extend((self.clock.now_ns(), frame) for frame in reader.add_bytes(data))
 
         self.card = segment.connect("can", heard, lambda: None)
         if boot:
@@ -67,7 +67,7 @@ class CanBench:
         self.clock.run_until_ns(self.clock.now_ns() + round(ms * MS))
 
     def send(self, identifier: int, data: bytes = b"", rtr: bool = False) -> None:
-        self.card.receive(encode(CanFrame(identifier, data, rtr=rtr)))
+        self.card.receive_bytes(encode_frames(CanFrame(identifier, data, rtr=rtr)))
 
     def heard(self, identifier: int, since_ns: int = 0) -> list[bytes]:
         """Data of all frames with this identifier."""

@@ -1,4 +1,4 @@
-"""A simulated SMC-4000 with somebody at its port, on virtual time."""
+"""A simulated SMC-4000 with a client at its port, on virtual time."""
 
 from orchestrator.clock.queue import EventQueue
 from sim.core.controller import FirmwareTiming
@@ -35,7 +35,7 @@ class Desk:
     def ask(self, *commands: str, wait_s: float = 0.0) -> str:
         for command in commands:
             self.heard = b""
-            self.line.receive((command if command.endswith(("\r", "\x1a")) else f"{command}\r").encode("latin-1"))
+            self.line.receive_bytes((command if command.endswith(("\r", "\x1a")) else f"{command}\r").encode("latin-1"))
             self.wait(wait_s)
         return self.heard.decode("latin-1")
 
@@ -44,4 +44,4 @@ class Desk:
 
     def rest(self) -> None:
         while not self.unit.at_rest():
-            assert self.clock.step()
+            assert self.clock.make_next_call()

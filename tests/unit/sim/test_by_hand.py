@@ -1,4 +1,5 @@
-"""What hands do to simulated axes, what stops do to their motions, and the lines and the record of live simulators."""
+"""Effects of pushes on simulated axes and of stops on their motions, and the lines and the record of live
+simulators."""
 
 import io
 import json
@@ -19,7 +20,7 @@ from sim.smc30 import SMC30
 from sim.yaskawa import SMC4000
 
 
-def test_a_servos_encoder_sees_a_push_and_enabling_begins_from_there() -> None:
+def test_a_servos_encoder_measures_a_push_and_enabling_starts_from_there() -> None:
     desk = Desk()
     desk.unit.push_axis("X", -321)
     assert "-0000000321" in desk.ask("TPX") and "0000000000" in desk.ask("RPX")
@@ -63,7 +64,7 @@ def test_a_scale_sees_a_push_and_the_loop_takes_the_stage_back() -> None:
     assert rig.ask("Q:SPE").split(",")[0] == "P0"
 
 
-def test_pushes_of_makes_whose_motors_can_not_be_switched_off_need_rest() -> None:
+def test_pushes_of_makes_whose_motors_cannot_be_switched_off_need_rest() -> None:
     for make, axis in ((PPSMC, "1"), (SMC30, "1")):
         unit = make.build_controller(EventQueue(), {})
         name = axis if axis in unit.axis_names else unit.axis_names[0]
@@ -74,7 +75,7 @@ def test_pushes_of_makes_whose_motors_can_not_be_switched_off_need_rest() -> Non
 
 
 @pytest.mark.parametrize("line", ["STX", "ST", "AB", "limit", "FLX=3000"])
-def test_when_a_stop_begins_to_slow_an_smc4000(line: str) -> None:
+def test_instant_at_which_a_stop_starts_to_slow_an_smc4000(line: str) -> None:
     desk = Desk()
     desk.ask("SHX", "JGX=20000", "BGX")
     desk.wait(0.2)
@@ -105,7 +106,7 @@ def test_a_motion_without_a_stop_has_no_such_instant() -> None:
 
 
 @pytest.mark.parametrize(("line", "dead"), [("L:1", False), ("L:E", True), ("limit", True)])
-def test_when_a_stop_begins_to_slow_an_shrc203(line: str, dead: bool) -> None:
+def test_instant_at_which_a_stop_starts_to_slow_an_shrc203(line: str, dead: bool) -> None:
     rig = Rig()
     rig.ok("M:1+P100000", "G:1")
     rig.wait(2)
@@ -139,7 +140,7 @@ def test_lines_of_the_world_push_axes_and_count_inputs_from_0() -> None:
         change_environment(BUILT["shrc203"], '{"input": [0, true]}')
 
 
-def test_the_record_tells_start_slowing_and_end_in_order() -> None:
+def test_the_record_lists_start_slowing_and_end_in_order() -> None:
     desk = Desk()
     file = io.StringIO()
     GroundTruthLog(desk.unit, desk.clock, file)

@@ -31,7 +31,7 @@ def test_boot_up_and_the_states_of_nmt() -> None:
         assert bench.heard(0x702, since_ns) == [b"\0"]
 
 
-def test_resets_give_back_what_they_are_said_to() -> None:
+def test_resets_restore_what_they_are_documented_to() -> None:
     bench = CanBench()
     bench.write(0x1017, 0, 100, 2)
     bench.write(0x6081, 0, 777, 4)
@@ -50,8 +50,8 @@ def test_the_permanent_memory() -> None:
         bench.write(0x1010, 1, 1, 4)
     bench.write(0x1010, 1, int.from_bytes(b"save", "little"), 4)
     assert bench.read(0x1010, 1) == 1
-    bench.drive.set_power(False)
-    bench.drive.set_power(True)
+    bench.drive.set_power(on=False)
+    bench.drive.set_power(on=True)
     bench.wait(300)
     assert (bench.read(0x6081), bench.read(0x6091, 1)) == (777, 3)
     bench.write(0x1011, 1, int.from_bytes(b"load", "little"), 4)
@@ -128,7 +128,7 @@ def test_a_segmented_transfer_is_given_up_when_its_client_is_silent() -> None:
     assert bench.heard(0x581, since_ns) == [bytes.fromhex("80081000 00000405")]
 
 
-def test_a_block_upload_with_a_block_that_is_asked_for_again() -> None:
+def test_a_block_upload_with_a_repeated_block() -> None:
     bench = CanBench()
     (answer,) = bench.ask(bytes.fromhex("a4081000 02000000"))
     assert answer == bytes.fromhex("c6081000") + len(NAME).to_bytes(4, "little")
@@ -203,19 +203,19 @@ def test_an_event_driven_pdo_keeps_its_inhibit_time_and_its_event_timer() -> Non
     bench.wait(25)
     since_ns = bench.clock.now_ns()
     for level in (True, False, True):
-        bench.drive.set_input(1, level)
+        bench.drive.set_input(1, level=level)
         bench.wait(5)
     assert len(bench.heard(0x181, since_ns)) == 1
     bench.wait(15)
     assert len(bench.heard(0x181, since_ns)) == 1  # on, off and on again is no change
-    bench.drive.set_input(1, False)
+    bench.drive.set_input(1, level=False)
     bench.wait(110)
     times = [at for at, frame in bench.frames if frame.id == 0x181 and at > since_ns]
     assert len(times) == 4
     assert [round((b - a) / MS) for a, b in pairwise(times[1:])] == [50, 50]
 
 
-def test_a_position_is_told_while_it_changes_and_not_when_it_rests() -> None:
+def test_a_position_is_sent_while_it_changes_and_not_at_rest() -> None:
     bench = CanBench()
     tpdo = bench.map(False, 1, [ACTUAL], 255)
     bench.enable(3)
@@ -228,7 +228,7 @@ def test_a_position_is_told_while_it_changes_and_not_when_it_rests() -> None:
     assert 90 <= len(bench.heard(tpdo, since_ns)) <= 110
 
 
-def test_a_pdo_is_asked_for_by_a_remote_frame() -> None:
+def test_a_pdo_is_requested_by_a_remote_frame() -> None:
     bench = CanBench()
     bench.start()
     since_ns = bench.clock.now_ns()
@@ -237,7 +237,7 @@ def test_a_pdo_is_asked_for_by_a_remote_frame() -> None:
     assert len(bench.heard(0x181, since_ns)) == 1
 
 
-def test_a_pdo_that_is_too_short_is_told_by_an_emergency() -> None:
+def test_a_pdo_that_is_too_short_is_reported_by_an_emergency() -> None:
     bench = CanBench()
     bench.map(True, 1, [CONTROL], 255)
     bench.start()
@@ -257,7 +257,7 @@ def test_a_pdo_that_is_too_short_is_told_by_an_emergency() -> None:
         ([TARGET, 0x60810020, CONTROL], 0x0604_0042),
     ],
 )
-def test_a_mapping_that_can_not_be_is_refused(objects: list[int], code: int) -> None:
+def test_an_impossible_mapping_is_refused(objects: list[int], code: int) -> None:
     bench = CanBench()
     with pytest.raises(Aborted) as refused:
         bench.map(True, 1, objects, 255)
@@ -265,7 +265,7 @@ def test_a_mapping_that_can_not_be_is_refused(objects: list[int], code: int) -> 
 
 
 @pytest.mark.parametrize(("value", "code"), [(0x203, 0x0609_0030), (0x601, 0x0609_0030), (0x20000201, 0x0609_0030)])
-def test_an_identifier_that_can_not_be_is_refused(value: int, code: int) -> None:
+def test_an_impossible_identifier_is_refused(value: int, code: int) -> None:
     bench = CanBench()
     with pytest.raises(Aborted) as refused:
         bench.write(0x1400, 1, value, 4)
@@ -291,7 +291,7 @@ def test_node_guarding_toggles_and_its_loss_is_an_emergency() -> None:
 
 
 @pytest.mark.parametrize(("code", "ends"), [(0, 0x27), (1, 0x08), (2, 0x40), (3, 0x40)])
-def test_a_master_that_falls_silent_stops_the_motor_as_said(code: int, ends: int) -> None:
+def test_a_master_that_falls_silent_stops_the_motor_as_configured(code: int, ends: int) -> None:
     bench = CanBench()
     bench.write(0x6007, 0, code, 2)
     bench.write(0x1016, 1, 0x007F0032, 4)  # node 127, 50 ms
@@ -310,7 +310,7 @@ def test_a_master_that_falls_silent_stops_the_motor_as_said(code: int, ends: int
 
 def test_the_computers_controller_leaves_the_bus_and_comes_back() -> None:
     bench = CanBench()
-    bench.bus.disturb(32)
+    bench.bus.disturb_frames(32)
     bench.send(0x181, bytes(2), rtr=True)
     bench.wait(20)
     troubles = [frame.id for _, frame in bench.frames if frame.error]
@@ -327,10 +327,10 @@ def test_a_drive_in_bus_off_stops_and_comes_back_with_an_emergency() -> None:
     bench.enable(3)
     bench.write(0x60FF, 0, 5_000, 4)
     bench.wait(100)
-    bench.bus.disturb(32)
-    bench.drive.station.send_emergency(0x1000, 1)  # what it is sending when the errors come
+    bench.bus.disturb_frames(32)
+    bench.drive.station.emergencies.send_emergency(0x1000, 1)  # what it is sending when the errors come
     bench.wait(50)
-    assert bench.drive.station.can.state == "off"
+    assert bench.drive.station.can.node_state == "off"
     assert not bench.drive.is_moving("1")
     bench.wait(700)
     assert bench.heard(0x81)[-1][:2] == bytes([0x40, 0x81])
@@ -363,7 +363,7 @@ def test_emergencies_keep_their_inhibit_time() -> None:
     bench.write(0x1015, 0, 50, 2)
     began_ns = bench.clock.now_ns()
     for code in (0x4310, 0x3210, 0x2310):
-        bench.drive.station.send_emergency(code, 1)
+        bench.drive.station.emergencies.send_emergency(code, 1)
     bench.wait(20)
     told = [(at_ns, frame.data[:2]) for at_ns, frame in bench.frames if frame.id == 0x81 and at_ns >= began_ns]
     assert [data for _, data in told] == [b"\x10\x43", b"\x10\x32", b"\x10\x23"]

@@ -182,13 +182,13 @@ def test_a_stalled_motor_faults_by_its_following_error_and_is_reset() -> None:
     bench.write(0x6066, 0, 10, 2)
     bench.enable(1)
     move(bench, 50_000, wait_ms=200)
-    bench.drive.set_stalled("1", True)
+    bench.drive.set_stalled("1", stalled=True)
     bench.wait(300)
     assert bench.status() & 0x4F == 0x08
     assert bench.read(0x603F) == 0x8611
     assert bench.heard(0x81)[-1][:3] == bytes([0x11, 0x86, 0x21])
     stood = bench.read(0x6064, signed=True)
-    bench.drive.set_stalled("1", False)
+    bench.drive.set_stalled("1", stalled=False)
     assert bench.read(0x6064, signed=True) == stood
     assert bench.control(0x0F) & 0x4F == 0x08
     assert bench.control(0x80) & 0x4F == 0x40
@@ -215,10 +215,10 @@ def test_a_limit_switch_stops_and_lets_only_back() -> None:
 def test_the_enable_input_takes_the_voltage() -> None:
     bench = CanBench(options={"enable_input": 3})
     assert bench.control(0x06) & 0x4F == 0x40
-    bench.drive.set_input(3, True)
+    bench.drive.set_input(3, level=True)
     bench.enable(1)
     move(bench, 50_000, wait_ms=200)
-    bench.drive.set_input(3, False)
+    bench.drive.set_input(3, level=False)
     assert not bench.drive.is_moving("1")
     assert bench.status() & 0x5F == 0x40
     assert bench.read(0x60FD) & 8
@@ -228,18 +228,18 @@ def test_inputs_and_outputs() -> None:
     bench = CanBench()
     changes: list[tuple[int, bool]] = []
     bench.drive.on_output(lambda number, level: changes.append((number, level)))
-    bench.drive.set_input(1, True)
-    bench.drive.set_input(8, True)
+    bench.drive.set_input(1, level=True)
+    bench.drive.set_input(8, level=True)
     assert bench.read(0x60FD) >> 16 == 0b1000_0001
     bench.write(0x60FE, 2, 0x0003_0000, 4)
     bench.write(0x60FE, 1, 0x0006_0000, 4)
     assert changes == [(2, True)]
     assert bench.drive.output_level(2)
-    bench.drive.set_power(False)
+    bench.drive.set_power(on=False)
     assert changes == [(2, True), (2, False)]
 
 
-def test_a_hand_moves_what_is_off_and_nothing_else() -> None:
+def test_a_push_moves_an_axis_that_is_off_and_nothing_else() -> None:
     bench = CanBench()
     bench.drive.push_axis("1", -350)
     assert bench.read(0x6064, signed=True) == -350
@@ -311,7 +311,7 @@ def test_homing_finds_the_place_of_its_method(
         home = begin if not last else 400 * (math.floor(turns) + 1 if last > 0 else math.ceil(turns) - 1)
     # zero lies the home offset away from the home position
     assert servo.offset == pytest.approx(-77 - home)
-    # the last way is slow, in the direction of the method, and ends by the ramp just behind the place
+    # the last move is slow, in the direction of the method, and ends by the ramp just after the place
     beyond = last * (servo.mechanical_position - home)
     assert beyond == pytest.approx(500**2 / (2 * 100_000) if last else 0, abs=1e-3)
 
@@ -338,7 +338,7 @@ def test_homing_is_interrupted_by_its_bit() -> None:
     assert bench.status() & 0x3400 == 0x400
 
 
-def test_a_homing_goes_on_after_halt() -> None:
+def test_a_homing_continues_after_halt() -> None:
     bench = CanBench(options=_CAM)
     bench.write(0x6098, 0, 17, 1)
     bench.enable(6)
@@ -475,11 +475,11 @@ def test_power_off_in_a_move_stops_dead_and_boots_again() -> None:
     bench = CanBench()
     bench.enable(1)
     move(bench, 50_000, wait_ms=300)
-    bench.drive.set_power(False)
+    bench.drive.set_power(on=False)
     assert not bench.drive.is_moving("1")
     assert bench.drive.at_rest()
     bench.wait(1000)
-    bench.drive.set_power(True)
+    bench.drive.set_power(on=True)
     since_ns = bench.clock.now_ns()
     bench.wait(199)
     assert bench.heard(0x701, since_ns) == []
@@ -524,7 +524,7 @@ def test_a_stalled_motor_is_a_following_error_at_once_or_after_its_time(way: int
     bench.enable(1)
     bench.write(0x6081, 0, 20_000, 4)
     move(bench, way, wait_ms=400)
-    bench.drive.set_stalled("1", True)
+    bench.drive.set_stalled("1", stalled=True)
     # 500 units at 20,000/s
     bench.wait(24)
     assert bench.status() & 0x4F != 0x08

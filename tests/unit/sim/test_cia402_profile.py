@@ -1,4 +1,4 @@
-"""Plans of the simulated CiA 402 drive: whatever the speed at their begin, they are continuous, keep limits, and arrive."""
+"""Plans of the simulated CiA 402 drive: from any initial speed they are continuous, keep limits, and arrive."""
 
 import math
 from random import Random
@@ -40,7 +40,7 @@ def test_plans_from_any_speed_arrive() -> None:
     assert overspeeds > 100
 
 
-def test_a_plan_without_a_begin_speed_is_as_short_as_can_be() -> None:
+def test_a_plan_without_an_initial_speed_is_as_short_as_possible() -> None:
     plan = to_target(0.0, 100.0, 1e9, 1000.0, 500.0)
     peak = math.sqrt(2 * 100.0 * 1000.0 * 500.0 / 1500.0)
     assert plan.duration_s == pytest.approx(peak / 1000.0 + peak / 500.0)

@@ -20,7 +20,7 @@ def test_the_true_instant_is_the_first_that_shows_the_device_time_at_the_edges_o
             assert not found_ns or crystal.device_ns(found_ns - 1) < wanted_ns
 
 
-def test_what_was_asked_last_does_not_stand_in_the_way_of_another_instant() -> None:
+def test_the_last_query_does_not_affect_another_instant() -> None:
     crystal, fresh = Oscillator(5, 50.0, 1.0, 3), Oscillator(5, 50.0, 1.0, 3)
     instants = (0, 7, 7, 3 * SECOND_NS, 7, 2 * SECOND_NS + 1, 3 * SECOND_NS)
     expected = {each: fresh.device_ns(each) for each in sorted(set(instants))}

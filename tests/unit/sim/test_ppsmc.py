@@ -41,7 +41,7 @@ class Client:
 
     def send(self, *commands: str) -> None:
         for command in commands:
-            self.wire.receive(command.encode("latin-1") + b"\r\n")
+            self.wire.receive_bytes(command.encode("latin-1") + b"\r\n")
 
     def ask(self, command: str) -> list[str]:
         """What comes at once."""
@@ -72,7 +72,7 @@ class Rig:
 
     def settle(self) -> None:
         while not self.unit.at_rest():
-            assert self.clock.step()
+            assert self.clock.make_next_call()
 
 
 def test_options_are_checked() -> None:
@@ -120,12 +120,12 @@ def test_bad_lines_are_silent_and_change_nothing(line: str) -> None:
 def test_half_lines_and_line_ends() -> None:
     rig = Rig()
     rig.client.raw = b""
-    rig.client.wire.receive(b"?p")
+    rig.client.wire.receive_bytes(b"?p")
     rig.wait(5)
-    rig.client.wire.receive(b"1")
-    rig.client.wire.receive(b"\n")
+    rig.client.wire.receive_bytes(b"1")
+    rig.client.wire.receive_bytes(b"\n")
     assert rig.client.raw == b""
-    rig.client.wire.receive(b"\r\n?s1\r")
+    rig.client.wire.receive_bytes(b"\r\n?s1\r")
     assert rig.client.raw == b"1:0;\r\n1:129;\r\n"
 
 
@@ -242,7 +242,7 @@ def test_closed_loop_corrects_and_gives_up() -> None:
     rig.settle()
     assert rig.unit.position("1") == 1000 and rig.ask("?ec1") == ["1:999;"]
     assert len(rig.unit.commanded_motions) == 3 and rig.ask("?s1") == ["1:129;"]
-    rig.unit.set_stalled("1", True)
+    rig.unit.set_stalled("1", stalled=True)
     rig.send("goto1:0")
     rig.settle()
     assert rig.ask("?s1") == ["1:641;"]
@@ -253,7 +253,7 @@ def test_oscillation_schedules_only_its_turns() -> None:
     rig.send(*STAGE, "osc1:100")
     turns = 0
     while turns < 10:
-        assert rig.clock.step()
+        assert rig.clock.make_next_call()
         turns += 1
         assert abs(rig.unit.position("1")) == 100
     assert rig.ask("?p") == ["1:osc;"] and rig.ask("?s") == ["1:256;"]
@@ -264,7 +264,7 @@ def test_program_subroutines_inputs_and_axis_choice() -> None:
     program = ["gosub10*3", "nl", "msg:a b,c;", "in;", "in3", "cnt.5", "nl", "in0.1", "2:5s500", "nl", "end"]
     rig.send(*program, "lin10", "1:2s500", "set3", "nl", "ret")
     assert rig.ask("?pgm") == [*program, "lin10", "1:2s500", "set3", "nl", "ret"]
-    rig.unit.set_input(3, True)
+    rig.unit.set_input(3, level=True)
     rig.client.raw = b""
     rig.send("start:")
     rig.wait(1)
@@ -272,7 +272,7 @@ def test_program_subroutines_inputs_and_axis_choice() -> None:
     assert rig.clock.next_ns() is None and rig.unit.output_level(3) and rig.ask("?s2") == ["2:65;"]
     began_ns = rig.clock.now_ns()
     rig.wait(0.003)
-    rig.unit.set_input(0, True)
+    rig.unit.set_input(0, level=True)
     rig.settle()
     # The wait began when the count was over, 0.512 s after the start.
     assert rig.unit.commanded_motions[-1].start_ns == 1_012 * MS > began_ns
@@ -315,8 +315,8 @@ def test_shutdown_saves_positions_for_lpox() -> None:
     rig.wait(3600)
     with pytest.raises(PortRefused):
         Client(rig)
-    rig.unit.set_power(False)
-    rig.unit.set_power(True)
+    rig.unit.set_power(on=False)
+    rig.unit.set_power(on=True)
     again = Client(rig)
     assert again.ask("?p1") == ["1:0;"]
     again.send("lpox")
@@ -327,9 +327,9 @@ def test_power_loss_stops_dead_and_reboot_comes_back() -> None:
     rig = Rig()
     rig.send(*STAGE, "fast1+")
     rig.wait(1)
-    rig.unit.set_power(False)
+    rig.unit.set_power(on=False)
     assert rig.client.lost and rig.unit.at_rest() and rig.unit.commanded_motions[0].end_ns == S
-    rig.unit.set_power(True)
+    rig.unit.set_power(on=True)
     again = Client(rig)
     again.send("fast1+", "reboot")
     assert again.lost and rig.unit.at_rest()
@@ -358,7 +358,7 @@ def test_sleep_holds_back_one_client_only() -> None:
     other = Client(rig)
     rig.send("sleep2.5", "move1:5")
     assert other.ask("?s1") == ["1:129;"]
-    other.wire.receive(b"block\r\n?s1\r\nunblock\r\n")
+    other.wire.receive_bytes(b"block\r\n?s1\r\nunblock\r\n")
     assert other.raw.endswith(b"1:16513;\r\n")
     rig.wait(5)
     assert not rig.unit.commanded_motions

@@ -34,7 +34,7 @@ class Rig:
     def ask(self, text: str) -> str:
         """The line that answers `text` at once."""
         before = len(self.said)
-        self.port.receive(text.encode("latin-1") + b"\r\n")
+        self.port.receive_bytes(text.encode("latin-1") + b"\r\n")
         assert len(self.said) > before, f"no answer to {text}"
         return self.said[before][1]
 
@@ -58,13 +58,13 @@ def test_prebuffer_migrates_before_the_completion_character() -> None:
     def on_line(data: bytes) -> None:
         if data == b"1\r\n" and "1" not in seen:
             seen.append("1")
-            other.receive(b"?:MP1\r\n?:M1\r\n!:\r\n")
+            other.receive_bytes(b"?:MP1\r\n?:M1\r\n!:\r\n")
         elif data != b"OK\r\n":
             seen.append(data.decode().strip())
 
     rig = Rig()
     other = rig.unit.connect("serial", on_line, lambda: None)
-    other.receive(b"MP:1+P1000,S100F1000R50\r\nG:1\r\nMP:1+P500,S500F500R1\r\n")
+    other.receive_bytes(b"MP:1+P1000,S100F1000R50\r\nG:1\r\nMP:1+P500,S500F500R1\r\n")
     rig.wait(1.046)
     assert seen == ["OK_D", "1", "NS", "500", "B"]
     rig.wait(2)
@@ -86,7 +86,7 @@ def test_overwriting_is_silent_and_so_is_underrun() -> None:
     assert rig.coordinates()[0] == 1200
 
 
-def test_timed_standby_starts_the_move_behind_it_and_cancelling_starts_it_early() -> None:
+def test_timed_standby_starts_the_move_after_it_and_cancelling_starts_it_early() -> None:
     for command, start_ns in ((None, 500 * MS), ("WT:1,0", 200 * MS), ("WT:1,C", 200 * MS)):
         rig = Rig()
         rig.ok("WT:1,5", "G:1")
@@ -106,11 +106,11 @@ def test_input_standby_compares_all_six_inputs_at_its_own_scan() -> None:
     idle_at = rig.clock.next_ns()
     assert idle_at is None, "a standby waits without polling"
     rig.wait(0.5)
-    rig.unit.set_input(2, True)
-    rig.unit.set_input(1, True)
+    rig.unit.set_input(2, level=True)
+    rig.unit.set_input(1, level=True)
     rig.wait(0.1)
     assert not rig.unit.commanded_motions
-    rig.unit.set_input(2, False)
+    rig.unit.set_input(2, level=False)
     released_ns = rig.clock.now_ns()
     assert rig.wait(3) == ["1", "2"]
     starts = {motion.start_ns for motion in rig.unit.commanded_motions}
@@ -122,8 +122,8 @@ def test_a_pulse_shorter_than_the_scan_is_not_seen() -> None:
     rig = Rig(seed=7)
     rig.ok("WI:1,1", "G:1")
     rig.wait(0.0001)
-    rig.unit.set_input(1, True)
-    rig.unit.set_input(1, False)
+    rig.unit.set_input(1, level=True)
+    rig.unit.set_input(1, level=False)
     rig.wait(1)
     assert rig.ask("!:") == "B"
 
@@ -156,7 +156,7 @@ def test_surviving_prebuffer_waits_for_the_next_start() -> None:
     assert rig.coordinates()[0] == stopped_at + 50
 
 
-def test_stopping_a_standby_does_not_start_what_is_behind_it() -> None:
+def test_stopping_a_standby_does_not_start_the_move_after_it() -> None:
     rig = Rig()
     rig.ok("WI:1,63", "G:1")
     assert rig.ask("MP:1+P50") == "OK_D"
@@ -190,14 +190,14 @@ def test_power_cycle_forgets_what_is_volatile() -> None:
     changes: list[tuple[int, bool]] = []
     rig.unit.on_output(lambda number, level: changes.append((number, level)))
     rig.wait(0.5)
-    rig.port.receive(b"?:N")
-    rig.unit.set_power(False)
+    rig.port.receive_bytes(b"?:N")
+    rig.unit.set_power(on=False)
     stopped = rig.unit.commanded_motions[0]
     assert stopped.end_ns == 500 * MS
     assert changes == [(number, False) for number in range(1, 7)]
-    rig.port.receive(b"Q:\r\n")
+    rig.port.receive_bytes(b"Q:\r\n")
     assert rig.wait(1) == []
-    rig.unit.set_power(True)
+    rig.unit.set_power(on=True)
     assert rig.ask("Q:") == "+        0,+        0,+        0,K,K,R"
     assert [rig.ask(item) for item in ("?:D1", "?:W", "?:O", "?:M1", "?:MP1")] == ["S200F2000R50", "0", "0", "NS", "NS"]
     assert rig.ask("PIT:GET,3") == "NG"
@@ -207,7 +207,7 @@ def test_power_cycle_forgets_what_is_volatile() -> None:
 def test_reset_is_silent_for_a_while() -> None:
     rig = Rig()
     rig.ok("M:1+P100", "RESET:")
-    rig.port.receive(b"?:N\r\n")
+    rig.port.receive_bytes(b"?:N\r\n")
     assert rig.wait(3.1) == []
     assert rig.ask("?:M1") == "NS"
 
@@ -257,10 +257,10 @@ def test_reset_is_silent_for_a_while() -> None:
 )
 def test_bad_input_is_answered_as_documented(line: bytes, reply: str) -> None:
     rig = Rig()
-    rig.port.receive(line[:1])
+    rig.port.receive_bytes(line[:1])
     assert not rig.said, "half a line waits"
     rig.wait(10)
-    rig.port.receive(line[1:])
+    rig.port.receive_bytes(line[1:])
     assert [text for _, text in rig.said] == [reply]
     assert rig.ask("?:N") == "SHRC-203"
 
@@ -298,7 +298,7 @@ def test_wandering_crystal_and_far_ends() -> None:
 
 def test_firmware_takes_its_time_and_keeps_the_order() -> None:
     rig = Rig(timing=FirmwareTiming(decode_ns=MS, spread_ns=MS), seed=3)
-    rig.port.receive(b"MP:1+P10,S100F100R1\r\nG:1\r\n?:N\r\n")
+    rig.port.receive_bytes(b"MP:1+P10,S100F100R1\r\nG:1\r\n?:N\r\n")
     assert rig.said == []
     rig.wait(1)
     assert [line for _, line in rig.said] == ["OK", "OK", "SHRC-203", "1"]
@@ -309,7 +309,7 @@ def test_firmware_takes_its_time_and_keeps_the_order() -> None:
     assert motion.end_ns is not None
     assert MS <= times[3] - motion.end_ns <= 2 * MS
     again = Rig(timing=FirmwareTiming(decode_ns=MS, spread_ns=MS), seed=3)
-    again.port.receive(b"MP:1+P10,S100F100R1\r\nG:1\r\n?:N\r\n")
+    again.port.receive_bytes(b"MP:1+P10,S100F100R1\r\nG:1\r\n?:N\r\n")
     again.wait(1)
     assert again.said == rig.said
 
@@ -357,20 +357,20 @@ def test_closed_loop_waits_for_a_stalled_stage_until_bec() -> None:
     rig.wait(1.04)
     assert rig.ask("SRQ:1S") == "10001,B"
     assert rig.wait(0.02) == ["1"]
-    rig.unit.set_stalled("1", True)
+    rig.unit.set_stalled("1", stalled=True)
     rig.ok("MP:1+P100", "G:1")
     assert rig.wait(10) == []
     assert rig.ask("Q:SPE").split(",")[0] == "P+100"
     assert rig.ask("SRQ:1S") == "10001,B"
-    rig.unit.set_stalled("1", False)
+    rig.unit.set_stalled("1", stalled=False)
     assert rig.wait(1) == ["1"]
-    rig.unit.set_stalled("1", True)
+    rig.unit.set_stalled("1", stalled=True)
     rig.ok("MP:1+P20000,S10000F10000R1", "G:1")
     rig.wait(5)
     assert rig.ask("SRQ:1S") == "8010,R"
     assert rig.coordinates()[0] == 10200
     rig.ok("BEC:1")
-    rig.unit.set_stalled("1", False)
+    rig.unit.set_stalled("1", stalled=False)
     assert rig.ask("SRQ:1S") == "1,R"
 
 
@@ -399,7 +399,7 @@ def test_program_loops_outputs_continuous_motion_and_trigger_lines() -> None:
     assert rig.unit.commanded_motions[-1].end_counts == 2030.0
     assert len(rig.unit.commanded_motions) == 4
     assert rig.ask("?:L").startswith("2,1,12,")
-    rig.unit.set_input(1, True)
+    rig.unit.set_input(1, level=True)
     assert rig.wait(0.1) == ["COMP"]
     assert rig.ask("?:L") == "2,0,13,0,0,0,0,0,0,0,0,0"
     last = rig.unit.commanded_motions[-1]
@@ -407,12 +407,12 @@ def test_program_loops_outputs_continuous_motion_and_trigger_lines() -> None:
     assert (last.end_ns - last.start_ns) / S == pytest.approx(2.09, abs=1e-6)
 
 
-def test_memory_switches_restart_the_unit_when_they_must() -> None:
+def test_memory_switches_restart_the_controller_when_required() -> None:
     rig = Rig()
     rig.ok("MS:ON", "MS:SET,5,4,777", "MS:OFF")
     assert rig.ask("?:MODE") == "HOST"
     rig.ok("MS:ON", "MS:SET,0,0,3", "MS:OFF")
-    rig.port.receive(b"?:AXIS\r\n")
+    rig.port.receive_bytes(b"?:AXIS\r\n")
     assert rig.wait(4) == []
     assert rig.ask("?:AXIS") == "3"
     assert rig.ask("!:S") == "R,R"
@@ -420,11 +420,11 @@ def test_memory_switches_restart_the_unit_when_they_must() -> None:
     assert rig.ask("M:3+P1") == "NG"
 
 
-def test_an_idle_unit_schedules_nothing_and_a_moving_one_only_its_end() -> None:
+def test_an_idle_controller_schedules_nothing_and_a_moving_one_only_its_end() -> None:
     rig = Rig()
     assert rig.clock.next_ns() is None
     rig.ok("T:T100", "MP:1+P1000,S100F1000R50", "G:1")
-    assert rig.clock.step()
+    assert rig.clock.make_next_call()
     assert rig.clock.now_ns() == 1045 * MS
     assert rig.clock.next_ns() is None
 

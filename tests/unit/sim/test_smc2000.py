@@ -47,7 +47,7 @@ class Desk:
     def ask(self, *commands: str, wait_s: float = 0.0) -> str:
         for command in commands:
             self.heard = b""
-            self.line.receive((command if command.endswith(("\r", "\\")) else f"{command}\r").encode("latin-1"))
+            self.line.receive_bytes((command if command.endswith(("\r", "\\")) else f"{command}\r").encode("latin-1"))
             self.wait(wait_s)
         return self.heard.decode("latin-1")
 
@@ -62,7 +62,7 @@ class Desk:
 
     def rest(self) -> None:
         while not self.unit.at_rest():
-            assert self.clock.step()
+            assert self.clock.make_next_call()
 
     @property
     def chain(self) -> DaisyChain:
@@ -78,9 +78,9 @@ def test_echo_comes_first_byte_by_byte_and_is_on_by_default() -> None:
     unit = SMC2000.build_controller(clock, {})
     heard: list[bytes] = []
     line = unit.connect("serial", heard.append, lambda: None)
-    line.receive(b"TP")
+    line.receive_bytes(b"TP")
     assert b"".join(heard) == b"TP"
-    line.receive(b"X\rXX;")
+    line.receive_bytes(b"X\rXX;")
     assert b"".join(heard) == b"TPX\r 0000000000\r\n:XX;?"
 
 
@@ -94,7 +94,7 @@ def test_semicolon_ends_a_command_and_an_error_does_not_stop_the_rest() -> None:
 
 def test_decode_takes_the_firmwares_time() -> None:
     desk = Desk(timing=FirmwareTiming(decode_ns=500_000))
-    desk.line.receive(b"TPX\r")
+    desk.line.receive_bytes(b"TPX\r")
     desk.wait(0.0004)
     assert desk.heard == b""
     desk.wait(0.0002)
@@ -201,7 +201,7 @@ def test_extended_points() -> None:
     desk = Desk(axes=8, extended_io=True)
     assert desk.ask("OP 65535,65535,65535,65535") == ":"
     assert [desk.number(f"_OP{bank}") for bank in range(4)] == [65535, 0x7F7F, 0x7F7F, 0x7F7F]
-    desk.unit.set_input(64, False)
+    desk.unit.set_input(64, level=False)
     assert desk.ask("TI7") == " 127\r\n:"
 
 
@@ -211,7 +211,7 @@ def test_latch_inputs_of_the_upper_axes() -> None:
     desk.rest()
     desk.ask("ALE")
     assert desk.number("_ALE") == 1
-    desk.unit.set_input(9, False)
+    desk.unit.set_input(9, level=False)
     assert (desk.number("_ALE"), desk.number("_RLE")) == (0, 5000)
 
 
@@ -250,7 +250,7 @@ def test_burned_state_and_the_three_resets() -> None:
     assert desk.ask("EO 0", "SP?") == " 0000025000\r\n:"
 
 
-def test_a_locked_controller_may_be_asked_and_stopped() -> None:
+def test_a_locked_controller_may_be_queried_and_stopped() -> None:
     desk = Desk()
     desk.ask("JG 1000", "BGX", "LC 00000000,1")
     assert [desk.ask(command) for command in ("PR ,5", "BN", "LS", "DL")] == [":", "?", "?", "?"]
@@ -271,11 +271,11 @@ def test_an_operators_panel_on_port_two() -> None:
         'DL\r#A;CI 0,1\rIN{P2}"LEN ",LEN\rMG{P2}"GOT",LEN{F3.0}\r#L;WT 5;JP #L\r#COMINT;SB1;K=P2NM;EN 1,1\r\\',
         "XQ",
     )
-    second.receive(b"12\r")
+    second.receive_bytes(b"12\r")
     desk.wait(0.1)
     assert b"".join(panel) == b"LEN 12\rGOT 012\r\n"
     assert not desk.unit.output_level(1)
-    second.receive(b"45\r")
+    second.receive_bytes(b"45\r")
     desk.wait(0.1)
     assert desk.unit.output_level(1)
     assert (desk.number("K"), desk.number("P2CD"), desk.number("_HX0")) == (45, 0, 2)
@@ -287,7 +287,7 @@ def test_operator_data_on_port_one_is_no_command() -> None:
     desk = Desk()
     desk.ask("DL\r#A;CI ,,1\r#L;WT 5;JP #L\r\\", "XQ")
     assert desk.ask("STOP") == ""
-    desk.line.receive(b"\\")
+    desk.line.receive_bytes(b"\\")
     assert desk.ask("MG P1ST{S4}") == "STOP\r\n:"
     assert desk.number("P1CD") == -1
 
@@ -306,7 +306,7 @@ def test_a_chain_takes_commands_by_address() -> None:
     assert desk.ask("%0", wait_s=0.1) == ":"
 
 
-def test_a_broadcast_is_heard_by_all_and_answered_by_address_zero() -> None:
+def test_a_broadcast_is_received_by_all_and_answered_by_address_zero() -> None:
     desk = Desk(chain=PAIR, echo=True)
     desk.ask("%1", "PR 700,1500", wait_s=0.1)
     assert desk.ask("!BG", wait_s=0.1) == "!BG\r:"
@@ -324,7 +324,7 @@ def test_a_refused_broadcast_of_another_address_is_silent() -> None:
     assert desk.ask("TC0", wait_s=0.1) == " 020\r\n:"
 
 
-def test_each_unit_of_the_chain_costs_a_hop() -> None:
+def test_each_controller_of_the_chain_costs_a_hop() -> None:
     desk = Desk(chain=[{"address": number, "axes": 1} for number in range(8)])
     desk.ask("!PR 1000", "!BG", wait_s=0.1)
     starts = [motion.start_ns for motion in desk.unit.commanded_motions]
@@ -332,22 +332,22 @@ def test_each_unit_of_the_chain_costs_a_hop() -> None:
     assert starts[-1] - starts[0] == pytest.approx(7 * HOP_NS, abs=SAMPLE_NS)
     desk.ask("%7", wait_s=0.1)
     desk.heard, asked_ns = b"", desk.clock.now_ns()
-    desk.line.receive(b"MG 1\r")
+    desk.line.receive_bytes(b"MG 1\r")
     while not desk.heard:
-        desk.clock.step()
+        desk.clock.make_next_call()
     assert desk.clock.now_ns() - asked_ns == 14 * HOP_NS
 
 
-def test_a_chain_ends_where_a_unit_is_off_or_its_second_port_is_general() -> None:
+def test_a_chain_ends_where_a_controller_is_off_or_its_second_port_is_general() -> None:
     desk = Desk(chain=PAIR)
     desk.ask("%0", "CC ,,0", wait_s=0.1)
     assert desk.ask("%1", wait_s=0.1) == ""
     assert desk.ask("%0", "CC 19200,,1", "%1", wait_s=0.1) == ":"
-    desk.chain.units[1].set_power(False)
+    desk.chain.units[1].set_power(on=False)
     assert desk.ask("TP", wait_s=0.1) == ""
-    desk.chain.units[1].set_power(True)
+    desk.chain.units[1].set_power(on=True)
     assert desk.ask("%1", wait_s=0.1) == ":"
-    desk.chain.units[0].set_power(False)
+    desk.chain.units[0].set_power(on=False)
     assert desk.hung_up
 
 
@@ -358,7 +358,7 @@ def test_points_of_a_chain_are_numbered_by_address() -> None:
     desk.ask("%1", "SB 2", wait_s=0.1)
     assert seen == [(102, True)]
     assert desk.unit.output_level(102)
-    desk.unit.set_input(103, False)
+    desk.unit.set_input(103, level=False)
     assert desk.ask("MG @IN[3]{F1.0}", wait_s=0.1) == " 0\r\n:"
     desk.unit.set_limit("1Y", "forward")
     assert desk.ask("MG _LFY{F1.0}", wait_s=0.1) == " 0\r\n:"
@@ -374,7 +374,7 @@ def _clocked(external: bool) -> list[dict[str, object]]:
     ]
 
 
-def test_a_wired_sample_clock_keeps_units_in_step() -> None:
+def test_a_wired_sample_clock_keeps_controllers_in_step() -> None:
     starts: dict[bool, list[int]] = {}
     for external in (True, False):
         desk = Desk(chain=_clocked(external), shared_clock=True, hop_ns=0)
@@ -409,11 +409,11 @@ def test_a_source_that_is_off_stops_the_others_and_one_that_changes_its_rate_cha
     assert desk.unit.velocity("1X") == pytest.approx(10000, rel=1e-3)
     desk.ask("%0", "TM 2000", wait_s=0.1)
     assert desk.unit.velocity("1X") == pytest.approx(5000, rel=1e-3)
-    desk.chain.units[0].set_power(False)
+    desk.chain.units[0].set_power(on=False)
     place = desk.unit.position("1X")
     desk.wait(1.0)
     assert desk.unit.position("1X") == place
-    desk.chain.units[0].set_power(True)
+    desk.chain.units[0].set_power(on=True)
     desk.wait(1.0)
     assert desk.unit.position("1X") > place + 9000
 
@@ -431,16 +431,16 @@ def test_a_stop_lets_the_contours_record_end() -> None:
     assert (desk.number("_SCX"), desk.ask("CD 5")) == (51, "?")
 
 
-def test_an_idle_unit_schedules_nothing_and_power_off_drops_the_port() -> None:
+def test_an_idle_controller_schedules_nothing_and_power_off_drops_the_port() -> None:
     desk = Desk()
     desk.ask("PR 100", "BGX")
     desk.rest()
     assert desk.clock.next_ns() is None
-    desk.unit.set_power(False)
+    desk.unit.set_power(on=False)
     assert desk.hung_up
     with pytest.raises(PortRefused):
         desk.open("serial")
-    desk.unit.set_power(True)
+    desk.unit.set_power(on=True)
     desk.line = desk.open("serial")
     assert desk.number("TIME") == 0
 
@@ -461,7 +461,7 @@ def test_a_wrong_option_is_named(options: dict[str, object]) -> None:
         SMC2000.build_controller(EventQueue(), options)
 
 
-def test_no_input_brings_it_down() -> None:
+def test_no_input_crashes_it() -> None:
     chance = random.Random(11)
     words = [*'[](){},;#?"XYH*=<>\\%!', "BG", "ST", "PR=", "JG", "VM", "LI", "CR", "VP", "CD", "CM", "DT", "QD", "DL"]
     words += ["XQ", "MG", "CC", "CI", "TM", "_TP", "@SIN", "EG", "GA", "1", "-9", ".5", "{P2}", "{S}", "P2ST"]
@@ -471,11 +471,11 @@ def test_no_input_brings_it_down() -> None:
             data = chance.randbytes(chance.randrange(1, 40))
         else:
             data = "".join(chance.choice(words) for _ in range(chance.randrange(1, 8))).encode() + b"\r"
-        desk.line.receive(data)
+        desk.line.receive_bytes(data)
         desk.wait(0.002)
-    desk.line.receive(b"\x1a\x1a\r")
-    desk.unit.set_power(False)
-    desk.unit.set_power(True)
+    desk.line.receive_bytes(b"\x1a\x1a\r")
+    desk.unit.set_power(on=False)
+    desk.unit.set_power(on=True)
     desk.line = desk.open("serial")
     assert desk.number("1") == 1
 

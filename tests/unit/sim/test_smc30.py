@@ -43,7 +43,7 @@ class Rig:
     def raw(self, data: bytes) -> bytes:
         """Everything that answers `data` at once."""
         before = len(self.said)
-        self.port.receive(data)
+        self.port.receive_bytes(data)
         return b"".join(said for _, said in self.said[before:])
 
     def ask(self, text: str) -> str:
@@ -70,7 +70,7 @@ def test_vector(vector: Mapping[str, Any]) -> None:
     assert run_vector(SMC30, {**vector, "expect": expect}) == []
 
 
-def test_idle_and_waiting_units_schedule_nothing() -> None:
+def test_idle_and_waiting_controllers_schedule_nothing() -> None:
     rig = Rig({"units": [{"address": place} for place in range(1, 8)]}, ideal=False)
     assert rig.clock.next_ns() is None
     rig.program("N11.19 +100", address="3")
@@ -80,19 +80,19 @@ def test_idle_and_waiting_units_schedule_nothing() -> None:
     rig.program("JC0.0", address="4")
     rig.wait(1)
     assert rig.clock.next_ns() is None
-    rig.bus.set_input(41, True)
+    rig.bus.set_input(41, level=True)
     rig.wait(0.01)
     assert rig.ask("4F") == "R"
 
 
-def test_two_units_start_from_one_trigger_each_by_its_own_crystal() -> None:
+def test_two_controllers_start_from_one_trigger_each_by_its_own_crystal() -> None:
     units = [{"address": 1}, {"address": 2, "drift_ppm": -50.0}]
     rig = Rig({"units": units}, oscillator=Oscillator(drift_ppm=100.0), ideal=False)
     for address in "12":
         rig.program("S100 T1580 R420 N11.19 +4000", address=address)
     rig.wait(1)
-    rig.bus.set_input(11, True)
-    rig.bus.set_input(21, True)
+    rig.bus.set_input(11, level=True)
+    rig.bus.set_input(21, level=True)
     trigger_ns = rig.clock.now_ns()
     rig.wait(4)
     one, two = rig.bus.commanded_motions
@@ -143,26 +143,26 @@ def test_stop_input_suspends_program_and_motion() -> None:
     rig = Rig()
     rig.program("S2000 T1000 +1000 D100 A1")
     rig.wait(0.4)
-    rig.bus.set_input(4, True)
+    rig.bus.set_input(4, level=True)
     rig.wait(5)
     assert rig.bus.position("1") == 400
     assert rig.ask("F V1") == "B B"
-    rig.bus.set_input(4, False)
+    rig.bus.set_input(4, level=False)
     rig.wait(0.6)
     assert rig.bus.position("1") == 1000
     rig.wait(0.5)
-    rig.bus.set_input(4, True)
+    rig.bus.set_input(4, level=True)
     rig.wait(5)
-    rig.bus.set_input(4, False)
+    rig.bus.set_input(4, level=False)
     rig.wait(0.49)
     assert not rig.bus.output_level(1)
     rig.wait(0.02)
     assert rig.bus.output_level(1)
     assert [motion.end_counts for motion in rig.bus.commanded_motions] == [400, 1000]
     # While it is pulled, what is started waits, and K forgets it.
-    rig.bus.set_input(4, True)
+    rig.bus.set_input(4, level=True)
     assert rig.ask("+10 F K F") == "Y B Y R"
-    rig.bus.set_input(4, False)
+    rig.bus.set_input(4, level=False)
     rig.wait(1)
     assert rig.bus.position("1") == 1000
 
@@ -179,14 +179,14 @@ def test_travel_switches_home_and_bound_the_motor() -> None:
 
 def test_home_on_user_input_three() -> None:
     rig = Rig({"home_input": "input3_low"})
-    rig.bus.set_input(3, True)
+    rig.bus.set_input(3, level=True)
     rig.program("f+77 H- A1")
     rig.wait(1)
-    rig.bus.set_input(3, False)
+    rig.bus.set_input(3, level=False)
     assert rig.ask("F V1 V2") == "R V+0 V01"
 
 
-def test_overflow_is_told_until_the_counter_is_set() -> None:
+def test_overflow_is_reported_until_the_counter_is_set() -> None:
     rig = Rig()
     rig.program("f-8388600 -100 A1")
     rig.wait(1)
@@ -196,7 +196,7 @@ def test_overflow_is_told_until_the_counter_is_set() -> None:
 
 
 @pytest.mark.parametrize("line", ["J7", "RET", "JS0", "R1=1/0", "R1=1-2", "R(R1)=1", "R1=INPUT5.2", "D=R9+60000"])
-def test_a_program_error_ends_the_program_and_is_told_once(line: str) -> None:
+def test_a_program_error_ends_the_program_and_is_reported_once(line: str) -> None:
     rig = Rig()
     rig.program(f"A1 {line} A2")
     rig.wait(1)
@@ -209,9 +209,9 @@ def test_permanent_memory_runs_at_power_up() -> None:
     assert rig.ask("F") == "B"
     rig.wait(2)
     assert rig.said[-1][1] == b"Y\r"
-    rig.bus.set_power(False)
+    rig.bus.set_power(on=False)
     assert rig.ask("F") == ""
-    rig.bus.set_power(True)
+    rig.bus.set_power(on=True)
     rig.wait(3)
     assert rig.ask("F V1 V2 VR7 Q") == "R V+10 V01 R7=7 R7=7 I6 A1 +10 Y"
     broken = Rig({"e2prom_fault": True})
@@ -222,20 +222,20 @@ def test_power_off_stops_the_motor_dead() -> None:
     rig = Rig()
     rig.program("g+")
     rig.wait(1)
-    rig.bus.set_power(False)
+    rig.bus.set_power(on=False)
     assert not rig.bus.is_moving("1")
     assert rig.bus.at_rest()
     assert rig.bus.commanded_motions[0].end_ns == S
     assert rig.clock.next_ns() is None
-    rig.bus.set_power(True)
+    rig.bus.set_power(on=True)
     rig.wait(0.1)
     assert rig.ask("V1 VT Q") == "V+0 T1000 Y"
 
 
-def test_what_was_on_the_line_before_power_was_there_is_not_heard() -> None:
+def test_bytes_on_the_line_before_power_up_are_not_received() -> None:
     rig = Rig()
-    rig.bus.set_power(False)
-    rig.bus.set_power(True)
+    rig.bus.set_power(on=False)
+    rig.bus.set_power(on=True)
     assert rig.ask("F") == ""
     rig.wait(0.1)
     assert rig.ask("F") == "R"
@@ -290,10 +290,10 @@ def test_multipoint_silence_and_one_address_twice() -> None:
     assert rig.ask("2A1") == "Y Y"
     assert (rig.bus.output_level(11), rig.bus.output_level(21), rig.bus.output_level(31)) == (False, True, True)
     rig.wait(1)
-    rig.bus.set_input(31, True)
+    rig.bus.set_input(31, level=True)
     assert rig.raw(b"2V2\r") == b"V01\rV01\r"
     rig.wait(1)
-    rig.bus.set_unit_power("3", False)
+    rig.bus.set_unit_power("3", on=False)
     assert rig.raw(b"2V2\r") == b"V01\r"
 
 
@@ -315,7 +315,7 @@ def test_busy_answers_and_live_verify() -> None:
     assert small.bus.find_indexer("1").motor_parameters.currents_ma == {"CS": 500, "CR": 6000, "CT": 1000}
 
 
-def test_what_programming_mode_takes() -> None:
+def test_commands_accepted_in_programming_mode() -> None:
     rig = Rig()
     assert rig.ask("PO F VT V1 V2 M X  Q K A1 V2") == "Y R T1000 E4 E4 E4 E4 Y  Y Y Y V01"
 
@@ -357,13 +357,13 @@ def test_a_polling_loop_sleeps_and_keeps_its_phase() -> None:
     changes: list[tuple[int, bool]] = []
     rig.bus.on_output(lambda number, level: changes.append((rig.clock.now_ns(), level)))
     rig.wait(0.0105)
-    rig.bus.set_input(1, True)
+    rig.bus.set_input(1, level=True)
     rig.wait(0.0001)
     assert rig.clock.next_ns() == 10_660_000
     rig.wait(0.02)
     assert changes == [(12 * MS, True)]
     assert rig.clock.next_ns() is None
-    rig.bus.set_input(1, False)
+    rig.bus.set_input(1, level=False)
     rig.wait(0.0021)
     assert rig.ask("F") == "R"
 
@@ -371,12 +371,12 @@ def test_a_polling_loop_sleeps_and_keeps_its_phase() -> None:
 def test_a_pulse_shorter_than_the_filter_is_not_seen() -> None:
     rig = Rig(ideal=False)
     rig.program("W2 A1")
-    rig.bus.set_input(2, True)
+    rig.bus.set_input(2, level=True)
     rig.wait(0.0001)
-    rig.bus.set_input(2, False)
+    rig.bus.set_input(2, level=False)
     rig.wait(0.1)
     assert rig.ask("F") == "B"
-    rig.bus.set_input(2, True)
+    rig.bus.set_input(2, level=True)
     rig.wait(0.01)
     assert rig.ask("F V2") == "R V21"
 
@@ -394,7 +394,7 @@ def test_stop_conditions_of_n_and_na() -> None:
     assert top is not None
     assert top == pytest.approx(1000 + 1000 * (3 - 2000 / 1100) + 1000, abs=2)
     assert rig.bus.velocity("1") < -100
-    rig.bus.set_input(1, True)
+    rig.bus.set_input(1, level=True)
     rig.wait(1)
     assert rig.ask("F V2") == "R V11"
     assert len(rig.bus.commanded_motions) == 2
@@ -402,7 +402,7 @@ def test_stop_conditions_of_n_and_na() -> None:
 
 def test_decoding_takes_time_and_keeps_order() -> None:
     rig = Rig(timing=FirmwareTiming(decode_ns=2 * MS, spread_ns=MS))
-    rig.port.receive(b"F\rVT\rK5\r")
+    rig.port.receive_bytes(b"F\rVT\rK5\r")
     assert not rig.said
     assert not rig.bus.at_rest()
     rig.wait(0.1)
@@ -418,10 +418,10 @@ def test_an_answer_that_makes_the_other_end_send_at_once() -> None:
     def answer(data: bytes) -> None:
         heard.append(data)
         if len(heard) == 1:
-            port.receive(b"2VT\r")
+            port.receive_bytes(b"2VT\r")
 
     port = rig.bus.connect("serial", answer, lambda: None)
-    port.receive(b"1F\r2VS\r")
+    port.receive_bytes(b"1F\r2VS\r")
     assert heard == [b"R\r", b"S100\r", b"T1000\r"]
 
 

@@ -34,7 +34,7 @@ class Line:
     def ask(self, text: bytes, wait_ms: float = 20.0) -> bytes:
         """What comes within `wait_ms` of a line."""
         before = len(self.said)
-        self.port.receive(text)
+        self.port.receive_bytes(text)
         self.wait(wait_ms)
         return self.said[before:]
 
@@ -42,7 +42,7 @@ class Line:
         self.clock.run_until_ns(self.clock.now_ns() + round(ms * MS))
 
 
-def test_only_the_unit_with_the_address_answers() -> None:
+def test_only_the_controller_with_the_address_answers() -> None:
     line = Line([2, 5])
     assert line.ask(b"5f+70\r") == b"Y\r"
     assert line.ask(b"2V1\r") == b"V+0\r"
@@ -60,30 +60,30 @@ def test_the_checksum_is_one_character_even_if_that_is_a_return() -> None:
     assert line.ask(b"3F\x00\r") == b"E1v\r"
 
 
-def test_replies_of_two_units_at_once_garble_each_other() -> None:
+def test_simultaneous_replies_of_two_controllers_garble_each_other() -> None:
     line = Line([1, 2])
     assert line.ask(b"1V1\r2TP\r") not in (b"V+0\rTP25\r", b"TP25\rV+0\r")
     assert line.ask(b"1V1\r") + line.ask(b"2TP\r") == b"V+0\rTP25\r"
 
 
-def test_two_units_with_one_address_both_answer() -> None:
+def test_two_controllers_with_one_address_both_answer() -> None:
     line = Line([4, 4])
-    line.units[0].set_input(1, True)
+    line.units[0].set_input(1, level=True)
     line.wait(1)
     assert len(line.ask(b"4V2\r")) == 2 * len(b"V00\r")
 
 
-def test_a_unit_that_is_off_says_nothing_and_the_others_go_on() -> None:
+def test_a_controller_that_is_off_sends_nothing_and_the_others_continue() -> None:
     line = Line([1, 2])
-    line.units[0].set_power(False)
+    line.units[0].set_power(on=False)
     assert line.ask(b"1F\r") == b""
     assert line.ask(b"2F\r") == b"R\r"
-    line.units[0].set_power(True)
+    line.units[0].set_power(on=True)
     line.wait(10)
     assert line.ask(b"1F\r") == b"R\r"
 
 
-def test_inputs_and_outputs_are_of_each_unit_by_itself() -> None:
+def test_inputs_and_outputs_belong_to_each_controller() -> None:
     line = Line([1, 2])
     heard: list[tuple[int, bool]] = []
     line.units[1].on_output(lambda number, level: heard.append((number, level)))
@@ -92,10 +92,10 @@ def test_inputs_and_outputs_are_of_each_unit_by_itself() -> None:
     assert line.units[1].output_level(3)
     assert not line.units[0].output_level(3)
     with pytest.raises(ValueError, match="input 5"):
-        line.units[0].set_input(5, True)
+        line.units[0].set_input(5, level=True)
 
 
-def test_motions_are_of_each_unit_by_itself() -> None:
+def test_motions_belong_to_each_controller() -> None:
     line = Line([1, 2])
     line.ask(b"2+10\r", 200)
     assert [len(unit.commanded_motions) for unit in line.units] == [0, 1]
@@ -111,9 +111,9 @@ def test_an_input_is_seen_at_the_next_look_of_the_firmware() -> None:
         line = build_line(SMC30, clock, {"u": branch})
         port = line.endpoint.connect("serial", lambda _: None, lambda: None)
         for text in (b"1PO\r", b"1N11.19\r", b"1+10\r", b"1E\r"):
-            port.receive(text)
+            port.receive_bytes(text)
         clock.run_until_ns(50 * MS)
-        line.devices["u"].set_input(1, True)
+        line.devices["u"].set_input(1, level=True)
         clock.run_until_ns(500 * MS)
         begun.append(line.devices["u"].commanded_motions[0].start_ns / MS - 50)
     # The filter, up to one look, and the latency of 1 ms.
@@ -121,7 +121,7 @@ def test_an_input_is_seen_at_the_next_look_of_the_firmware() -> None:
     assert 1.8 < max(begun) <= 2.1
 
 
-def test_units_of_one_line_must_agree_about_it() -> None:
+def test_controllers_of_one_line_must_agree_about_its_settings() -> None:
     branches = {
         name: DeviceSpec(place, {"baud": baud}, Oscillator(), FirmwareTiming(), 0)
         for place, (name, baud) in enumerate((("a", 9600), ("b", 4800)), start=1)

@@ -10,7 +10,7 @@ MOVING = ("SHX", "PRX=1000000", "SPX=1000", "BGX")
 
 @dataclass(frozen=True)
 class Case:
-    """After `before`, `send` is answered by `reply`; `?7` stands for a refusal that TC tells as 7."""
+    """After `before`, `send` is answered by `reply`; `?7` stands for a refusal with TC code 7."""
 
     lines: str
     send: str
@@ -23,7 +23,7 @@ def case(lines: str, send: str, reply: str, *before: str) -> Case:
 
 
 CASES = [
-    # What may be asked, and how
+    # Possible queries and their forms
     case("L2222", "AB ?", " 1"),
     case("L2543", "AL ?,?", " 1, 0", "ALX"),
     case("L7599", "MO ?,?", " 0, 1", "SHX"),
@@ -40,7 +40,7 @@ CASES = [
     case("L11215", "VA ?", " 0000256000"),
     case("L6021", "II ?", " 000"),
     case("L6019", "II 1", "?2"),
-    # Axis N has what its pages say, and nothing else
+    # Axis N has what its pages list, and nothing else
     case("L10846", "TPN", " 0000000000"),
     case("L11040", "TVN", "?4"),
     case("L4999", "MG _ERN", "?58"),
@@ -146,7 +146,7 @@ def test_a_steppers_pulses_come_after_its_profile() -> None:
 
 
 def test_a_limit_ends_the_gearing_of_an_axis_that_only_follows() -> None:
-    """L5543, L13522; in gantry mode it goes on (L5493)."""
+    """L5543, L13522; in gantry mode it continues (L5493)."""
     desk = Desk()
     desk.ask("SH", "GA ,X,X", "GR ,1,1", "GM ,,1", "JGX=10000", "BGX")
     desk.wait(1.0)
@@ -159,12 +159,12 @@ def test_a_limit_ends_the_gearing_of_an_axis_that_only_follows() -> None:
     assert desk.ask("MG (_RPZ>14000){F1.0}") == " 1\r\n:"
 
 
-def test_a_latch_target_that_is_stopped_before_is_told() -> None:
+def test_a_latch_target_that_is_stopped_before_is_reported() -> None:
     """L7151-L7159."""
     desk = Desk()
     desk.ask("SHX", "LTX=100000", "ALX", "JGX=5000", "BGX")
     desk.wait(0.5)
-    desk.unit.set_input(1, False)
+    desk.unit.set_input(1, level=False)
     desk.wait(0.1)
     desk.ask("STX")
     desk.rest()
@@ -182,19 +182,19 @@ def test_torque_is_recorded_as_a_digital_value() -> None:
 def test_a_semicolon_ends_a_command_without_carriage_return() -> None:
     """L1624, L12230: also before a download."""
     desk = Desk()
-    desk.line.receive(b"V1=5;V2=6;V")
+    desk.line.receive_bytes(b"V1=5;V2=6;V")
     assert desk.heard == b"::"
-    desk.line.receive(b"3=7\r")
+    desk.line.receive_bytes(b"3=7\r")
     assert desk.ask("MG V1+V2+V3{F2.0}") == " 18\r\n:"
     desk.heard = b""
-    desk.line.receive(b'MG "a;b";NO c;V1=9\r')
+    desk.line.receive_bytes(b'MG "a;b";NO c;V1=9\r')
     assert desk.heard == b"a;b\r\n::"
     desk.heard = b""
-    desk.line.receive(b"DL;#A;PR 4000;BG\rEN\r\x1a")
+    desk.line.receive_bytes(b"DL;#A;PR 4000;BG\rEN\r\x1a")
     assert desk.heard == b":"
     assert desk.ask("LS") == "000 #A;PR 4000;BG\r\n001 EN\r\n:"
     desk.heard = b""
-    desk.line.receive(b"V1=1;" * 20 + b"\r")
+    desk.line.receive_bytes(b"V1=1;" * 20 + b"\r")
     assert desk.heard.endswith(b"?")
 
 
@@ -206,11 +206,11 @@ def test_the_editor_changes_a_program_line_by_line() -> None:
     assert desk.ask("PR 7") == "002 BAD\r\n"
     desk.heard = b""
     for key in (b"\x04", b"\tBG\r", b"\x10"):
-        desk.line.receive(key)
+        desk.line.receive_bytes(key)
     assert desk.heard == b"002 EN\r\n002 \r\n003 EN\r\n002 BG\r\n"
     assert desk.ask("#A") == "?002 BG\r\n"
     desk.heard = b""
-    desk.line.receive(b"\x11")
+    desk.line.receive_bytes(b"\x11")
     assert desk.heard == b":"
     assert desk.ask("LS") == "000 #A\r\n001 PR 7\r\n002 BG\r\n003 EN\r\n:"
     assert desk.ask("LL") == "# A = 0\r\n:"
@@ -222,7 +222,7 @@ def test_a_datagram_carries_no_more_than_a_packet() -> None:
     desk.ask("DL\r" + "NO 23456789012345678901234567890\r" * 14 + "\x1a")
     sent: list[int] = []
     line = desk.unit.connect("udp", lambda data: sent.append(len(data)), lambda: None)
-    line.receive(b"UL\r")
+    line.receive_bytes(b"UL\r")
     assert len(sent) > 1
     assert max(sent) <= 470
 
@@ -245,10 +245,10 @@ def test_the_abort_input_and_the_selective_ones() -> None:
     desk = Desk()
     desk.ask("SH", "OE ,1", "JG*=5000", "BG", "CN ,,,1")
     desk.wait(0.1)
-    desk.unit.set_input(7, False)
+    desk.unit.set_input(7, level=False)
     assert desk.ask("MG _SCZ{F2.0},_BGZ{F1.0},_BGX{F1.0}") == " 11 0 1\r\n:"
-    desk.unit.set_abort(True)
+    desk.unit.set_abort(active=True)
     assert desk.ask("MG _SCX{F2.0},_BGX{F1.0},_AB{F1.0},_MOX{F1.0},_MOY{F1.0}") == " 06 0 0 0 1\r\n:"
     assert desk.ask("BGX") == "?"
-    desk.unit.set_abort(False)
+    desk.unit.set_abort(active=False)
     assert desk.ask("BGX") == ":"

@@ -1,4 +1,5 @@
-"""A live simulator is woken late where nobody can see it; whoever looks finds all as it would have been."""
+"""A live simulator may be woken late while it is not observed; an observer finds everything as if it had not been
+late."""
 
 import random
 from collections.abc import Callable
@@ -6,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from unit.sim.desk import Desk
 
-from orchestrator.clock.base import Timer
+from orchestrator.clock.base import ClockTimer
 from orchestrator.clock.queue import EventQueue
 from sim.core.controller import FirmwareTiming
 
@@ -22,7 +23,7 @@ class LateQueue(EventQueue):
 
     made = 0
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> Timer:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> ClockTimer:  # pyright: ignore[reportIncompatibleMethodOverride]
         def call() -> None:
             self.made += 1
             callback()
@@ -33,7 +34,7 @@ class LateQueue(EventQueue):
 class PunctualQueue(LateQueue):
     """Counts calls that are made when they are due."""
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> Timer:
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> ClockTimer:
         del leeway_ns
         return super().call_at_ns(at_ns, callback)
 
@@ -50,8 +51,8 @@ def _started(clock: EventQueue) -> Desk:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_gate_that_is_polled_opens_and_begins_as_it_would_have(seed: int) -> None:
-    """Asked at random instants; the last of them opens the gate, or comes too late."""
+def test_a_polled_gate_opens_and_starts_at_the_unchanged_instant(seed: int) -> None:
+    """Queried at random instants; the last query opens the gate, or comes too late."""
     asked_s = sorted(random.Random(seed).uniform(0.3, 2.1) for _ in range(6))
     told: list[object] = []
     made: list[int] = []
@@ -60,7 +61,7 @@ def test_a_gate_that_is_polled_opens_and_begins_as_it_would_have(seed: int) -> N
         answers: list[str] = []
         for k, at_s in enumerate(asked_s):
             desk.wait(at_s - clock.now_ns() * 1e-9)
-            # What it does next comes before what is asked, as late as it may be woken.
+            # Its next action comes before the query, as late as it may be woken.
             answers.append(desk.ask("XGO=1" if k == 5 else "MG _HX0,XOK,XLATE,TIME", wait_s=0.001))
         desk.wait(4.0 - clock.now_ns() * 1e-9)
         answers.append(desk.ask("MG XACT,XEND,XLATE,_RPX", wait_s=0.01))
@@ -71,8 +72,8 @@ def test_a_gate_that_is_polled_opens_and_begins_as_it_would_have(seed: int) -> N
 
 
 def test_a_contours_records_follow_each_other_as_they_would_have() -> None:
-    """Beside its loop another thread waits, which nobody sees, but the next record comes after it, which everybody does
-    who looks."""
+    """Another thread waits in parallel to its loop, which is not visible, but the next record comes after it, which
+    is visible to every observer."""
     contour = (
         "#C;CM X;DT 3;I=0;CD DX[0];I=1\r#P;WC;CD DX[I];I=I+1;JP #P,I<60\rWC;DT 0;CD 0;WC;XEND=TIME;EN\r#D;WT 2;JP #D\r"
     )
@@ -86,7 +87,7 @@ def test_a_contours_records_follow_each_other_as_they_would_have() -> None:
         desk.ask("XQ #D,1", "XQ #C,0")
         for _ in range(100):
             desk.wait(0.011)
-            assert len(desk.unit.commanded_motions) <= 1  # somebody looks, too
+            assert len(desk.unit.commanded_motions) <= 1  # a client queries it, too
         answer = desk.ask("MG XEND,_RPX,_HX0", wait_s=0.01)
         told.append((answer, [(each.start_ns, each.end_ns) for each in desk.unit.commanded_motions]))
     assert told[0] == told[1]
@@ -99,9 +100,9 @@ def test_commands_that_came_together_are_answered_when_the_last_one_is() -> None
     for clock in (PunctualQueue(), LateQueue()):
         desk = _started(clock)
         before = clock.made
-        desk.line.receive(b"\r".join(b"V%d=%d" % (k, k) for k in range(9)) + b"\r")
+        desk.line.receive_bytes(b"\r".join(b"V%d=%d" % (k, k) for k in range(9)) + b"\r")
         while desk.heard.count(b":") < 10:  # of them the first is the answer to XQ
-            assert clock.step()
+            assert clock.make_next_call()
         ends.append(clock.now_ns())
         wakes.append(clock.made - before)
     assert ends[0] == ends[1]
@@ -117,11 +118,11 @@ def test_a_stop_on_another_handle_does_not_wait_for_what_may_be_late() -> None:
         desk.ask("JGX=20000", "BGX", wait_s=0.2)
         other: list[bytes] = []
         second = desk.unit.connect("tcp", other.append, lambda: None)
-        desk.line.receive(b"\r".join(b"V%d=%d" % (k, k) for k in range(20)) + b"\r")
+        desk.line.receive_bytes(b"\r".join(b"V%d=%d" % (k, k) for k in range(20)) + b"\r")
         desk.wait(0.0005)
-        second.receive(b"ST\r")
+        second.receive_bytes(b"ST\r")
         while not other:
-            assert clock.step()
+            assert clock.make_next_call()
         answered.append(clock.now_ns())
         desk.wait(0.5)
         slowing.append(desk.unit.commanded_motions[-1].slowing_ns)

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import pytest
 from unit.sim.desk import Desk
 
-from orchestrator.link.supply import Supply
+from orchestrator.link.supply import PowerSupply
 from sim.core.controller import FirmwareTiming, PortConnection, SendBytes
 from sim.yaskawa import SMC4000
-from sim.yaskawa.ports.network import DeviceNetwork
+from sim.yaskawa.io.network import DeviceNetwork
 
 OTHER = "192,168,3,11"
 OTHER_NUMBER = int.from_bytes(bytes((192, 168, 3, 11)), "big") - (1 << 32)
@@ -23,13 +23,13 @@ class Device:
         self.coils = [False] * 32
         self.registers = [0] * 16
         self.hang_up: Callable[[], None] = lambda: None
-        self.supply = Supply()
+        self.supply = PowerSupply()
 
     def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> PortConnection:
         self._send, self.hang_up = send, closed
         return self
 
-    def receive(self, data: bytes) -> None:
+    def receive_bytes(self, data: bytes) -> None:
         self.packets.append(data)
         unit, function, body = data[6], data[7], data[8:]
         first, count = struct.unpack(">HH", body[:4]) if len(body) >= 4 else (0, 0)
@@ -92,7 +92,7 @@ def test_messages_go_to_a_handle_and_a_lost_peer_calls_tcperr() -> None:
     device, network = Device(), DeviceNetwork()
     desk.unit.join_network(network)
     network.places[OTHER_NUMBER] = device
-    device.receive = device.packets.append  # pyright: ignore[reportAttributeAccessIssue]
+    device.receive_bytes = device.packets.append  # pyright: ignore[reportAttributeAccessIssue]
     desk.ask(f"IHD={OTHER}", "DL\r#A\rWT 100\rJP #A\r#TCPERR\rH=_IA4\rRE\r\x1a", "H=-1", "XQ #A", 'MG {ED}"HELLO"')
     assert device.packets == [b"HELLO\r\n"]
     assert desk.ask("MG _IHD2{F2.0},_IA2{F1.0}") == "-02 6\r\n:"
@@ -102,7 +102,7 @@ def test_messages_go_to_a_handle_and_a_lost_peer_calls_tcperr() -> None:
     assert desk.ask('MG {ED}"HELLO"') == "?"
 
 
-def test_nobody_at_the_address_is_told_and_an_unanswered_command_times_out() -> None:
+def test_an_empty_address_is_reported_and_an_unanswered_command_times_out() -> None:
     """L5892, L5924, L10419."""
     desk = Desk()
     desk.unit.join_network(DeviceNetwork())

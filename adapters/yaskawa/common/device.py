@@ -1,0 +1,368 @@
+"""The controller on its two handles: connection, identification, installation of its resident program, and polls of one
+record."""
+
+import asyncio
+from collections.abc import Iterable
+from contextlib import AbstractAsyncContextManager, nullcontext, suppress
+from dataclasses import dataclass, replace
+
+from adapters.contract import NULL_LOG, ControllerIdentity, ControllerRestarted
+from adapters.yaskawa.common import arrays
+from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.common.model import LEAVE_CONTOUR
+from adapters.yaskawa.common.options import YaskawaOptions
+from adapters.yaskawa.common.program import (
+    EDGE_THREAD,
+    OUTPUT_PASSIVE,
+    STEP_THREAD,
+    VARIABLES,
+    WATCHDOG_THREAD,
+    axis_letters,
+    program_lines,
+)
+from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord, RecordFormat
+from adapters.yaskawa.common.session import REVISION, CommandSession, SmcCommandRefused, parse_numbers, print_command
+from adapters.yaskawa.common.stops import SharedStops, StopHandle
+from adapters.yaskawa.common.ticks import SampleClock
+from orchestrator.clock.base import NS_PER_US, Clock, sleep_ns
+from orchestrator.link.base import Link, LinkClosed, OpenLink
+from orchestrator.model.errors import ControllerFault, Refusal
+
+THREADS = 8  # L12258
+CONTOURING = 1 << 5  # of TB (L10224)
+
+
+@dataclass(frozen=True, slots=True)
+class SmcConnection:
+    """The handles of one connection: for commands and polls, and for stops."""
+
+    link: Link
+    session: CommandSession
+    stops: StopHandle | SharedStops
+
+
+@dataclass(frozen=True, slots=True)
+class HandleTraits:
+    """The handles that a link allows.
+
+    goodbye: bytes that free a handle where the controller cannot detect that its client is gone.
+    shared: there is only one port, to which no second connection is possible."""
+
+    goodbye: bytes = b""
+    shared: bool = False
+
+
+SEPARATE_HANDLES = HandleTraits()
+
+
+class SmcDevice:
+    """One controller. Its commands and polls share one handle; stops have a second handle where two are possible."""
+
+    BESIDE = 0
+    """Commands of other threads that may interrupt a check of its release gate (see `GateTiming`)."""
+
+    def __init__(
+        self,
+        clock: Clock,
+        open_link: OpenLink,
+        options: YaskawaOptions,
+        axes_needed: int,
+        handles: HandleTraits = SEPARATE_HANDLES,
+    ) -> None:
+        self.log = NULL_LOG
+        self._clock = clock
+        self._shared = handles.shared
+        self._goodbye = handles.goodbye
+        self._open_link = open_link
+        self._options = options
+        self._axes_needed = axes_needed
+        self._connection: SmcConnection | None = None
+        self._format: RecordFormat | None = None
+        self.gate = GateTiming.for_options(options, self.BESIDE)
+        # It outlives the links: only then a power cycle differs from a broken cable.
+        late_ns = (options.decode_us - options.decode_min_us) * NS_PER_US
+        self.samples = SampleClock(options.tick_ns, late_ns)
+        self._restarted = False
+        self._reconnect_required = False
+        # Number of stops of each axis: a command that was under way at a stop must not begin a motion after it.
+        self._stop_counts = [0] * len(AXIS_LETTERS)
+        self._all_stopped = asyncio.Event()
+
+    @property
+    def sharing_count(self) -> int:
+        """Return how many controllers take turns on its line."""
+        return 1
+
+    # Connection
+
+    async def connect(self) -> ControllerIdentity:
+        """Open both handles, unload what an earlier adapter process left waiting, and install the program."""
+        await self.close()
+        self._reconnect_required = False
+        link = await self._open_link()
+        self.log.info("link opened", place=link.endpoint)
+        session = CommandSession(link, self._options.timeout_s)
+        session.log = self.log
+        # Until there is a second handle, the one port carries stops too, bypassing other traffic.
+        connection = self._connection = SmcConnection(link, session, SharedStops(session))
+        if self._shared:
+            await session.send_command("EO 0")  # it may echo (L4833)
+        else:
+            stops = StopHandle(await self._open_link(), self._options.timeout_s)
+            self._connection = replace(connection, stops=stops)
+        # Messages of programs go to the serial port, not between the replies (L3556).
+        await session.send_command("CFS")
+        revision = " ".join(await session.query_all(REVISION))
+        self._format = RecordFormat.from_sizes((await session.query_lines("QZ")).lines[0])
+        if self._format.axes < self._axes_needed:
+            raise ControllerFault(
+                "config-mismatch",
+                f"the fleet file uses motor {AXIS_LETTERS[self._axes_needed - 1]}; the controller has "
+                f"{self._format.axes} axes",
+                "correct `motors` in the fleet file, or the address of the controller",
+            )
+        await self._install_program()
+        (serial,), _ = await session.read_numbers("_BN")
+        await self._read_time()
+        model, _, firmware = revision.partition(" ")
+        return ControllerIdentity(model=model, firmware=firmware or revision, serial=str(int(serial)))
+
+    async def close(self) -> None:
+        """Close both handles; the controller stays as it is."""
+        ended, self._connection = self._connection, None
+        if ended is not None:
+            await ended.stops.close(self._goodbye)
+            await self._close_handle(ended.link)
+
+    async def _close_handle(self, link: Link) -> None:
+        if self._goodbye:
+            with suppress(LinkClosed):
+                link.write(self._goodbye)
+        await link.close()
+
+    async def _install_program(self) -> None:
+        session, wanted = self.session, program_lines(self.record_format.axes, self.gate)
+        present = [line.rstrip() for line in await session.query_all("UL")]
+        if present == list(wanted):
+            # The adapter's own program may still wait for a start that will never be released, or play a contour to its
+            # end.
+            (status,), _ = await session.read_numbers("_TB")
+            if int(status) & CONTOURING:
+                self.log.warning("a contour of an earlier session is in progress; it is stopped by its ramps")
+                # Without its program a contour would stop abruptly (L13968): stop it by its ramps.
+                await session.send_command(f"ST{axis_letters((1 << self.record_format.axes) - 1)}")
+            await self.unload_program()
+        else:
+            await self._require_replaceable(present)
+            self.log.info("installing the resident program", lines=len(wanted), replaced=len(present))
+            try:
+                await session.download_program(wanted)
+            except SmcCommandRefused as refusal:
+                raise ControllerFault(
+                    "program-refused",
+                    f"the controller does not accept its program: {refusal}",
+                    "is its program memory locked (LC), or is a download active on another of its ports?",
+                ) from None
+            if [line.rstrip() for line in await session.query_all("UL")] != list(wanted):
+                raise ControllerFault(
+                    "program-differs", "the program read back is not the one that was sent", "check the link; try again"
+                )
+        for name in VARIABLES:
+            await session.send_command(f"{name}=0")
+        await arrays.free_arrays(session)
+
+    async def unload_program(self) -> None:
+        """Halt the resident program and leave contour mode: nothing starts, now or later."""
+        threads = (STEP_THREAD, WATCHDOG_THREAD, EDGE_THREAD)
+        # Outside contour mode, or without a driven trigger line, the controller refuses the respective command.
+        with suppress(SmcCommandRefused):
+            await self.session.send_settings((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, OUTPUT_PASSIVE))
+
+    async def _require_replaceable(self, present: list[str]) -> None:
+        running, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(4)))
+        more, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(4, THREADS)))
+        threads = [str(thread) for thread, state in enumerate(running + more) if state]
+        if threads:
+            raise ControllerFault(
+                "other-program",
+                f"another program runs in the controller (thread {', '.join(threads)})",
+                "stop it with HX, and its #AUTO start with it, if this controller belongs to the fleet",
+            )
+        if present and not self._options.replace_program:
+            raise ControllerFault(
+                "other-program",
+                f"the controller holds another program of {len(present)} lines, which may not be replaced",
+                "save it, then set `replace_program: true` in the controller's options",
+            )
+
+    # Communication
+
+    @property
+    def connection(self) -> SmcConnection:
+        """The connection. Raises `LinkClosed` when there is none."""
+        if self._connection is None:
+            raise LinkClosed("the controller is not connected")
+        return self._connection
+
+    @property
+    def session(self) -> CommandSession:
+        """The handle for commands. Raises `LinkClosed` when there is none."""
+        return self.connection.session
+
+    @property
+    def record_format(self) -> RecordFormat:
+        """Return the layout of the record, known since `connect`."""
+        if self._format is None:
+            raise LinkClosed("the controller is not connected")
+        return self._format
+
+    async def read_record(self) -> DataRecord:
+        """Return the whole changing state in one exchange; it also updates the clock estimate."""
+        record, _, _ = await self._read_record()
+        return record
+
+    async def read_record_with(self, *operands: str) -> tuple[DataRecord, list[float]]:
+        """Return a record, and values as `Session.read_numbers` returns them, in one exchange where possible."""
+        asked = print_command(operands)
+        record, _, lines = await self._read_record(asked)
+        return record, parse_numbers("".join(lines[-1:]), len(operands), asked)
+
+    async def _read_record(self, also: str = "") -> tuple[DataRecord, bool, list[str]]:
+        """Return a record, whether its sample number continued from the last reading, and the lines that answer
+        `also`."""
+        layout = self.record_format
+        answer = await self.session.query_record(layout.command, layout.header, layout.length, also)
+        record = layout.parse_record(answer.record, answer.sent_ns, answer.received_ns)
+        went_on = self.samples.add_low_reading(self._earliest_ns(record.sent_ns), record.received_ns, record.sample)
+        return record, went_on, answer.lines
+
+    async def poll_state(self) -> tuple[DataRecord, bool]:
+        """Return a record that also updates the clock estimate, and whether the controller was restarted since the last
+        one."""
+        if not self.connection.stops.open:
+            raise LinkClosed("the controller has closed the handle for stops")
+        if self._reconnect_required:
+            # It lost its settings and possibly its program with its counter: begin again from `connect`.
+            raise ControllerRestarted()
+        record, went_on, _ = await self._read_record()
+        if not went_on:
+            self._reconnect_required = not await self._read_time()
+            self.log.warning("the sample counter was interrupted", restarted=self._reconnect_required)
+        restarted, self._restarted = self._restarted, False
+        return record, restarted
+
+    async def _read_time(self) -> bool:
+        """Read the whole counter. Return False when the controller was restarted since the last reading."""
+        (ticks,), answer = await self.session.read_numbers("TIME")
+        went_on = self.samples.add_full_reading(self._earliest_ns(answer.sent_ns), answer.received_ns, int(ticks))
+        self._restarted |= not went_on
+        return went_on
+
+    def _earliest_ns(self, sent_ns: int) -> int:
+        """Return the earliest instant at which a command sent at `sent_ns` can have read the counter."""
+        return sent_ns + self._options.decode_min_us * NS_PER_US
+
+    # Begin and stop of motion
+
+    def exclusive_turn(self) -> AbstractAsyncContextManager[None]:
+        """Return a context in which exchanges of this task are not interleaved with others on a shared link."""
+        return nullcontext()
+
+    def stop_count(self, index: int) -> int:
+        """Return a number that every stop of this axis increments."""
+        return self._stop_counts[index]
+
+    def require_no_stop(self, axis: str, index: int, since: int) -> None:
+        """Raise `Refusal` when a stop has come since `stop_count` returned `since`."""
+        if self._stop_counts[index] != since:
+            raise Refusal("stopped", f"axis {axis} was stopped meanwhile", "")
+
+    async def wait_for_stops(self) -> None:
+        """Wait until no stop is under way: it would halt a motion that begins now. Raises `ControllerFault`,
+        `LinkClosed`."""
+        await self.connection.stops.wait_until_executed()
+
+    async def begin_motion(self, axis: str, index: int, since: int) -> None:
+        """Begin what is loaded for one axis (BG, L3064), unless a stop has come since `stop_count` returned `since`.
+
+        Commands of two handles may overtake each other in the controller, so a stop that came while BG was under way is
+        repeated after it. Raises `Refusal`; then the axis is at rest, or stops.
+        """
+        await self.wait_for_stops()
+        sent = False
+
+        def check_no_stop() -> None:
+            nonlocal sent
+            self.require_no_stop(axis, index, since)
+            sent = True
+
+        try:
+            await self.session.send_command(f"BG{AXIS_LETTERS[index]}", check_no_stop)
+            self.require_no_stop(axis, index, since)
+        except SmcCommandRefused:
+            raise
+        except BaseException:
+            # Cancelled, unanswered, or stopped meanwhile: no caller would stop the axis later.
+            self.log.warning(f"the begin of axis {axis} did not succeed", stopped=sent)
+            if sent:
+                with suppress(LinkClosed):
+                    self.brake_axes([index])
+            raise
+
+    def stop_axes(self, indices: Iterable[int]) -> None:
+        """Stop these axes by their ramps, now, without waiting for any reply; no command under way begins them."""
+        chosen = list(indices)
+        for index in chosen:
+            self._stop_counts[index] += 1
+        self.brake_axes(chosen)
+
+    def brake_axes(self, indices: Iterable[int]) -> None:
+        """Send `ST` to these axes, now; programs and other axes continue (L10124)."""
+        letters = "".join(AXIS_LETTERS[index] for index in indices)
+        if letters:  # without letters it would stop all axes
+            self._write_stop(f"ST{letters}")
+
+    def stop_all(self, *, abort: bool) -> None:
+        """Stop everything, now, without waiting for any reply."""
+        self._count_stop()
+        self._write_stop(*stop_commands(abort=abort))
+
+    def _count_stop(self) -> None:
+        """Count a stop of all axes."""
+        self._stop_counts = [given + 1 for given in self._stop_counts]
+        self._all_stopped.set()
+        self._all_stopped = asyncio.Event()
+
+    async def sleep_to_stop(self, span_ns: int) -> bool:
+        """Sleep for `span_ns`, or until all axes are stopped; return whether they were stopped."""
+        given = self._all_stopped
+        sleeping = asyncio.ensure_future(sleep_ns(self._clock, span_ns))
+        stopping = asyncio.ensure_future(given.wait())
+        try:
+            await asyncio.wait([sleeping, stopping], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            sleeping.cancel()
+            stopping.cancel()
+        return given.is_set()
+
+    def _write_stop(self, *commands: str) -> None:
+        """Write to the handle for stops, bypassing everything that is under way on the other handle."""
+        try:
+            self.connection.stops.write_stop(*commands)
+        except LinkClosed:
+            # The loss of this handle is not noticed elsewhere yet; the other handle may still work.
+            self.log.warning("the handle for stops is closed; the stop is written to the handle for commands")
+            self.session.write_at_once(*commands)
+
+
+def stop_commands(*, abort: bool) -> tuple[str, ...]:
+    """Return the commands that stop all axes, prevent the waiting program from starting any, and leave contour mode.
+
+    Motion first, then the program, and motion again: the program may have begun a motion in between. ST without letters
+    stops all axes and sequences (L10119) and may halt programs too; AB aborts motion and program at once (L2191).
+    """
+    halt = (f"HX{STEP_THREAD}", f"HX{WATCHDOG_THREAD}")
+    after = (*LEAVE_CONTOUR, f"HX{EDGE_THREAD}", OUTPUT_PASSIVE)
+    if abort:
+        return ("AB", *halt, *after)
+    return ("ST", halt[0], "ST", halt[1], *after)

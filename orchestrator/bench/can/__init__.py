@@ -1,0 +1,1 @@
+"""Benchmarks of CAN buses: load, mixed fleets, streamed moves."""

@@ -1,0 +1,219 @@
+"""Benchmarks on live processes and real disks."""
+
+from typing import Any
+
+from orchestrator.bench.registry import runs
+from orchestrator.bench.registry.record import (
+    BenchColumn,
+    Benchmark,
+    BenchNote,
+    BenchOption,
+    BenchTable,
+    Document,
+    make_spread_columns,
+    make_spread_table,
+)
+
+
+def _list_dispatch_rows(document: Document) -> list[tuple[str, Any]]:
+    return [
+        ("submit to first motion", document["first_motion"]),
+        ("lead time, once settled", document["lead"]),
+        ("last arming to T0", document["armed_to_t0"]),
+        *((f"part: {name}", each) for name, each in document["parts"].items()),
+        ("process wake-up delay", document["noise"]),
+    ]
+
+
+def _list_journal_rows(document: Document) -> list[tuple[str, float, bool | None, float]]:
+    """Return rows of a text, a time, whether it is within its target, and the target."""
+    from orchestrator.bench.journal import RESTART_TARGET_S, SUBMIT_TARGET_S
+
+    restart = f"restart with {document['history']} jobs, {document['file_mb']:g} MB"
+    return [
+        (f"{document['jobs']} jobs submitted", document["submit_s"], document["submit_met"], SUBMIT_TARGET_S),
+        (restart, document["restart_s"], document["restart_met"], RESTART_TARGET_S),
+    ]
+
+
+def _list_ends(document: Document) -> list[str]:
+    ends = ", ".join(f"{count} {state}" for state, count in document["ends"].items())
+    return [
+        f"{document['rounds']} faults; jobs: {ends}; lost {document['lost']}, doubled {document['doubled']}, "
+        f"motions longer than declared {document['moved_on']}"
+    ]
+
+
+LIVE_BENCHMARKS = (
+    Benchmark(
+        "dispatch",
+        """Time jobs from their submission to the first motion, on 16 controllers of four axes on TCP, live.
+
+        Also in virtual time, where only links and firmware take time; its path is the work that must be done before
+        anything can move. Live, simulators and fleet share this machine's processors.
+        """,
+        "tutti bench dispatch --rounds 50 --json",
+        (BenchOption("rounds", "int", "Jobs.", 50, 2, 100_000),),
+        runs.run_dispatch,
+        (
+            BenchTable(
+                _list_dispatch_rows,
+                (BenchColumn("live", lambda row: row[0]), *make_spread_columns("ms", 1, ".1f")),
+            ),
+            BenchNote(
+                "virtual: first motion {virtual_ms:g} ms, lead {virtual_lead_ms:g} ms, path {virtual_path_ms:g} ms; "
+                "simulators used {simulators_cpu:.0%} of the processor time"
+            ),
+        ),
+    ),
+    Benchmark(
+        "estop",
+        """Time an e-stop on 16 controllers on TCP and two on serial lines, live with simulated controllers.
+
+        From its publication to the deceleration of the last axis; in every other round the controllers that do not
+        move are being armed. The serial ones take part in every ninth round. A thousand rounds take three quarters of
+        an hour.
+        """,
+        "tutti bench estop --rounds 100 --json",
+        (BenchOption("rounds", "int", "E-stops.", 100, 4, 100_000),),
+        runs.run_estop,
+        (
+            BenchNote("controllers: {controllers}"),
+            BenchNote("repeated rounds: {spoilt}"),
+            make_spread_table(
+                "to deceleration, from",
+                {
+                    "last": "publication to the last axis",
+                    "uploading": "the same, others being armed",
+                    "first": "publication to the first axis",
+                    "shell": "tutti estop to the last axis",
+                    "smc2000_19200": "publication to SMC-2000, 19,200 baud",
+                    "shrc203_38400": "publication to SHRC-203, 38,400 baud",
+                    "noise": "process wake-up delay",
+                },
+            ),
+        ),
+    ),
+    Benchmark(
+        "firing",
+        """Measure the delay of a start command's last byte, live, on an idle machine and with a fleet of 16 running.
+
+        The firing process needs permission for real-time priority; without it, other processes delay it by
+        milliseconds.
+        """,
+        "tutti bench firing --shots 1000 --json",
+        (BenchOption("shots", "int", "Writes of each kind.", 500, 100, 100_000),),
+        runs.run_firing,
+        (
+            make_spread_table(
+                "write delay of",
+                {
+                    "idle": "firing process, idle",
+                    "polling": "…, with a fleet polled",
+                    "loop_idle": "event loop, idle",
+                    "loop_polling": "…, with the same polling",
+                },
+                "µs",
+                1000,
+                ".0f",
+            ),
+        ),
+    ),
+    Benchmark(
+        "jog",
+        """Time the jog panel on the demo fleet, live with simulated controllers; takes some minutes.
+
+        From a key release, and from a killed panel, to the start of deceleration. Also: from the press to the first
+        motion; the same on a terminal that reports no releases; from the Python interface without panel and terminal;
+        and the wake-up delay of processes on this machine.
+        """,
+        "tutti bench jog --presses 100 --json",
+        (
+            BenchOption("presses", "int", "Of a key.", 100, 1, 10_000),
+            BenchOption("kills", "int", "Of the panel.", 10, 1, 1000),
+        ),
+        runs.run_jog,
+        (
+            make_spread_table(
+                "to deceleration, from",
+                {
+                    "release": "key released",
+                    "killed": "panel killed",
+                    "first_motion": "key press to motion",
+                    "plain_release": "released, repeats only",
+                    "api_stop": "ManualControl.stop()",
+                    "noise": "process wake-up delay",
+                },
+            ),
+        ),
+    ),
+    Benchmark(
+        "journal",
+        """Time submissions, each safe on disk before the next, and the restart of a coordinator with many finished
+        jobs.
+
+        In real time on a real disk; the bus is in memory. Filling the history first takes a minute.
+        """,
+        "tutti bench journal --json",
+        (
+            BenchOption("jobs", "int", "Submitted one by one.", 1000, 1, 100_000),
+            BenchOption("history", "int", "Finished jobs.", 10_000, 0, 1_000_000),
+            BenchOption("folder", "folder", "On the disk to measure; default: that of temporary files."),
+        ),
+        runs.run_journal,
+        (
+            BenchTable(
+                _list_journal_rows,
+                (
+                    BenchColumn("", lambda row: row[0]),
+                    BenchColumn("took, s>", lambda row: row[1], "g"),
+                    BenchColumn("target, s>", lambda row: None if row[2] is None else row[3], "g"),
+                    BenchColumn("met", lambda row: row[2]),
+                ),
+            ),
+            BenchNote("one transaction on this disk: {fsync_ms:g} ms"),
+        ),
+    ),
+    Benchmark(
+        "kills",
+        """Kill or stop (SIGKILL, SIGSTOP) each process of the live demo fleet at random moments of a job.
+
+        No job may be lost or run twice, no axis may move for longer than declared after the fault, and the fleet must
+        recover by itself. A hundred rounds take some twenty minutes.
+        """,
+        "tutti bench kills --rounds 100 --json",
+        (BenchOption("rounds", "int", "Faults.", 100, 1, 100_000),),
+        runs.run_kills,
+        (
+            make_spread_table(
+                "from the fault to",
+                {"rest": "the last axis at rest", "back": "a completed job", "noise": "process wake-up delay"},
+            ),
+            BenchNote(_list_ends),
+        ),
+        has_failed=lambda document: bool(document["lost"] or document["doubled"] or document["moved_on"]),
+    ),
+    Benchmark(
+        "permit",
+        """Time the loss of a permit in a step over eight controllers, live with simulated controllers.
+
+        From the change of the input to the deceleration of the last axis, against 50 ms and the poll interval of a
+        moving controller; and the wake-up delay of processes on this machine.
+        """,
+        "tutti bench permit --rounds 20 --json",
+        (BenchOption("rounds", "int", "Losses of the permit.", 20, 1, 1000),),
+        runs.run_permit,
+        (
+            BenchNote("controllers: {controllers}"),
+            BenchNote("poll interval, ms: {poll_ms:g}"),
+            make_spread_table(
+                "to deceleration, from",
+                {
+                    "stopped": "input to the last axis",
+                    "first": "input to the first axis",
+                    "noise": "process wake-up delay",
+                },
+            ),
+        ),
+    ),
+)

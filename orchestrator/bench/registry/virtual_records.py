@@ -1,0 +1,384 @@
+"""Benchmarks in virtual time, and of computations alone."""
+
+from typing import Any
+
+from orchestrator.bench.registry import runs
+from orchestrator.bench.registry.record import BenchColumn, Benchmark, BenchNote, BenchOption, BenchTable, Document
+
+_SEED = BenchOption("seed", "int", "Of all random draws.", default=1)
+_PERCENTILES = (BenchColumn("n>", "n"), *(BenchColumn(f"{each}>", each, ".3f") for each in ("p50", "p99", "max")))
+
+
+def _make_plan_table(title: str, rows: str) -> BenchTable:
+    return BenchTable(
+        rows,
+        (
+            BenchColumn("axes>", "axes"),
+            BenchColumn("plan, µs>", "plan_us", ".1f"),
+            BenchColumn("bare Ruckig, µs>", "ruckig_us", ".1f"),
+            BenchColumn("ratio>", "ratio", ".1f"),
+        ),
+        title=f"{title}, medians of {{rounds}}",
+    )
+
+
+def _label_windows(document: Document) -> list[tuple[str, Any]]:
+    labels = {"idle": "idle", "moving": "moving", "step": "in a step"}
+    return [(label, document[field]) for field, label in labels.items() if document[field] is not None]
+
+
+def _list_shares(document: Document) -> list[str]:
+    shares = sorted(document["shares"].items(), key=lambda item: -item[1])
+    return ["while moving: " + ", ".join(f"{part} {share:.0f} %" for part, share in shares)]
+
+
+def _list_choices(document: Document) -> list[str]:
+    return [
+        f"{each.cruise}: {', '.join(f'{count} by {way}' for way, count in sorted(each.ways.items()))}"
+        for each in document["chosen"]
+    ]
+
+
+def _name_row(row: Any) -> str:
+    return f"{row.fleet}, {row.way}"
+
+
+def _simulated_rows(document: Document) -> list[Any] | None:
+    """Return the rows of `tutti bench sync` in virtual time; None for `--live`."""
+    return document["rows"] if "trials" in document else None
+
+
+def _verdict_rows(document: Document) -> list[Any] | None:
+    rows = _simulated_rows(document)
+    return None if rows is None else [row for row in rows if row.misses is not None]
+
+
+def _live_rows(document: Document) -> list[Any] | None:
+    return document["rows"] if "trials" not in document else None
+
+
+def _explain_starts(document: Document) -> list[str]:
+    text = "of starts; bound: the smallest p99 that is possible; end, path: p99 at the end and on the path\n"
+    return [] if _simulated_rows(document) is None else [text]
+
+
+def _list_sync_targets(document: Document) -> list[str]:
+    rows = _simulated_rows(document)
+    if rows is None:
+        return ["This includes host noise: simulated controllers run on this machine too, and share its delays."]
+    legend = (
+        "budget: predicted and guaranteed, its median; width: of the verdict's interval, p99, and its target; missed: "
+        "verdicts that do not contain the true skew; late: a link delayed a command for longer than its adapter "
+        "allows, and only the controllers' evidence must hold\n"
+    )
+    kept = {True: "kept", False: "[red]missed[/]"}
+    targets = [
+        f"{_name_row(row)}: target {row.asked}: {kept[bool(row.met)]}; worst is {row.worst}"
+        for row in rows
+        if row.asked
+    ]
+    return [legend, *targets]
+
+
+VIRTUAL_BENCHMARKS = (
+    Benchmark(
+        "plan",
+        """Time the planning of steps of 1 to 1,024 axes against the bare Ruckig call.
+
+        Jerk-limited axes count; trapezoids, where Ruckig has less to do, are shown for comparison.
+        """,
+        "tutti bench plan --rounds 1000",
+        (BenchOption("rounds", "int", "Plans of each size.", 300, 10, 100_000),),
+        runs.run_plan,
+        (_make_plan_table("jerk-limited", "rows"), _make_plan_table("trapezoids", "trapezoid_rows")),
+    ),
+    Benchmark(
+        "virtual",
+        "Run the demo fleet in constant motion, in virtual time, and report its speed relative to real time.",
+        "tutti bench virtual --hours 1 --json",
+        (BenchOption("hours", "float", "Of fleet time.", 1.0, 0.01, 24),),
+        runs.run_virtual,
+        (
+            BenchNote(
+                "{fleet_s:.0f} s of fleet time with {moves} synchronised moves in {cpu_s:.1f} s of processor time: "
+                "{speedup:.0f} times faster than real time"
+            ),
+        ),
+    ),
+    Benchmark(
+        "poll",
+        """Poll SMC-2000 at 19,200 baud as often as they reply, against the limit of the serial line.
+
+        One alone and three on a daisy chain, with and without a USB adapter that delays received bytes by up to 16 ms.
+        """,
+        "tutti bench poll --json",
+        (BenchOption("seconds", "float", "Of virtual time.", 60.0, 1, 3600),),
+        runs.run_poll,
+        (
+            BenchTable(
+                "rows",
+                (
+                    BenchColumn("controllers>", "units"),
+                    BenchColumn("adapter delay, ms>", "hold_ms"),
+                    BenchColumn("polled at once>", "at_once"),
+                    BenchColumn("polls/s>", "polls_s"),
+                    BenchColumn("line limit>", "wire_polls_s"),
+                    BenchColumn("share, %>", "share"),
+                ),
+                title="SMC-2000 of two axes, virtual time",
+            ),
+        ),
+    ),
+    Benchmark(
+        "bus",
+        """Start seven SMC30 on one bus at 9,600 baud together, and measure the spread of their starts, in virtual time.
+
+        By E commands one after another, by the adapter's time slots with the delay in the programs, and by a trigger
+        line.
+        """,
+        "tutti bench bus --json",
+        (BenchOption("rounds", "int", "Starts of each method.", 300, 10, 100_000),),
+        runs.run_bus,
+        (
+            BenchTable(
+                "rows",
+                (
+                    BenchColumn("seven SMC30, started by", "way"),
+                    BenchColumn("n>", "n"),
+                    BenchColumn("p50, ms>", "p50_ms", ".2f"),
+                    BenchColumn("p99, ms>", "p99_ms", ".2f"),
+                    BenchColumn("max, ms>", "max_ms", ".2f"),
+                    BenchColumn("off T0>", "off_ms", ".2f"),
+                ),
+                has_targets=True,
+            ),
+        ),
+    ),
+    Benchmark(
+        "can",
+        """Start eight CiA 402 drives on one CAN bus at 1 Mbit/s together, arm them, and stream positions to them.
+
+        In virtual time, by the simulators' ground truth; in one step with an SMC-4000 by a complete coordinator. The
+        last part streams positions for `--hours`: an hour takes half an hour, the rest some three minutes.
+        """,
+        "tutti bench can --json",
+        (
+            BenchOption("rounds", "int", "Moves of each method.", 40, 10, 100_000),
+            BenchOption("hours", "float", "Of fleet time.", 0.05, 0.001, 24),
+        ),
+        runs.run_can,
+        (
+            BenchTable(
+                "rows",
+                (BenchColumn("eight CiA 402 drives", lambda row: f"{row.what}, {row.unit}"), *_PERCENTILES),
+                has_targets=True,
+            ),
+        ),
+    ),
+    Benchmark(
+        "sim",
+        """Time simulated SMC-4000, polled by their adapters at 10 Hz, in virtual time, and report where the time is
+        spent.
+
+        Idle, and with all axes moving on commands of another host.
+        """,
+        "tutti bench sim --controllers 64 --json",
+        (
+            BenchOption("controllers", "int", "Of four axes each.", 64, 1, 512),
+            BenchOption("seconds", "float", "Of fleet time, each.", 10.0, 1, 200),
+            BenchOption("step", "flag", "Also in a step of a job; homing all axes first takes long."),
+        ),
+        runs.run_sim,
+        (
+            BenchTable(
+                _label_windows,
+                (
+                    BenchColumn("", lambda row: row[0]),
+                    BenchColumn("times real time>", lambda row: row[1].speedup, ".1f"),
+                    BenchColumn("controller-seconds a CPU second>", lambda row: row[1].controller_s, ".0f"),
+                ),
+                title="{controllers} simulated SMC-4000, {axes} axes, polled at {poll_hz:g} Hz",
+            ),
+            BenchNote(_list_shares),
+        ),
+    ),
+    Benchmark(
+        "lowering",
+        """Compare the executed with the planned motion, by the simulator's ground truth, in virtual time.
+
+        Jerk-limited moves of four axes over crystals of ±100 ppm: the distance to the plan. Trapezoids: the duration,
+        as planned, as compiled, and of a seeded part of them as executed; those with a cruise speed below 20,000
+        counts/s are a tenth as many. Some minutes for the 10,000. An SMC30 accepts only whole steps/s: its moves are
+        compared by their mean rate.
+        """,
+        "tutti bench lowering --make smc4000 --json",
+        (
+            BenchOption("make", "text", "Of the controller.", "smc4000"),
+            BenchOption("moves", "int", "Trapezoids.", 10_000, 10, 1_000_000),
+        ),
+        runs.run_lowering,
+        (
+            BenchTable(
+                "figures",
+                (BenchColumn("trapezoids by cruise, counts/s", lambda row: f"{row.what}, {row.unit}"), *_PERCENTILES),
+                has_targets=True,
+            ),
+            BenchNote(_list_choices),
+        ),
+    ),
+    Benchmark(
+        "shrc-chain",
+        """Run chains of prebuffered moves on a simulated SHRC-203 at 38,400 baud, in virtual time.
+
+        Measures the duration of a move with its hand-over, for one axis and for three, and whether a chain ran dry.
+        Some minutes.
+        """,
+        "tutti bench shrc-chain --json",
+        (
+            BenchOption("moves", "int", "Of each chain.", 1000, 2, 100_000),
+            BenchOption("seeds", "int", "Chains of each kind.", 100, 1, 10_000),
+        ),
+        runs.run_shrc_chain,
+        (
+            BenchTable(
+                "rows",
+                (
+                    BenchColumn("axes>", "axes"),
+                    BenchColumn("chains>", "seeds"),
+                    BenchColumn("ms a move>", "move_ms"),
+                    BenchColumn("target>", "asked_ms"),
+                    BenchColumn("least lead, ms>", "ahead_ms"),
+                    BenchColumn("underruns>", "underruns"),
+                    BenchColumn("met", "met"),
+                ),
+            ),
+        ),
+    ),
+    Benchmark(
+        "clock",
+        """Predict controllers' clocks 5 s ahead, from 300 s of samples, over modelled links; in virtual time.
+
+        Shown with the estimate: its guaranteed bound, how often the true value was outside it, and two estimators
+        without a bound: the smallest round trip at the nominal rate, and least squares.
+        """,
+        "tutti bench clock --trials 1000",
+        (BenchOption("trials", "int", "Crystals a link.", 200, 10, 100_000), _SEED),
+        runs.run_clock,
+        (
+            BenchTable(
+                "rows",
+                (
+                    BenchColumn("µs", "link"),
+                    BenchColumn("p50>", "p50_us"),
+                    BenchColumn("p95>", "p95_us"),
+                    BenchColumn("target>", lambda row: row.asked_us or None, "g"),
+                    BenchColumn("max>", "max_us"),
+                    BenchColumn("bound>", "bound_us"),
+                    BenchColumn("misses>", "misses"),
+                    BenchColumn("Cristian>", "cristian_us"),
+                    BenchColumn("regression>", "regression_us"),
+                ),
+            ),
+        ),
+    ),
+    Benchmark(
+        "rates",
+        """Learn crystals that cannot be read, and start latencies, from moves of 5 to 60 s; in virtual time.
+
+        Shown with the learned rate: its guaranteed bound, how often the true rate was outside it, the nominal rate of
+        the crystal, and the mean of the measured durations. Shown with the learned latency: the declared one, and the
+        mean of the acknowledgements. 30 crystals per link take half a minute or so.
+        """,
+        "tutti bench rates --json",
+        (BenchOption("trials", "int", "Crystals a link.", 30, 2, 10_000), _SEED),
+        runs.run_rates,
+        (
+            BenchTable(
+                "rates",
+                (
+                    BenchColumn("rate, ppm", "link"),
+                    BenchColumn("moves>", "moves"),
+                    BenchColumn("p50>", "p50_ppm", "g"),
+                    BenchColumn("p95>", "p95_ppm", "g"),
+                    BenchColumn("max>", "max_ppm", "g"),
+                    BenchColumn("bound>", "bound_ppm", "g"),
+                    BenchColumn("misses>", "misses"),
+                    BenchColumn("nominal>", "nominal_ppm", "g"),
+                    BenchColumn("mean>", "mean_ppm", "g"),
+                ),
+            ),
+            BenchTable(
+                "starts",
+                (
+                    BenchColumn("start, µs", "link"),
+                    BenchColumn("moves>", "moves"),
+                    BenchColumn("p50>", "p50_us", "g"),
+                    BenchColumn("p95>", "p95_us", "g"),
+                    BenchColumn("max>", "max_us", "g"),
+                    BenchColumn("misses>", "misses"),
+                    BenchColumn("declared>", "declared_us", "g"),
+                    BenchColumn("mean>", "mean_us", "g"),
+                ),
+            ),
+        ),
+    ),
+    Benchmark(
+        "sync",
+        """Start simulated fleets together, by baseline methods and by Tutti's, and measure the skew; in virtual time.
+
+        The ground truth comes from the simulators. `misses` counts verdicts that do not contain it. Rows that are slow
+        to simulate have fewer trials. A thousand trials take a core an hour or so; a hundred, with --history 60, some
+        minutes.
+        """,
+        "tutti bench sync --trials 100 --plot skews.png",
+        (
+            BenchOption("trials", "int", "Steps of a row.", 1000, 2, 1_000_000),
+            _SEED,
+            BenchOption("only", "text", "Only rows whose name matches: '64', 'clock$'.", "", metavar="PATTERN"),
+            BenchOption("history", "int", "Seconds of polls before the start.", 300, 5, 3600),
+            BenchOption("live", "int", "Run this many steps with real sockets and processes instead.", None, 2, 10_000),
+            BenchOption("plot", "file", "Distributions of the start skews, a PNG."),
+            BenchOption("processes", "int", "Number of parallel processes.", 1, 1, 256),
+        ),
+        runs.run_sync,
+        (
+            BenchTable(
+                _simulated_rows,
+                (
+                    BenchColumn("skew, ms", _name_row),
+                    BenchColumn("p50>", "start_p50", ".3g"),
+                    BenchColumn("p99>", "start_p99", ".3g"),
+                    BenchColumn("max>", "start_max", ".3g"),
+                    BenchColumn("bound>", "bound_p99", ".3g"),
+                    BenchColumn("end>", "end_p99", ".3g"),
+                    BenchColumn("path>", "path_p99", ".3g"),
+                ),
+            ),
+            BenchNote(_explain_starts),
+            BenchTable(
+                _verdict_rows,
+                (
+                    BenchColumn("reported start skew, ms", _name_row),
+                    BenchColumn("budget>", "budget", ".3g"),
+                    BenchColumn("width>", "width", ".3g"),
+                    BenchColumn("target>", "width_most", ".3g"),
+                    BenchColumn("trials>", "trials"),
+                    BenchColumn("missed>", "misses"),
+                    BenchColumn("late>", "late"),
+                ),
+            ),
+            BenchTable(
+                _live_rows,
+                (
+                    BenchColumn("start skew, ms", "fleet"),
+                    BenchColumn("p50>", lambda row: row.start.p50_ms, ".3g"),
+                    BenchColumn("p99>", lambda row: row.start.p99_ms, ".3g"),
+                    BenchColumn("max>", lambda row: row.start.max_ms, ".3g"),
+                    BenchColumn("outside evidence>", lambda row: f"{row.outside} of {row.start.n}"),
+                    BenchColumn("noise p99>", lambda row: row.noise.p99_ms, ".3g"),
+                ),
+            ),
+            BenchNote(_list_sync_targets),
+        ),
+    ),
+)

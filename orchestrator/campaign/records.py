@@ -1,0 +1,176 @@
+"""What a phase of a run consisted of: its steps by the recorded requests, and the true motions that belong to them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from orchestrator.campaign.faults import FaultKind
+from orchestrator.campaign.jobs import JobOrder
+from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.model.fleet import Axis
+from orchestrator.model.report import JobReport
+from orchestrator.runtime.virtual import VirtualFleet
+from sim.core.controller import CommandedMotion
+
+# A motion belongs to a step when it begins this near to its T0, or during it; but not before any member was armed for
+# the step: the first step of a new leader can follow the step that it stopped sooner than this.
+STEP_WINDOW_NS = 300 * NS_PER_MS
+# after homing was abandoned: earlier commands still take effect, and the stop follows them
+IN_TRANSIT_NS = 100 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True)
+class JogRecord:
+    """A jogged axis. Instants in host ns."""
+
+    controller: str
+    motor: str
+    from_ns: int
+    renewed_ns: int
+
+
+@dataclass(slots=True)
+class CampaignPhase:
+    """One phase of a run: the jobs submitted, the fault injected, and the motions made.
+
+    jobs: job orders by job id.
+    motions_before: number of earlier motions of each controller.
+    affected: controllers that the fault affects.
+
+    Instants in host ns, None for events that have not happened.
+    """
+
+    fault: FaultKind
+    member: str
+    affected: list[str]
+    motions_before: dict[str, int]
+    jobs: dict[str, JobOrder] = field(default_factory=dict[str, JobOrder])
+    jogs: list[JogRecord] = field(default_factory=list[JogRecord])
+    fault_ns: int | None = None
+    repair_ns: int | None = None
+    at_rest: set[str] = field(default_factory=set[str])
+
+    @property
+    def unstoppable(self) -> set[str]:
+        """Controllers that could not be stopped during the fault."""
+        if self.fault_ns is None or self.fault.must_stop is False:
+            return set()
+        # A controller of a daisy chain that is off disconnects those after it from the link.
+        off = self.fault.reach == "power"
+        return set(self.affected) - ({self.member} if off else set()) if off or self.fault.unstoppable else set()
+
+
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """A step whose members received `go`, or the homing of one member, by the recorded requests.
+
+    from_ns, until_ns: a motion that begins between them belongs to the step.
+    t0_ns: None for a homing.
+
+    Instants in host ns."""
+
+    job: str
+    index: int
+    requested_ns: int
+    from_ns: int
+    until_ns: int | None
+    t0_ns: int | None
+    axes: Mapping[str, Sequence[str]]
+
+
+class PhaseRecords:
+    """Relates the true motions of a fleet to the steps that its coordinators requested."""
+
+    def __init__(self, fleet: VirtualFleet, recorder: BusRecorder) -> None:
+        self._fleet = fleet
+        self._recorder = recorder
+
+    def origin_ns(self) -> int:
+        """Return the origin of fleet time, in host ns; the same for all leaders on one kernel."""
+        return next(
+            each.leadership.scale.origin_host_ns
+            for _, each in self._fleet.coordinators.values()
+            if each.leadership.epoch
+        )
+
+    def find_steps(self, phase: CampaignPhase) -> list[StepRecord]:
+        """Return the steps of the phase's jobs that at least one member was requested to execute, in that order."""
+        axes: dict[tuple[str, int], dict[str, Sequence[str]]] = {}
+        for arm in self._recorder.find_requests("arm"):
+            axes.setdefault(arm.step_id, {})[arm.member] = arm.fields["axes"]
+        gone: dict[tuple[str, int], list[RecordedRequest]] = {}
+        for go in self._recorder.find_requests("go"):
+            if go.job_id in phase.jobs:
+                gone.setdefault(go.step_id, []).append(go)
+        homes = [each for each in self._recorder.find_requests("home") if each.job_id in phase.jobs]
+        found: list[StepRecord] = []
+        for home in homes:
+            # A controller that hung executes earlier commands whenever it resumes; commands in transit at a stop take
+            # effect until the stop arrives.
+            until_ns = home.answered_ns
+            if until_ns is not None:
+                until_ns = None if home.member in phase.unstoppable else until_ns + IN_TRANSIT_NS
+            axes_of = {home.member: home.fields["axes"]}
+            found.append(StepRecord(*home.step_id, home.sent_ns, home.sent_ns, until_ns, None, axes_of))
+        for (job, index), each in gone.items():
+            # With a trigger line each member has a T0 of its own.
+            t0_ns = min(go.fields["t0_fleet_ns"] for go in each) + self.origin_ns()
+            from_ns = self.earliest_motion_ns((job, index), t0_ns)
+            found.append(StepRecord(job, index, each[0].sent_ns, from_ns, None, t0_ns, axes[job, index]))
+        return sorted(found, key=lambda step: step.requested_ns)
+
+    def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int) -> int:
+        """Return the earliest instant at which a motion may belong to the step: near its T0, and after the first arm
+        request. Host ns."""
+        armed_ns = min(arm.sent_ns for arm in self._recorder.find_requests("arm") if arm.step_id == step)
+        return max(t0_ns - STEP_WINDOW_NS, armed_ns)
+
+    def completed_steps(self, report: JobReport | None) -> list[tuple[int, int | None]]:
+        """Return index and T0 (host ns) of the completed steps of a job."""
+        done = [step for step in report.steps if step.state == "done"] if report is not None else []
+        return [
+            (step.index, None if step.t0_fleet_ns is None else self.origin_ns() + step.t0_fleet_ns) for step in done
+        ]
+
+    def find_step(
+        self, name: str, axis: str, motion: CommandedMotion, steps: Sequence[StepRecord]
+    ) -> StepRecord | None:
+        """Return the last step that had begun, or was about to, when the axis began to move."""
+        mine = [step for step in steps if axis in step.axes.get(name, ())]
+        begun = [step for step in mine if step.from_ns <= motion.start_ns]
+        if not begun or (begun[-1].until_ns is not None and begun[-1].until_ns < motion.start_ns):
+            return None
+        return begun[-1]
+
+    def declared_stop_ns(self, name: str) -> int:
+        """Return the stop time that a member declared in its last propose reply."""
+        costs = [
+            each.reply["costs"]
+            for each in self._recorder.find_requests("propose")
+            if each.member == name and each.accepted
+        ]
+        return costs[-1]["stop_ns"] if costs else 0
+
+    def find_axis(self, name: str, motion: CommandedMotion) -> tuple[str, Axis] | None:
+        axes = self._fleet.fleet.controllers[name].axes
+        return next(((each, axis) for each, axis in axes.items() if axis.motors[0] == motion.axis), None)
+
+    def find_motions(
+        self, phase: CampaignPhase, name: str, motor: str, step: tuple[str, int], t0_host_ns: int
+    ) -> list[CommandedMotion]:
+        """Return the motions of an axis in the step that begins at T0, up to the next step. Slow motions consist of
+        several pieces."""
+        t0s = [
+            each.fields["t0_fleet_ns"] + self.origin_ns()
+            for each in self._recorder.find_requests("go")
+            if each.member == name
+        ]
+        until_ns = min((each for each in t0s if each > t0_host_ns + STEP_WINDOW_NS), default=None)
+        from_ns = self.earliest_motion_ns(step, t0_host_ns)
+        return [
+            each
+            for each in self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]
+            if each.axis == motor
+            and each.start_ns >= from_ns
+            and (until_ns is None or each.start_ns < until_ns - STEP_WINDOW_NS)
+        ]

@@ -1,0 +1,1 @@
+"""Common to all commands: exit codes, options, output, and the connection to the fleet."""

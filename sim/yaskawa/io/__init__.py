@@ -1,0 +1,1 @@
+"""Inputs and outputs: points on the terminals, devices on Ethernet, Modbus."""

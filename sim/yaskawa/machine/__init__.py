@@ -1,0 +1,1 @@
+"""The machine itself: state, time, interpreter, events, non-volatile memory, data recorder."""

@@ -1,0 +1,57 @@
+"""The command blocks of the tutorials and how-to pages, run as they stand against a simulated fleet."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fleet import ONE_FLEET_AT_A_TIME, RunningFleet
+
+pytestmark = [pytest.mark.live, pytest.mark.nightly, ONE_FLEET_AT_A_TIME]
+
+ROOT = Path(__file__).parents[2]
+PAGE_S = 240.0
+# In the order in which they are read: each page finds the fleet as the one before left it.
+PAGES = (
+    "tutorial/first-quarter-hour.md",
+    "tutorial/first-day.md",
+    "how-to/write-a-fleet.md",
+    "how-to/write-a-job.md",
+    "how-to/work-with-the-queue.md",
+)
+
+
+def commands(page: Path) -> list[str]:
+    """The lines of a page's `console` blocks that begin with a prompt, without it."""
+    blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [line.removeprefix("$ ") for block in blocks for line in block.splitlines() if line.startswith("$ ")]
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
+    fleet = RunningFleet(tmp_path_factory.mktemp("documents"))
+    try:
+        yield fleet.started()
+    finally:
+        fleet.end()
+
+
+def test_every_page_with_commands_is_run() -> None:
+    pages = [*(ROOT / "docs" / "tutorial").glob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
+    with_commands = {str(page.relative_to(ROOT / "docs")) for page in pages if commands(page)}
+    assert with_commands == set(PAGES)
+
+
+@pytest.mark.timeout(PAGE_S + 60)
+@pytest.mark.parametrize("page", PAGES)
+def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
+    script = "set -eu\n" + "\n".join(commands(ROOT / "docs" / page))
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = os.environ | {"PATH": path, "TUTTI_CONNECT": fleet.endpoint}
+    done = subprocess.run(
+        ["bash", "-x", "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PAGE_S
+    )
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]

@@ -1,0 +1,36 @@
+"""The commands that are made from the registry of benchmarks."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from orchestrator.bench.registry.benchmarks import BENCHMARKS
+from orchestrator.cli.main import main
+
+
+def test_a_benchmark_prints_its_tables_or_one_json_document() -> None:
+    shown = CliRunner().invoke(main, ["bench", "poll", "--seconds", "1"])
+    assert shown.exit_code == 0, shown.output
+    assert "SMC-2000 of two axes" in shown.output and "line limit" in shown.output
+    found = json.loads(CliRunner().invoke(main, ["bench", "poll", "--seconds", "1", "--json"]).stdout)
+    assert found["seconds"] == 1 and {"units", "polls_s", "share"} < set(found["rows"][0])
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["lowering", "--make", "none"], "unknown make 'none'"),
+        (["sync", "--only", "("], "is not a regular expression"),
+        (["plan", "--rounds", "1"], "10<=x<=100000"),
+    ],
+)
+def test_an_invalid_option_is_bad_input(words: list[str], text: str) -> None:
+    shown = CliRunner().invoke(main, ["bench", *words])
+    assert shown.exit_code == 2 and text in shown.output
+
+
+def test_a_lost_job_fails_the_kills_benchmark() -> None:
+    found = {"lost": 0, "doubled": 0, "moved_on": 0}
+    assert not BENCHMARKS["kills"].has_failed(found)
+    assert BENCHMARKS["kills"].has_failed(found | {"lost": 1})

@@ -1,0 +1,127 @@
+"""Write the generated reference pages: fields of fleet and job files, and the command line. `make docs` runs it."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+from click.testing import CliRunner
+
+from orchestrator.cli.main import main as command
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Job
+
+REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
+
+
+def type_text(schema: dict[str, Any]) -> str:
+    """A field's type in words, with links to the tables of other models."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    if "enum" in schema:
+        return ", ".join(f"`{value}`" for value in schema["enum"])
+    if "anyOf" in schema or "oneOf" in schema:
+        parts = [type_text(each) for each in schema.get("anyOf", schema.get("oneOf", []))]
+        return " or ".join(dict.fromkeys(part for part in parts if part != "null"))
+    match schema.get("type"):
+        case "array":
+            items = schema.get("items", {})
+            return f"list of {type_text(items)}" if items else "list"
+        case "object":
+            values = next(iter(schema.get("patternProperties", {}).values()), schema.get("additionalProperties"))
+            return f"mapping to {type_text(values)}" if isinstance(values, dict) else "mapping"
+        case str() as name:
+            return name
+        case _:
+            return "value"
+
+
+def default_text(schema: dict[str, Any], *, required: bool) -> str:
+    """A field's default; *required* without one."""
+    if required:
+        return "*required*"
+    default = schema.get("default")
+    return "" if default in (None, [], {}, "") else f"`{default}`"
+
+
+def model_tables(schema: dict[str, Any], title: str) -> Iterator[str]:
+    """One section per model: its description and the table of its fields."""
+    models = {title: schema, **schema.get("$defs", {})}
+    for name, model in models.items():
+        fields = model.get("properties", {})
+        if "enum" in model:
+            yield f"## {name}\n\n{model.get('description', '')}\n\nOne of {type_text(model)}.\n"
+        if not fields:
+            continue
+        yield f"## {name}\n"
+        if model.get("description"):
+            yield model["description"].replace("\n\n", "\n").strip() + "\n"
+        yield "| field | type | default | meaning |"
+        yield "|---|---|---|---|"
+        for field, details in fields.items():
+            required = field in model.get("required", [])
+            meaning = details.get("description", "").replace("\n", " ").replace("|", "\\|")
+            kind = type_text(details).replace("|", "\\|")
+            yield f"| `{field}` | {kind} | {default_text(details, required=required)} | {meaning} |"
+        yield ""
+
+
+def file_page(kind: str, schema: dict[str, Any], title: str) -> str:
+    """The page of a kind of file."""
+    head = (
+        f"# Fields of a {kind} file\n\nGenerated from the schema; `tutti schema {kind}` prints it for editors. "
+        f"An example is `deploy/examples/demo.{kind}.yaml`.\n"
+    )
+    return "\n".join([head, *model_tables(schema, title)])
+
+
+def commands(group: click.Command, words: list[str]) -> Iterator[tuple[list[str], click.Command]]:
+    """All commands below `group`, depth first."""
+    yield words, group
+    if isinstance(group, click.Group):
+        context = click.Context(group)
+        for name in group.list_commands(context):
+            found = group.get_command(context, name)
+            if found is not None:
+                yield from commands(found, [*words, name])
+
+
+def command_page() -> str:
+    """The page of the command line: each command's help."""
+    runner = CliRunner()
+    parts = ["# Command line\n", "Generated from the commands' own help.\n"]
+    for words, _ in commands(command, []):
+        shown = runner.invoke(command, [*words, "--help"], prog_name="tutti", terminal_width=100)
+        parts += [f"## {' '.join(['tutti', *words])}\n", "```text", shown.output.rstrip(), "```\n"]
+    return "\n".join(parts)
+
+
+def pages() -> dict[str, str]:
+    """The generated pages by file name."""
+    return {
+        "fleet-file.md": file_page("fleet", Fleet.model_json_schema(), "Fleet"),
+        "job-file.md": file_page("job", Job.model_json_schema(), "Job"),
+        "command-line.md": command_page(),
+    }
+
+
+def main() -> int:
+    """Write the pages; with `--check` only report which are out of date, as exit code 1."""
+    check, stale = "--check" in sys.argv, list[str]()
+    for name, text in pages().items():
+        path = REFERENCE / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            stale.append(name)
+            if not check:
+                path.write_text(text, encoding="utf-8")
+    if check and stale:
+        print(f"out of date: {', '.join(stale)}; run `make docs`")
+    return 1 if check and stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
