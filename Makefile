@@ -1,55 +1,103 @@
-# Three environments from three locks: .venv runs Tutti, .venv-dev also tests and checks it, .venv-thirdparty has
-# clients of other people as well. Set-up is skipped while the stamp is newer than the lock and pyproject.toml.
+# Environments from locks: one runs Tutti, one also tests and checks it, one has clients of other projects, one builds
+# the documentation. Set-up is skipped while the stamp is newer than the lock and pyproject.toml.
+# `make test PYTHON=python3.13` uses environments of its own, .venv-dev-python3.13.
 PYTHON ?= python3
+SUFFIX := $(if $(filter python3,$(PYTHON)),,-$(notdir $(PYTHON)))
+RUN := .venv$(SUFFIX)
+DEV := .venv-dev$(SUFFIX)
+THIRDPARTY := .venv-thirdparty$(SUFFIX)
+DOCS := .venv-docs$(SUFFIX)
 PIP = -m pip --disable-pip-version-check --quiet
-VECTORS = tests/contract/vectors
+INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
+SLOWEST = --durations=10
 
-.PHONY: demo test test-thirdparty check lock clean
+.PHONY: help demo test test-fast test-live test-docs test-nightly test-thirdparty check figures docs lock clean
 
-.venv/.stamp: requirements.lock pyproject.toml
+help:
+	@echo "make demo             set up, run a job on a simulated fleet, print its report"
+	@echo "make test             set up, run all tests (below 5 minutes on two cores)"
+	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
+	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
+	@echo "make test-nightly     the long ones: more campaign seeds and random cases"
+	@echo "make test-thirdparty  simulated controllers against drivers from PyPI"
+	@echo "make check            linters, type checks, import contracts"
+	@echo "make figures          figures of the project's order and words"
+	@echo "make docs             build the documentation as a site, build/site"
+	@echo "PYTHON=python3.13     with any of these: use that interpreter"
+
+$(RUN)/.stamp: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Tutti needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
-	$(PYTHON) -m venv --clear .venv
-	.venv/bin/python $(PIP) install --require-hashes -r requirements.lock
-	.venv/bin/python $(PIP) install --no-deps --no-build-isolation -e .
+	$(PYTHON) -m venv --clear $(RUN)
+	$(RUN)/bin/python $(PIP) install --require-hashes -r requirements.lock
+	$(RUN)/bin/python $(INSTALL)
 	touch $@
 
-.venv-dev/.stamp: requirements-dev.lock pyproject.toml
-	$(PYTHON) -m venv --clear .venv-dev
-	.venv-dev/bin/python $(PIP) install --require-hashes -r requirements-dev.lock
-	.venv-dev/bin/python $(PIP) install --no-deps --no-build-isolation -e .
+$(DEV)/.stamp: requirements-dev.lock pyproject.toml
+	$(PYTHON) -m venv --clear $(DEV)
+	$(DEV)/bin/python $(PIP) install --require-hashes -r requirements-dev.lock
+	$(DEV)/bin/python $(INSTALL)
 	touch $@
 
-.venv-thirdparty/.stamp: requirements.lock requirements-thirdparty.lock pyproject.toml
-	$(PYTHON) -m venv --clear .venv-thirdparty
-	.venv-thirdparty/bin/python $(PIP) install --require-hashes -r requirements.lock
-	.venv-thirdparty/bin/python $(PIP) install --require-hashes --no-deps -r requirements-thirdparty.lock
-	.venv-thirdparty/bin/python $(PIP) install --no-deps --no-build-isolation -e .
+$(THIRDPARTY)/.stamp: requirements.lock requirements-thirdparty.lock pyproject.toml
+	$(PYTHON) -m venv --clear $(THIRDPARTY)
+	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes -r requirements.lock
+	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes --no-deps -r requirements-thirdparty.lock
+	$(THIRDPARTY)/bin/python $(INSTALL)
 	touch $@
 
-demo: .venv/.stamp
-	.venv/bin/tutti demo
+$(DOCS)/.stamp: requirements-docs.lock pyproject.toml
+	$(PYTHON) -m venv --clear $(DOCS)
+	$(DOCS)/bin/python $(PIP) install --require-hashes -r requirements-docs.lock
+	$(DOCS)/bin/python $(INSTALL)
+	touch $@
 
-# For two cores. Live tests by themselves: their processes have to answer each other in time. They start hundreds of
-# interpreters, so that compiled modules are kept even where the environment forbids it.
-test: .venv-dev/.stamp
-	.venv-dev/bin/pytest -m "not live" -n 2 --dist worksteal
-	PYTHONDONTWRITEBYTECODE= .venv-dev/bin/pytest -m live -n 2 --dist loadgroup
+demo: $(RUN)/.stamp
+	$(RUN)/bin/tutti demo
+
+test: test-fast test-live
+
+test-fast: $(DEV)/.stamp
+	$(DEV)/bin/pytest -m "not live and not nightly" -n 2 --dist worksteal $(SLOWEST)
+
+# Live tests by themselves: their processes have to answer each other in time. They start hundreds of interpreters, so
+# compiled modules are kept even where the environment forbids it.
+test-live: $(DEV)/.stamp
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly" -n 2 --dist loadgroup $(SLOWEST)
+
+test-docs: $(DEV)/.stamp
+	$(DEV)/bin/python tools/reference_pages.py --check
+	$(DEV)/bin/pytest tests/live/test_documents.py $(SLOWEST)
+
+test-nightly: $(DEV)/.stamp
+	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
+	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadgroup --timeout 3600 $(SLOWEST)
 
 # Simulated controllers against drivers from PyPI; a skipped test is a failed one.
-test-thirdparty: .venv-thirdparty/.stamp
-	TUTTI_THIRDPARTY=1 .venv-thirdparty/bin/pytest tests/thirdparty
+test-thirdparty: $(THIRDPARTY)/.stamp
+	TUTTI_THIRDPARTY=1 $(THIRDPARTY)/bin/pytest tests/thirdparty
 
-check: .venv-dev/.stamp
-	.venv-dev/bin/ruff check .
-	.venv-dev/bin/ruff format --check .
-	.venv-dev/bin/lint-imports
-	.venv-dev/bin/basedpyright
+check: $(DEV)/.stamp
+	$(DEV)/bin/ruff check .
+	$(DEV)/bin/ruff format --check .
+	$(DEV)/bin/lint-imports
+	$(DEV)/bin/basedpyright
+	$(DEV)/bin/basedpyright -p tests
 
-# Needs uv; writes the locks anew from pyproject.toml and tests/thirdparty/requirements.in.
+figures: $(DEV)/.stamp
+	$(DEV)/bin/python tools/figures.py
+
+docs: $(DOCS)/.stamp
+	$(DOCS)/bin/python tools/reference_pages.py
+	$(DOCS)/bin/sphinx-build -W --keep-going -q -b html docs build/site
+	@echo "open build/site/index.html"
+
+# Needs uv; writes the locks again from pyproject.toml and tests/thirdparty/requirements.in.
+LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url
 lock:
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header -o requirements.lock pyproject.toml
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
+	$(LOCK) -o requirements.lock pyproject.toml
+	$(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+	$(LOCK) --extra docs -c requirements-dev.lock -o requirements-docs.lock pyproject.toml
+	$(LOCK) -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
 
 clean:
-	rm -rf .venv .venv-dev .venv-thirdparty build *.egg-info
+	rm -rf .venv .venv-* build *.egg-info
