@@ -66,7 +66,7 @@ def test_events_outlive_a_coordinator_and_lose_no_change() -> None:
     run_fleet(main)
 
 
-def test_a_job_that_does_not_exist_and_a_connection_that_is_not_open_are_named() -> None:
+def test_a_missing_job_and_a_closed_connection_are_named() -> None:
     async def main(fleet: VirtualFleet) -> None:
         with pytest.raises(Refusal) as refused:
             async for _ in fleet.make_client().job("none").events():

@@ -19,7 +19,7 @@ from orchestrator.runtime.virtual import VirtualFleet
 # By axis: its controller, its motor, counts per unit, and the speed it is jogged at, unit/s.
 AXES = {"gantry.x": ("gantry", "X", 1000, 20.0), "stage.u": ("stage", "1", 10_000, 1.0)}
 VALID_NS = 200 * NS_PER_MS
-# From silence to rest, at the jogged speeds: the deadline, the way of the stop, a ramp of at most 20 ms, one look.
+# From silence to rest, at the jogged speeds: the deadline, the latency of the stop, a ramp of at most 20 ms, one poll.
 RESTS_NS = VALID_NS + 60 * NS_PER_MS
 
 
@@ -60,7 +60,7 @@ class Jogged:
 
 
 @pytest.mark.parametrize("axis", AXES)
-def test_an_axis_moves_while_the_key_is_held_and_stops_when_it_is_let_go(axis: str) -> None:
+def test_an_axis_moves_while_the_key_is_held_and_stops_when_it_is_released(axis: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         jogged, client = Jogged(fleet, axis), fleet.make_client("anna")
@@ -106,7 +106,7 @@ def test_silence_stops_the_axis_in_its_adapter(axis: str, seed: int) -> None:
     run_fleet(main, seed=seed)
 
 
-def test_an_axis_that_does_not_know_where_it_is_may_only_creep() -> None:
+def test_an_unreferenced_axis_may_only_creep() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}]"))
         jogged, client = Jogged(fleet, "gantry.x"), fleet.make_client()
@@ -173,7 +173,7 @@ def test_limits_that_were_tightened_below_the_axis_let_it_only_back() -> None:
     run_fleet(main)
 
 
-def test_an_axis_moved_by_hand_while_it_is_off_is_found_where_it_is() -> None:
+def test_an_axis_that_was_pushed_while_off_is_read_at_its_true_position() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 5, stage.u: 1}}]"))
@@ -219,7 +219,7 @@ def test_two_leases_on_one_axis_conflict_and_a_job_runs_next_to_a_lease() -> Non
             shown = (await ben.show_job(waiting)).entry
             assert shown is not None
             assert (shown.state, shown.reason) == ("queued", "waits for gantry: in use by anna (jog panel)")
-            # What goes past the service is refused by the adapter itself.
+            # A command that bypasses the service is refused by the adapter itself.
             with pytest.raises(Refusal, match="is leased to anna"):
                 await jog_anyhow(ben, "gantry", {"x": 5.0}, "manual-ben", 1)
         assert (await ben.wait_for_job(waiting)).state == "done"
@@ -241,7 +241,7 @@ async def jog_anyhow(client: Tutti, controller: str, velocities: dict[str, float
     await client.request_controller(controller, "jog", request, Reply)
 
 
-def test_a_request_that_was_overtaken_moves_nothing() -> None:
+def test_an_obsolete_request_moves_nothing() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client, jogged = fleet.make_client(), Jogged(fleet, "gantry.x")
@@ -318,11 +318,11 @@ async def hang_coordinator(fleet: VirtualFleet) -> None:
     [
         (stop_all, 0.1, ["not-jogging"]),
         (estop, 0.1, ["estop-latched"]),
-        (open_door, 0.25, ["not-leased"]),  # one poll at 10 Hz, its way to the coordinator and back
+        (open_door, 0.25, ["not-leased"]),  # one poll at 10 Hz, and the latency to the coordinator and back
         (limit, 0.1, ["not-jogging"]),
         (kill_host, 0.5, []),
         (hang_host, 0.5, []),
-        # By the adapter, or by the hand's own renewal of its lease, whichever misses the coordinator first.
+        # By the adapter, or by the client's own renewal of its lease, whichever misses the coordinator first.
         (kill_coordinator, 0.8, ["not-leased", "no-coordinator"]),
         (hang_coordinator, 0.8, ["not-leased"]),
     ],

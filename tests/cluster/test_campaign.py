@@ -29,7 +29,7 @@ def test_no_directed_seed_violates_an_invariant(first: int) -> None:
     story = run_scenario(first, cells)
     assert not story.violations, story.summarize()
     assert len(story.fleet.controllers) >= 4 and story.jobs > len(cells)
-    # A fault can come too late, when what broke before has left nothing of its step.
+    # A fault can come too late, when an earlier fault has already ended its step.
     assert len(story.hit) >= len(cells) - 1
 
 
@@ -58,7 +58,7 @@ def test_seeds_that_found_something_do_not_find_it_again(seed: int) -> None:
     assert not story.violations, story.summarize()
 
 
-def test_here_everything_breaks_at_every_stage() -> None:
+def test_the_campaign_covers_every_fault_at_every_stage() -> None:
     cells = [cell for seed in range(SEEDS) for cell in cells_here(seed)]
     assert {(cell.stage, cell.fault) for cell in cells} == {(stage, fault) for stage in STAGES for fault in FAULTS}
     assert {cell.make for cell in cells} == set(MAKES)
@@ -85,7 +85,7 @@ def test_a_round_has_every_cell_of_a_member_and_pairs_change_with_rounds() -> No
     )
 
 
-def test_a_seed_plays_the_same_again() -> None:
+def test_a_seed_is_reproducible() -> None:
     cells = (FaultCell("arm", "host-killed", "shrc203"),)
     first, again = run_scenario(17, cells), run_scenario(17, cells)
     assert first.lines == again.lines

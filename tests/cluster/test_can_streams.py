@@ -40,7 +40,7 @@ def motor(name: str) -> str:
     return "X" if name == "gantry" else "1"
 
 
-def test_streams_and_contours_start_and_end_together_with_evidence_that_holds_the_truth() -> None:
+def test_streams_and_contours_start_and_end_together_with_evidence_that_contains_the_truth() -> None:
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, PREPARE)).state == "done"
         await sleep_ns(virtual.clock, 8 * NS_PER_S)
@@ -88,7 +88,7 @@ def test_a_broken_stream_ends_the_step_of_all(trouble: str, words: str) -> None:
             if trouble == "bus cut":
                 bus.cut = True
             elif trouble == "bus-off":
-                # Only what the adapter host sends is destroyed: the drives stay on the bus.
+                # Only the frames of the adapter host are destroyed: the drives stay on the bus.
                 bus._nodes[-1].count_errors(transmit=256)
             elif trouble == "power":
                 drive.set_power(on=False)

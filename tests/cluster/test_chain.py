@@ -39,7 +39,7 @@ def held(hold_ms: float) -> Fleet:
 
 
 @pytest.mark.parametrize("hold_ms", [0, 16])
-def test_a_chain_and_another_make_move_together_with_a_verdict_that_holds_the_truth(hold_ms: int):
+def test_a_chain_and_another_make_move_together_with_a_verdict_that_contains_the_truth(hold_ms: int):
     async def main(virtual: VirtualFleet) -> None:
         prepared = await outcome(virtual, PREPARE)
         assert prepared.state == "done", prepared.reason
@@ -158,7 +158,7 @@ def test_eight_controllers_that_start_together_do_not_count_as_silent_while_each
         assert report.state == "done", report.reason
         moved = report.steps[-1]
         assert moved.t0_fleet_ns is not None and moved.arming_fleet_ns is not None
-        # Their loading and its check takes six seconds of their line, by turns: once, and not once for each.
+        # Loading and checking them takes six seconds of their line, in turn: once, and not once for each.
         assert 5 * NS_PER_S < moved.t0_fleet_ns - moved.arming_fleet_ns < 8 * NS_PER_S
         assert not any("arming again" in line for line in virtual.lines)
 

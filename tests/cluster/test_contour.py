@@ -36,7 +36,7 @@ def two_gantries(**limits: Any) -> Fleet:
     )
 
 
-def test_a_jerk_limited_job_on_two_controllers_is_green_and_its_evidence_holds_the_truth() -> None:
+def test_a_jerk_limited_job_on_two_controllers_is_green_and_its_evidence_contains_the_truth() -> None:
     async def main(fleet: VirtualFleet) -> None:
         steps = (
             "[{do: move, to: {gantry.x: 200, gantry.y: 100, portal.x: 300, portal.y: 20}},"
@@ -85,7 +85,7 @@ def test_a_jerk_limited_move_that_is_too_long_for_the_arrays_is_refused_before_a
     run_fleet(main, Fleet.model_validate(plain))
 
 
-def test_a_stop_in_a_contour_stops_both_controllers_and_the_next_step_goes() -> None:
+def test_a_stop_in_a_contour_stops_both_controllers_and_the_next_step_runs() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.make_client()
@@ -105,7 +105,8 @@ def test_a_stop_in_a_contour_stops_both_controllers_and_the_next_step_goes() -> 
 
 
 def test_a_chain_and_another_make_start_a_jerk_limited_step_together() -> None:
-    """The units of the chain load their records for seconds, and the other's clock has to hold for as long."""
+    """The controllers of the chain load their records for seconds, and the other's clock mapping has to hold for as
+    long."""
     plain = chain_fleet().to_plain()
     for name in ("feeder", "outlet", "gantry"):
         for axis in plain["controllers"][name]["axes"].values():

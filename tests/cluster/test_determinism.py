@@ -1,4 +1,4 @@
-"""One seed gives one log, byte for byte, whatever the hash seed of the process."""
+"""One seed gives one log, byte for byte, with any hash seed of the process."""
 
 import hashlib
 import os

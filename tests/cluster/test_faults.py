@@ -1,4 +1,4 @@
-"""What the campaign has found, each by itself: faults that once stopped too little, too late, or too much."""
+"""Findings of the campaign, each by itself: faults that once stopped too little, too late, or too much."""
 
 # pyright: reportPrivateUsage=false
 
@@ -45,7 +45,7 @@ PAIR = {"cia402": {"f1": 1, "f2": 2}, "smc30": {"d1": 1, "d2": 2}}
 
 
 def pair(make: str) -> Fleet:
-    """Two units on one bus."""
+    """Two controllers on one bus."""
     drafts: dict[str, Any] = {}
     for name, unit in PAIR[make].items():
         if make == "smc30":
@@ -82,7 +82,7 @@ def now_s(fleet: VirtualFleet) -> float:
 
 
 def gantry_end_s(fleet: VirtualFleet) -> float:
-    """When the gantry has come to rest last."""
+    """When the gantry came to rest last."""
     end_ns = fleet.controllers["gantry"].commanded_motions[-1].end_ns
     assert end_ns is not None
     return end_ns / NS_PER_S
@@ -128,8 +128,8 @@ def test_others_stop_when_an_adapter_dies_and_restarts_before_it_is_missed() -> 
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_then(closed: bool) -> None:
-    """Also where the link of what moves is closed: it is stopped as soon as that is open again."""
+def test_a_job_waits_for_the_ramp_of_the_previous_one_which_keeps_its_axes_until_then(closed: bool) -> None:
+    """Also if the link of a moving controller is closed: it is stopped as soon as the link is open again."""
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
@@ -151,8 +151,8 @@ def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_t
     run_fleet(main)
 
 
-def test_a_controller_that_hung_at_its_start_is_stopped_when_it_is_back() -> None:
-    """It begins when it wakes, and the stop that it was given meanwhile was lost with its link."""
+def test_a_controller_that_hung_at_its_start_is_stopped_when_it_recovers() -> None:
+    """It starts when it wakes, and the stop that it received meanwhile was lost with its link."""
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
@@ -174,7 +174,7 @@ def test_a_controller_that_hung_at_its_start_is_stopped_when_it_is_back() -> Non
     run_fleet(main)
 
 
-def test_a_fleet_that_is_polled_seldom_is_not_taken_for_dead() -> None:
+def test_a_seldom_polled_fleet_does_not_count_as_dead() -> None:
     async def main(fleet: VirtualFleet) -> None:
         report = await outcome(fleet, CHAIN_PREPARE, CHAIN_MOVE)
         assert report.state == "done", report.reason
@@ -226,7 +226,7 @@ def test_a_member_that_received_go_is_stopped_at_its_start_when_its_link_is_clos
 
 @pytest.mark.parametrize("state", ["armed", "running"])
 def test_a_controller_that_is_about_to_move_is_not_reset(state: JobState) -> None:
-    """What clears faults is carried out before the line that starts it, and would delay that."""
+    """Commands that clear faults are executed before the start command, and would delay it."""
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
@@ -242,7 +242,7 @@ def test_a_controller_that_is_about_to_move_is_not_reset(state: JobState) -> Non
 
 
 def test_a_controller_that_was_being_armed_when_its_link_was_closed_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It waits for a wired line by then, and its port was kept open by the other unit."""
+    """It waits for its trigger line by then, and its port was kept open by the other controller."""
     poll = Smc30Driver.poll
     broken: list[int] = []
 
@@ -312,7 +312,7 @@ def test_a_controller_on_its_limit_reports_no_start_and_the_other_one_stops(make
 
 
 def test_no_member_starts_when_one_does_not_receive_go() -> None:
-    """It is given up while the others can still be unloaded."""
+    """The step is given up while the others can still be disarmed."""
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
@@ -330,7 +330,7 @@ def test_no_member_starts_when_one_does_not_receive_go() -> None:
     run_fleet(main, two_hosts())
 
 
-def test_a_member_that_does_not_answer_holds_up_no_stop_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_member_that_does_not_answer_delays_no_stop_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     async def begun(*_: object) -> Reply:
         raise Refusal("moving", "the step moves already")
 

@@ -11,7 +11,8 @@ from orchestrator.model.report import StepReport
 from orchestrator.runtime.virtual import VirtualFleet
 
 FAR = "[{do: move, to: {gantry.x: 300, gantry.y: 60, stage.u: 20}, speed: 0.3}, {do: move, by: {gantry.x: 5}}]"
-# Of a coordinator's order to two adapters, over a serial line of 38,400 baud and Ethernet, and of their ramps' ends.
+# Of a coordinator's request to two adapters, over a serial line of 38,400 baud and Ethernet, and of the ends of their
+# ramps.
 TOGETHER_NS = 60 * NS_PER_MS
 
 
@@ -36,7 +37,7 @@ def rests_ns(fleet: VirtualFleet, before: dict[str, int]) -> list[int]:
 
 
 @pytest.mark.parametrize("after_s", [0.5, 2.0, 4.2])
-def test_axes_of_two_makes_brake_together_and_go_on_to_the_same_targets(after_s: float) -> None:
+def test_axes_of_two_makes_brake_together_and_continue_to_the_same_targets(after_s: float) -> None:
     async def main(fleet: VirtualFleet) -> StepReport:
         await outcome(fleet, PREPARE)
         client = fleet.make_client()
@@ -47,7 +48,7 @@ def test_axes_of_two_makes_brake_together_and_go_on_to_the_same_targets(after_s:
         assert len(rests) == 3
         assert max(rests) - min(rests) <= TOGETHER_NS
         where = {name: fleet.controllers["gantry"].position(name) for name in "XY"}
-        # All on the straight way from 0 to the targets, as far as they are braked at one instant.
+        # All on the straight path from 0 to the targets, as far as they are braked at one instant.
         part = where["X"] / 300_000
         assert where["Y"] / 60_000 == pytest.approx(part, abs=0.002)
         assert fleet.controllers["stage"].position("1") / 200_000 == pytest.approx(part, abs=0.01)

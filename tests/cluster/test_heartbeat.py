@@ -23,7 +23,7 @@ async def polled(clock: VirtualClock, **rates: float) -> VirtualFleet:
 
 
 def states_in(idle_hz: float) -> int:
-    """How many states a controller at rest has put in `SECONDS`."""
+    """How many states a controller at rest has published in `SECONDS`."""
 
     async def main(clock: VirtualClock) -> int:
         heard: list[BusSample] = []
@@ -35,7 +35,7 @@ def states_in(idle_hz: float) -> int:
     return run_virtual(main)
 
 
-def test_no_heartbeat_is_sent_between_polls() -> None:
+def test_no_heartbeat_is_added_to_frequent_polls() -> None:
     assert 0.9 * SECONDS * 5 < states_in(5.0) <= SECONDS * 5
 
 
@@ -45,7 +45,7 @@ def test_a_seldom_polled_controller_still_sends_heartbeats() -> None:
 
 
 def test_a_member_that_received_go_is_polled_as_in_motion() -> None:
-    """From its T0 on: that it has begun, or has not, is not seen a slow poll later."""
+    """From its T0 on: its start, or that it is missing, is not observed one slow poll later."""
 
     async def main(clock: VirtualClock) -> None:
         virtual = await polled(clock, idle_hz=0.2, moving_hz=10.0)
@@ -75,7 +75,7 @@ def test_a_member_that_received_go_is_polled_as_in_motion() -> None:
 
 
 def test_an_armed_member_is_not_polled_before_its_start_but_at_once_after_a_stop() -> None:
-    """Though it is polled every 20 ms else: the arming's own looks are enough, and a stop is to be seen to its end."""
+    """It is otherwise polled every 20 ms: the polls of the arming suffice, and a stop must be observed to its end."""
 
     async def main(clock: VirtualClock) -> None:
         virtual = await polled(clock, idle_hz=50.0)

@@ -1,4 +1,4 @@
-"""Axes find their references in order; what fails stops what depends on it, and nothing else."""
+"""Axes are homed in order; a failure stops the axes that depend on it, and nothing else."""
 
 import asyncio
 
@@ -44,7 +44,7 @@ def test_the_fleet_is_homed_in_its_order_and_reports_its_progress() -> None:
             "homing stage.u",
             "homing stage.v",
         ]
-        # By the simulators' truth: z came to rest before x and y began, and those before u.
+        # By the simulators' ground truth: z came to rest before x and y started, and those before u.
         assert last_end_ns(fleet, "stage", "3") < first_motion_ns(fleet, "gantry", "X")
         assert last_end_ns(fleet, "gantry", "X") < first_motion_ns(fleet, "stage", "1")
         assert last_end_ns(fleet, "gantry", "Y") < first_motion_ns(fleet, "stage", "1")
@@ -79,7 +79,7 @@ def test_an_axis_that_fails_stops_those_that_come_after_it() -> None:
     run_fleet(main, fleet)
 
 
-def test_axes_without_an_order_are_homed_one_by_one_whatever_becomes_of_the_others() -> None:
+def test_axes_without_an_order_are_homed_one_by_one_even_if_others_fail() -> None:
     fleet = changed(
         demo_fleet(),
         gantry={"simulate": {"home_edge": NEVER}, "axes": {"x": {"homing": {"speed": 20, "timeout_s": 2}}}},
@@ -114,7 +114,7 @@ def test_an_axis_after_another_is_homed_only_when_that_one_is_referenced() -> No
     run_fleet(main, fleet)
 
 
-def test_a_circle_of_axes_that_wait_for_each_other_is_refused_in_the_file() -> None:
+def test_a_cyclic_homing_order_is_refused_in_the_file() -> None:
     with pytest.raises(ValueError, match=r"axis gantry\.x waits for itself"):
         changed(
             demo_fleet(),
@@ -129,7 +129,7 @@ def test_a_circle_of_axes_that_wait_for_each_other_is_refused_in_the_file() -> N
 
 
 def test_a_home_switch_that_is_active_at_the_start_is_left_and_found() -> None:
-    # The axis stands beyond the edge at power-up: the switch is active, and the search begins the other way.
+    # The axis stands beyond the edge at power-up: the switch is active, and the homing starts in the other direction.
     fleet = changed(demo_fleet(), gantry={"simulate": {"home_edge": {"X": 1500, "Y": 1500}}})
 
     async def main(virtual: VirtualFleet) -> None:
@@ -242,7 +242,7 @@ def test_an_axis_is_not_passed_on_before_its_homing_has_come_to_rest(after_ms: i
         await client.cancel_job(first)
         assert (await client.wait_for_job(second)).state == "done"
         assert rested(fleet, "gantry", leased_ns[second])
-        # Nor did it begin afterwards.
+        # Nor did it start afterwards.
         searched = fleet.controllers["gantry"].commanded_motions[before:]
         assert all(motion.start_ns < leased_ns[second] for motion in searched)
 
@@ -268,6 +268,6 @@ def test_a_homing_whose_link_is_closed_is_stopped(name: str) -> None:
     run_fleet(main, searching())
 
 
-def test_an_order_that_names_what_is_not_there() -> None:
+def test_a_homing_order_that_names_an_unknown_axis() -> None:
     with pytest.raises(ValueError, match=r"the fleet has no axis stage\.z"):
         Fleet.model_validate({**demo_fleet().to_plain(), "home_order": ["stage.z"]})

@@ -60,7 +60,7 @@ def hears_no_estop(patch: Patch) -> None:
 
 
 def plans_beyond_the_limits(patch: Patch) -> None:
-    """And no adapter looks."""
+    """And no adapter polls."""
     from orchestrator.plan.step import AxisMove, plan_step
 
     def fast(moves: list[AxisMove], sync: Any, speed: float, ramps: Any) -> Any:
@@ -71,7 +71,7 @@ def plans_beyond_the_limits(patch: Patch) -> None:
 
 
 def believes_in_old_references(patch: Patch) -> None:
-    """Also of a unit that was switched off and on."""
+    """Also of a controller that was switched off and on."""
     patch.setattr(AxisReferencing, "handle_reading", lambda *_: [])  # pyright: ignore[reportUnknownLambdaType]
 
 
@@ -122,7 +122,7 @@ def hears_no_other_reign(patch: Patch) -> None:
 
 
 def takes_any_configuration(patch: Patch) -> None:
-    """Neither the adapter nor the coordinator looks."""
+    """Neither the adapter nor the coordinator polls."""
     honest, honest_info = ControllerSupervisor._check_step, FleetView.query_info
 
     async def flattered(self: FleetView, controller: str) -> Any:

@@ -15,7 +15,7 @@ from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual import VirtualFleet
 
 
-def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:
+def test_the_demo_job_runs_and_its_evidence_contains_the_truth() -> None:
     async def main(fleet: VirtualFleet) -> None:
         report = await outcome(fleet, demo_job())
         assert report.state == "done", report.reason
@@ -100,7 +100,7 @@ def test_refusals_of_a_prepared_fleet(steps: str, code: str, text: str) -> None:
     run_fleet(main)
 
 
-def test_a_job_that_names_what_is_not_there_is_not_accepted() -> None:
+def test_a_job_that_names_unknown_axes_is_not_accepted() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         for steps, text in (
@@ -362,7 +362,7 @@ def test_a_permit_must_hold_to_arm_and_its_loss_stops_the_step() -> None:
         assert "permit door-closed" in report.reason
         await asyncio.sleep(1.0)
         ends_ns = [motion.end_ns for each in fleet.controllers.values() for motion in each.commanded_motions[-1:]]
-        # One poll of the gantry (100 ms), its way to the coordinator and the stops, then ramps of 0.2 s at the most.
+        # One poll of the gantry (100 ms), the latency to the coordinator and of the stops, then ramps of 0.2 s at most.
         assert all(end_ns is not None and end_ns - lost_ns < 500_000_000 for end_ns in ends_ns)
 
     run_fleet(main, demo_fleet().model_copy(update={"permits": {"door-closed": closed}}))

@@ -1,4 +1,4 @@
-"""Orders to jog that take long on their way to the controller, or are disturbed there."""
+"""Jog commands that take long to reach the controller, or are disturbed on the link."""
 
 import asyncio
 from contextlib import suppress
@@ -61,7 +61,7 @@ def test_the_first_press_moves_an_axis_of_every_make_and_it_changes_its_speed(ma
 
 @pytest.mark.parametrize("how", RESTS_NS)
 @pytest.mark.parametrize("make", MAKES)
-def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str, how: str) -> None:
+def test_a_jog_command_that_is_disturbed_on_the_link_moves_nothing_for_long(make: str, how: str) -> None:
     fleet, name, axis, speed = one_of(make)
 
     async def press(client: Tutti) -> None:

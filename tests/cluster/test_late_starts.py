@@ -35,7 +35,7 @@ def promise(monkeypatch: pytest.MonkeyPatch, late_us: int) -> None:
 
 
 def true_starts(virtual: VirtualFleet, before: dict[str, int]) -> dict[str, int]:
-    """When each controller that has moved since really began to, fleet time."""
+    """The true start of each controller that has moved since, in fleet time."""
     origin_ns = origin_host_ns(virtual)
     units = virtual.controllers
     return {

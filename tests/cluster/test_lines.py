@@ -1,4 +1,4 @@
-"""Steps that a wired line starts: an SMC-4000 drives it, an SHRC-203 and another SMC-4000 wait for it."""
+"""Steps that a trigger line starts: an SMC-4000 drives it, an SHRC-203 and another SMC-4000 wait for it."""
 
 from typing import Any
 
@@ -66,7 +66,7 @@ def test_members_that_all_wait_for_the_line_start_together_by_it(seed: int) -> N
         ways = {name: member.start_class for name, member in step.members.items()}
         assert ways == {"gantry": "clock", "stage": "line", "portal": "line"}
         assert step.budget is not None and step.budget.by_trigger_line
-        # The line is passive again, so that the next step can be started by it.
+        # The trigger line is passive again, so that it can start the next step.
         before = count(fleet)
         step, _ = judged_rightly(
             fleet, await outcome(fleet, job("[{do: move, by: {stage.u: -2, portal.x: -10}, start: line}]")), before

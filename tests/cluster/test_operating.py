@@ -1,4 +1,4 @@
-"""What a person needs to put a machine to work: motors and brakes, permits, coordinates, configuration, reset."""
+"""Functions for commissioning a machine: motors and brakes, permits, coordinates, configuration, reset."""
 
 import asyncio
 from collections.abc import Callable
@@ -38,7 +38,7 @@ async def door_is(fleet: VirtualFleet, is_open: bool) -> None:
 # Motors and brakes
 
 
-def test_a_brake_opens_after_the_motor_holds_and_closes_before_it_lets_go() -> None:
+def test_a_brake_opens_after_the_motor_is_enabled_and_closes_before_it_is_disabled() -> None:
     brake = {"output": "brake", "release_s": 0.3, "engage_s": 0.2}
     fleet = changed(
         demo_fleet(),
@@ -117,7 +117,7 @@ def test_state_of_the_motors_after_an_estop_and_after_a_stop() -> None:
 # Permits
 
 
-def test_a_permit_that_flickers_stops_the_step_although_it_is_back() -> None:
+def test_a_short_loss_of_a_permit_stops_the_step() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await door_is(fleet, False)
         await outcome(fleet, PREPARE)
@@ -230,7 +230,7 @@ def test_rotary_axes_wrap(shortest: bool, target: float, counts: int) -> None:
 
 
 def test_relative_moves_of_thirds_there_and_back_end_on_the_same_count() -> None:
-    """The remainder comes round with every third move."""
+    """The remainder is due with every third move."""
     fleet = changed(
         demo_fleet(), gantry={"axes": {"x": {"scale": "10000/3", "limits": {"velocity": 60, "acceleration": 9000}}}}
     )
@@ -271,11 +271,11 @@ def test_a_fleet_file_is_reloaded_by_idle_controllers_only() -> None:
         assert after["gantry"].digest != before["gantry"].digest
         assert after["stage"].instance == before["stage"].instance
         assert not after["gantry"].axes["x"].referenced  # it is another adapter, which has seen nothing yet
-        # The axis stands at 200 mm, beyond the limit that is now at 100: home it, and the limit holds.
+        # The axis stands at 200 mm, beyond the limit that is now at 100: home it, and the limit applies.
         assert (await outcome(fleet, PREPARE)).state == "done"
         assert (await refusal(fleet, job("[{do: move, to: {gantry.x: 150}}]"))).code == "soft-limit"
         assert (await outcome(fleet, job("[{do: move, to: {gantry.x: 100}}]"))).state == "done"
-        # A host that is started again begins with what was taken.
+        # A host that is restarted begins with the loaded configuration.
         fleet.kill("host/local")
         await fleet.wait_until(lambda states: states["gantry"].instance != after["gantry"].instance)
         states = await fleet.wait_until(lambda states: all(s.mode == "idle" for s in states.values()))
@@ -397,7 +397,7 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
 
 @pytest.mark.parametrize("native", [True, False])
 def test_an_axis_that_does_not_follow_stops_its_step(native: bool) -> None:
-    """With the unit's own supervision (ER, which switches the motor off), and by the adapter's polls alone."""
+    """With the controller's own supervision (ER, which switches the motor off), and by the adapter's polls alone."""
     fleet = changed(demo_fleet(), gantry={"axes": {"x": {"following_error": 1.5}}})
 
     async def main(virtual: VirtualFleet) -> None:
@@ -427,7 +427,7 @@ def test_an_axis_that_does_not_follow_stops_its_step(native: bool) -> None:
     run_fleet(main, fleet)
 
 
-def test_an_axis_is_there_only_when_it_has_settled() -> None:
+def test_an_axis_has_arrived_only_after_it_has_settled() -> None:
     window = {"done": "in_position", "in_position_window": 0.01, "in_position_timeout_s": 6}
     fleet = changed(demo_fleet(), gantry={"axes": {"x": window}})
 
@@ -479,7 +479,7 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
     run_fleet(main)
 
 
-def test_a_slow_disk_holds_up_nothing_of_an_estop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_disk_does_not_delay_an_estop(monkeypatch: pytest.MonkeyPatch) -> None:
     takes_s = 0.0
 
     async def slow(function: Callable[..., T], *values: Any) -> T:

@@ -88,12 +88,12 @@ def test_measured_times_need_enough_steps_and_do_not_apply_to_a_late_member() ->
     assert pace.go_ns(2) == round(GO_FACTOR * 10 * NS_PER_MS) == pace.go_ns(2, NS_PER_MS)
     # A member that was slow to promise gets as much more time for `go`.
     assert pace.go_ns(2, 20 * NS_PER_MS) == SLOW_GO_FACTOR * 20 * NS_PER_MS
-    # For the whole release, and what go is given beyond what it takes.
+    # For the whole release, and the margin of `go` beyond its duration.
     assert pace.margin_ns(2) == round((ARM_FACTOR * 20 + (GO_FACTOR - 1) * 10) * NS_PER_MS) > MIN_MARGIN_NS
     assert pace.arming_share("a", use_known=False) == 1.0 and pace.margin_ns(2, use_known=False) == MARGIN_NS
 
 
-def test_how_long_promises_took_that_were_late_counts_from_then_on_within_reason() -> None:
+def test_the_duration_of_late_promises_counts_from_then_on_within_bounds() -> None:
     pace = LeadTimeEstimator()
     for _ in range(KNOWN_AFTER):
         pace.record_release(20 * NS_PER_MS, 10 * NS_PER_MS)
@@ -105,7 +105,7 @@ def test_how_long_promises_took_that_were_late_counts_from_then_on_within_reason
 
 
 @pytest.mark.parametrize("steps", [0, 1, KNOWN_AFTER])
-def test_go_that_was_too_slow_is_given_more_and_the_lead_has_room_for_it(steps: int) -> None:
+def test_a_slow_go_gets_more_time_and_the_lead_includes_it(steps: int) -> None:
     pace = LeadTimeEstimator()
     for _ in range(steps):
         pace.record_release(20 * NS_PER_MS, 10 * NS_PER_MS)
@@ -117,7 +117,7 @@ def test_go_that_was_too_slow_is_given_more_and_the_lead_has_room_for_it(steps: 
         assert pace.margin_ns(2, use_known=False) >= pace.go_ns(2) + MARGIN_NS // 2
 
 
-def test_many_members_are_given_more_until_they_are_known() -> None:
+def test_many_members_get_more_time_until_they_are_measured() -> None:
     pace = LeadTimeEstimator()
     assert pace.margin_ns(16) == 16 * MARGIN_PER_MEMBER_NS > MARGIN_NS and pace.go_ns(16) == 8 * MARGIN_PER_MEMBER_NS
     for _ in range(KNOWN_AFTER):

@@ -1,4 +1,4 @@
-"""The queue: jobs side by side, in their order where they need the same, and what people change of it."""
+"""The queue: parallel jobs, jobs in order where they need the same axes, and changes by users."""
 
 import asyncio
 
@@ -25,7 +25,7 @@ async def entry(client: Tutti, job_id: str) -> QueueEntry:
 
 
 async def begins(client: Tutti, *job_ids: str) -> list[str]:
-    """Ids in the order in which they began."""
+    """Ids in the order of their starts."""
     reports = [await client.wait_for_job(each) for each in job_ids]
     assert [each.state for each in reports] == ["done"] * len(reports), [each.reason for each in reports]
     return [each.job_id for each in sorted(reports, key=lambda each: each.started_utc or "")]
@@ -56,7 +56,7 @@ def test_a_wide_job_is_not_starved_by_small_ones() -> None:
         wide = await client.submit(BOTH)
         small = [await client.submit(STAGE), await client.submit(SHORT)]
         await asyncio.sleep(0.5)
-        # The stage is free, and kept for the job that has waited longer.
+        # The stage is free, and reserved for the job that has waited longer.
         assert (await client.status())["stage"].mode == "idle"
         assert (await entry(client, wide)).reason == f"waits for gantry: job {running} 'test' of anna"
         assert (await entry(client, small[0])).reason == f"waits for stage: job {wide} 'test' of anna comes first"
@@ -216,7 +216,7 @@ def test_pause_at_the_end_of_a_step_and_resume() -> None:
     run_fleet(main)
 
 
-def test_an_ended_job_is_done_again_from_a_step() -> None:
+def test_an_ended_job_is_retried_from_a_step() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         await outcome(fleet, PREPARE)

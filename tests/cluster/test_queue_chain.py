@@ -1,4 +1,4 @@
-"""Jobs side by side on units that share one serial line: each has its own, and its evidence holds the truth."""
+"""Parallel jobs on controllers that share one serial line: each has its own, and its evidence contains the truth."""
 
 import asyncio
 from itertools import combinations, product

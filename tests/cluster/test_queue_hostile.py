@@ -71,7 +71,7 @@ RAW = (
 
 
 def below(place: Any) -> list[Any]:
-    """The keys of what is nested in `place`; none of a plain value."""
+    """The keys of the objects nested in `place`; none of a plain value."""
     if isinstance(place, dict):
         return list(cast("dict[str, Any]", place))
     return list(range(len(cast("list[Any]", place)))) if isinstance(place, list) else []
@@ -187,7 +187,7 @@ def test_a_client_that_vanishes_after_its_submission() -> None:
         for number in range(5):
             client = fleet.make_client("mayfly")
             submission = asyncio.ensure_future(client.submit(SHORT, f"mayfly-{number}"))
-            # Before the request is there, on its way, and after the answer.
+            # Before the request arrives, on its way, and after the answer.
             await asyncio.sleep(0.0003 * number)
             fleet.net.kill_process(client.bus.name)  # type: ignore[attr-defined]
             submission.cancel()
@@ -236,8 +236,8 @@ def test_a_journal_that_cannot_be_written_refuses_and_forgets_nothing() -> None:
 
 @pytest.mark.parametrize("begun", [True, False])
 def test_a_job_does_not_start_while_the_journal_cannot_record_it(monkeypatch: pytest.MonkeyPatch, begun: bool) -> None:
-    """One that has begun fails at its next step; one that was about to, and has its axes, waits, and takes them once
-    more."""
+    """A running job fails at its next step; one that was about to start, and has its axes, waits, and acquires them
+    again."""
 
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()

@@ -28,7 +28,7 @@ def soon(fleet: VirtualFleet, seconds: float) -> str:
 
 
 async def restart(fleet: VirtualFleet, name: str, away_s: float) -> None:
-    """The coordinator dies; another one comes after a while."""
+    """The coordinator dies; another one starts after a while."""
     fleet.kill("coordinator/first")
     await asyncio.sleep(away_s)
     fleet.start_coordinator(name)
@@ -95,7 +95,7 @@ def test_a_time_that_comes_while_there_is_no_leader(away_s: float, missed: str, 
     run_fleet(main)
 
 
-def test_the_queue_outlives_the_coordinator() -> None:
+def test_the_queue_survives_the_coordinator() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
@@ -115,13 +115,13 @@ def test_the_queue_outlives_the_coordinator() -> None:
         assert [each.state for each in reports] == ["done", "done"]
         assert (reports[0].started_utc or "") < (reports[1].started_utc or "")
         assert (await entry(client, c)).held_by == "anna"
-        # What has moved once does not move again.
+        # An axis that has moved once does not move again.
         assert [each.state for each in reports[0].transitions].count("committed") == 1
 
     run_fleet(main)
 
 
-def test_axes_taken_for_work_stay_taken_over_an_open_door_and_a_restart() -> None:
+def test_a_lease_for_maintenance_survives_an_open_door_and_a_restart() -> None:
     closed = Permit(input="gantry.door", value=False)
     guarded = changed(demo_fleet()).model_copy(update={"permits": {"door-closed": closed}})
 
@@ -153,7 +153,7 @@ def test_axes_taken_for_work_stay_taken_over_an_open_door_and_a_restart() -> Non
     run_fleet(main, guarded)
 
 
-def test_axes_taken_for_a_time_come_free_by_themselves() -> None:
+def test_a_lease_with_a_duration_expires_by_itself() -> None:
     async def main(fleet: VirtualFleet) -> None:
         anna = fleet.make_client("anna")
         await outcome(fleet, PREPARE)

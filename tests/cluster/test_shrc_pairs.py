@@ -22,7 +22,7 @@ SLOW = job(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_all_end_together_as_was_predicted(seed: int) -> None:
+def test_all_end_together_as_predicted(seed: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         before = len(fleet.controllers["stage"].commanded_motions)
@@ -35,7 +35,7 @@ def test_all_end_together_as_was_predicted(seed: int) -> None:
         ends = [max(each.end_ns or 0 for each in made if each.axis == motor) for motor in "13"]
         ends.append(fleet.controllers["gantry"].commanded_motions[-1].end_ns or 0)
         assert max(ends) - min(ends) <= step.budget.end.predicted_ns
-        # The plan is kept to 0.2 ms by the unit's own crystal, which is 31 ppm slow, over 24 s.
+        # The plan is kept to 0.2 ms by the controller's own crystal, which is 31 ppm slow, over 24 s.
         started = min(each.start_ns for each in made)
         assert all(abs(end - started - 24.001 * NS_PER_S) < 5 * NS_PER_MS for end in ends[:2])
         origin_ns = origin_host_ns(fleet)

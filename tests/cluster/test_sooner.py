@@ -74,7 +74,7 @@ def test_a_step_starts_as_soon_as_all_members_can(name: str, axes: list[str], wa
         await prepared(fleet, axes)
         for k in range(4):
             begins_as_promised(fleet, await moved(fleet, axes, -way if k % 2 else way))
-        # One that had to be armed again begins when it was armed to then.
+        # A step that had to be armed again starts at the T0 of the second arming.
         assert sooner_ns and max(sooner_ns) > 20 * NS_PER_MS
 
     run_fleet(main, make_sync_fleet(name, 1))
@@ -102,7 +102,7 @@ def test_a_member_that_starts_at_its_original_t0(
     run_fleet(main, whole)
 
 
-def test_ticks_that_differ_are_brought_forward_as_far_as_they_keep_together() -> None:
+def test_different_ticks_are_advanced_as_far_as_they_stay_aligned() -> None:
     tick_ns, spare_ns = 976_562.5, 900 * NS_PER_MS
 
     def sooner(*ticks_ns: float, sooner: bool = True) -> tuple[int, int]:
@@ -118,7 +118,7 @@ def test_ticks_that_differ_are_brought_forward_as_far_as_they_keep_together() ->
         forward_ns, off_ns = sooner(tick_ns * (1 - ppm * 1e-6), tick_ns * (1 + ppm * 1e-6))
         assert abs(forward_ns / tick_ns - round(forward_ns / tick_ns)) < 1e-5
         assert ppm * 1e-6 * forward_ns <= off_ns <= MAX_TICK_RESIDUAL * tick_ns + 2
-        # As far as there is time, or as a few hundredths of a tick allow.
+        # As far as there is time, or within a few hundredths of a tick.
         assert min(spare_ns, MAX_TICK_RESIDUAL * tick_ns / (ppm * 1e-6)) - forward_ns < 1.01 * tick_ns
     assert sooner(1.1 * tick_ns, tick_ns) == (0, 0)
 

@@ -33,7 +33,7 @@ def test_the_standby_takes_over_within_two_seconds_and_continues_the_queue(how: 
     run_fleet(main)
 
 
-def test_the_one_that_stands_by_keeps_quiet_while_the_first_one_lives() -> None:
+def test_the_standby_stays_passive_while_the_leader_lives() -> None:
     async def main(fleet: VirtualFleet) -> None:
         fleet.start_coordinator("second", standby=True)
         assert (await outcome(fleet, PREPARE, THEN)).state == "done"

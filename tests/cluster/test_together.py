@@ -114,13 +114,13 @@ def test_a_slow_host_is_left_out_and_its_answer_is_kept(monkeypatch: pytest.Monk
         assert set(said.replies) == {"gantry"} == set(said.took_ns) and not said.errors
         said = await together(fleet, "trace", asked)
         assert set(said.replies) == {"gantry", "stage"} and sorted(made) == ["gantry", "stage"]
-        # What was answered is not done again, and the slow one had been at it for a tenth of a second already.
+        # An answered request is not repeated, and the slow controller had been working for a tenth of a second already.
         assert said.took_ns["gantry"] < 10 * NS_PER_MS < said.took_ns["stage"] < 250 * NS_PER_MS
 
     run_fleet(main)
 
 
-def test_a_step_asks_each_host_once_a_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_sends_one_request_per_host_and_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, ...]] = []
     plain, common = MemberRequests._request_reply, MemberRequests._request_batch  # pyright: ignore[reportPrivateUsage]
 

@@ -16,7 +16,7 @@ from orchestrator.runtime.virtual import VirtualFleet
 HOME = job("[{do: enable, axes: [u]}, {do: home}]")
 LIVE = make_smc30(1, 1)
 LIVE["simulate"]["options"]["live_verify"] = True  # its firmware reports its position in motion
-# Half a minute each: a controller, how far, at which part of its speed.
+# Half a minute each: a controller, the distance, the fraction of its speed.
 UNITS: Mapping[str, tuple[dict[str, Any], float, float]] = {
     "shrc203": (make_shrc203(1), 30, 0.125),
     "smc30": (LIVE, 60, 0.2),
@@ -32,7 +32,7 @@ def fleet(name: str, drift_ppm: float = FAST_PPM) -> Fleet:
 
 
 async def moved(world: VirtualFleet, to: float, speed: float) -> float:
-    """Move there; by how much longer than planned it took, ms. The evidence holds the truth."""
+    """Move there; return how much longer than planned it took, in ms. The evidence contains the truth."""
     before = len(world.controllers["u"].commanded_motions)
     report = await outcome(world, job(f"[{{do: move, to: {{u.x: {to}}}, speed: {speed}}}]"))
     assert report.state == "done", report.reason
@@ -82,7 +82,7 @@ def test_the_clock_of_a_controller_that_was_off_is_estimated_again() -> None:
     run_fleet(main, fleet("shrc203"))
 
 
-def test_a_reconnected_link_leaves_what_is_known() -> None:
+def test_a_reconnected_link_keeps_the_measured_rate() -> None:
     async def main(world: VirtualFleet) -> None:
         _, way, speed = UNITS["ppsmc"]
         await outcome(world, HOME)

@@ -89,7 +89,7 @@ async def first_leases_ns(fleet: VirtualFleet, client: Tutti, controller: str) -
 
 
 def rested(fleet: VirtualFleet, controller: str, at_ns: int) -> bool:
-    """Whether every motion of `controller` that began before `at_ns` had ended by then."""
+    """Whether every motion of `controller` that started before `at_ns` had ended by then."""
     made = fleet.controllers[controller].commanded_motions
     return all(each.end_ns is not None and each.end_ns <= at_ns for each in made if each.start_ns < at_ns)
 

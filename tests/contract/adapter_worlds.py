@@ -1,4 +1,4 @@
-"""One controller of each make and link, simulated, with its driver: what the contract suite of adapters runs over."""
+"""One simulated controller of each make and link, with its driver, for the contract suite of adapters."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -172,8 +172,8 @@ CASES = {
     "cia402, streamed to, two on one bus": replace(
         case("cia402", CAN, {"u": "1"}, SMOOTH, SWITCH, "can"), beside=(120,), led=True
     ),
-    # Of one number: what belongs to one bus must not be taken for the other's. No SYNC is for both; only that each is
-    # written at the instant has them start together.
+    # Of one number: messages of one bus must not be taken for the other's. No SYNC is for both; they start together
+    # only because each is written at the instant.
     "cia402, two on two buses": replace(
         case("cia402", CAN, {"u": "1"}, DRIVE, SWITCH, "can", **PROMPT),
         also=(case("cia402", {**CAN, "channel": "can1"}, {"v": "1"}, DRIVE, SWITCH, "can", **PROMPT),),
@@ -195,10 +195,11 @@ class Unit:
 
 @dataclass
 class World:
-    """A driver and the controllers that it drives, with their truth.
+    """A driver and the controllers that it drives, with their ground truth.
 
-    units: one, or one a wire. driver: of all of them. polled_beside: how often each of the other controllers on their
-    lines has been read.
+    units: one, or one per link.
+    driver: of all of them.
+    polled_beside: how often each of the other controllers on their lines has been read.
     """
 
     clock: VirtualClock
@@ -221,7 +222,7 @@ class World:
         return next(unit.config.axes[name] for unit in self.units if name in unit.config.axes)
 
     def _its(self, axis: str) -> tuple[SimulatedController, str]:
-        """The controller of an axis, and what it calls the axis."""
+        """The controller of an axis, and its name for the axis."""
         controller = next(unit.controller for unit in self.units if axis in unit.config.axes)
         return controller, self.axis(axis).motors[0]
 
@@ -276,7 +277,7 @@ class World:
             await sleep_ns(self.clock, 90 * NS_PER_MS + self.draw.randrange(20 * NS_PER_MS))
 
     async def plan(self, targets: Mapping[str, float], stretch: float = 1.3) -> dict[str, Profile]:
-        """Profiles to `targets` (counts) from where the axes stand, of one duration; trapezoids where no jerk is
+        """Profiles to `targets` (counts) from the present positions, of one duration; trapezoids if no jerk is
         limited."""
         now = (await self.driver.poll()).axes
         order = max(self.driver.capabilities.orders)

@@ -11,7 +11,7 @@ from orchestrator.bus.base import Bus, BusSample, Priority, RequestRefused
 
 
 async def behave(bus: Bus, name: str) -> None:
-    """What a peer does: it counts and keeps what comes on `t/in`, echoes, refuses, and is present."""
+    """The behaviour of a peer: it counts and keeps the samples on `t/in`, echoes, refuses, and is present."""
     latest = b""
     count = 0
 

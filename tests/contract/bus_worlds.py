@@ -46,7 +46,7 @@ async def linked(sender: Bus, receiver: Bus) -> None:
 
 
 class World(Protocol):
-    """Where buses are joined, and what can be done to them."""
+    """Where sessions are joined, and the faults that can be injected."""
 
     async def join(self, name: str) -> Bus:
         """A bus of the test itself."""

@@ -1,4 +1,4 @@
-"""Drivers of one step, each on a wire of its own, seen as one driver: what a coordinator does with a step's members."""
+"""Drivers of one step, each on a link of its own, seen as one driver: as a coordinator treats the members of a step."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 async def at_once(calls: Iterable[Awaitable[T]]) -> list[T]:
-    """What all of them give. The first failure is raised when all have come to their end."""
+    """The results of all of them. The first failure is raised when all have ended."""
     results = await asyncio.gather(*calls, return_exceptions=True)
     for each in results:
         if isinstance(each, BaseException):
@@ -102,7 +102,8 @@ class Together(Driver):
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> LoweredTogether:
-        """A line that is driven is the first one's. Drivers alike start alike; costs are those that hold for all."""
+        """A trigger line is driven by the first one. Drivers of one make start alike; costs are those that hold for
+        all."""
         parts: dict[int, Lowered] = {}
         for number, (one, own) in enumerate(self._each()):
             its = {axis: profile for axis, profile in profiles.items() if axis in own}
@@ -148,7 +149,7 @@ class Together(Driver):
         return {axis: span for each in found for axis, span in each.items()}
 
     async def wait_for_end(self) -> MoveOutcome:
-        """As one that was not done, if there is one."""
+        """As one that failed, if there is one."""
         found = await at_once(each.wait_for_end() for each in self._members)
         worst = next((each for each in found if each.state != "done"), found[0])
         return MoveOutcome(worst.state, {axis: at for each in found for axis, at in each.ended.items()}, worst.reason)

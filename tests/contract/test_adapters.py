@@ -1,4 +1,5 @@
-"""The contract of adapters, over every make and link: what a driver promises, judged by the simulator's truth."""
+"""The contract of adapters, over every make and link: the guarantees of a driver, judged by the simulator's ground
+truth."""
 
 import asyncio
 import contextlib
@@ -23,7 +24,7 @@ def targets(world: World, factor: float = 1.0) -> dict[str, float]:
     return {axis: round(target * factor) for axis, target in zip(world.axes, TARGETS, strict=False)}
 
 
-def test_reached_identified_compared_and_read(name: str) -> None:
+def test_connected_identified_compared_and_read(name: str) -> None:
     async def main(world: World) -> None:
         identity = await world.driver.connect()
         assert identity.model
@@ -42,7 +43,7 @@ def test_reached_identified_compared_and_read(name: str) -> None:
     run(name, main)
 
 
-def test_motors_are_switched_and_references_found(name: str) -> None:
+def test_motors_are_switched_and_axes_homed(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.set_enabled(world.axes, on=False)
@@ -133,7 +134,7 @@ def test_lowering_is_pure_and_refuses_what_it_cannot_do(name: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_move_waits_for_its_line_and_its_evidence_holds_the_truth(name: str, seed: int) -> None:
+def test_a_move_waits_for_its_line_and_its_evidence_contains_the_truth(name: str, seed: int) -> None:
     async def main(world: World) -> None:
         world.line(False)
         await world.ready(60)
@@ -279,7 +280,7 @@ def test_nothing_starts_without_go(name: str) -> None:
 
 
 @pytest.mark.parametrize("when_ms", [-400, -60, -10, 3, 90, 400])
-def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str, when_ms: int) -> None:
+def test_a_stop_at_any_moment_stops_all_in_the_declared_time(name: str, when_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         for abort, factor in ((False, 1.0), (True, -0.4)):
@@ -396,7 +397,7 @@ def test_a_jog_keeps_to_its_speed_and_its_end(name: str) -> None:
 
 
 @pytest.mark.parametrize("call", ["connect", "configure", "poll", "enable", "home", "arm", "verify", "set_output"])
-def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str) -> None:
+def test_the_link_of_a_silent_controller_is_closed_in_time(name: str, call: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         profiles = await world.plan(targets(world))
@@ -507,7 +508,7 @@ def test_a_power_cycle_while_disconnected_is_noticed_once(name: str) -> None:
         await sleep_ns(world.clock, NS_PER_S)
         world.hit.controller.set_power(on=True)
         await sleep_ns(world.clock, 5 * NS_PER_S)
-        # The axes stand where they did, though their units call that something else now.
+        # The axes stand where they did, though their controllers report another position now.
         assert world.places() == pytest.approx(before, abs=1) and world.positions() != positions
         for noticed in (True, False):
             # A detected restart is reported although the link breaks before the next poll.

@@ -40,7 +40,7 @@ def test_samples_are_in_order_per_key_and_priority(run: Run) -> None:
     run(body)
 
 
-def test_an_estop_overtakes_what_is_queued(run: Run) -> None:
+def test_an_estop_overtakes_queued_messages(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")
         got: list[str] = []
@@ -160,7 +160,7 @@ def test_a_stopped_receiver_loses_state_and_delays_no_other(run: Run) -> None:
     run(body)
 
 
-def test_an_absent_server_is_known_at_once(run: Run) -> None:
+def test_an_absent_server_is_detected_at_once(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         async with asyncio.timeout(1.0):
@@ -249,7 +249,7 @@ def test_requests_are_handled_concurrently(run: Run) -> None:
     run(body)
 
 
-def test_a_late_joiner_gets_the_last_value_by_asking(run: Run) -> None:
+def test_a_late_joiner_gets_the_last_value_by_a_query(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         await world.peer("p")

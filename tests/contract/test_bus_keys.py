@@ -77,7 +77,7 @@ def test_a_state_key_has_no_verb() -> None:
         KEYS.verb_of(KEYS.state("x"))
 
 
-def test_expressions_meet_as_zenoh_says() -> None:
+def test_key_expressions_intersect_as_in_zenoh() -> None:
     draw = random.Random(1)
     for _ in range(3000):
         one, other = (

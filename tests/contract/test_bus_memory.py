@@ -1,4 +1,4 @@
-"""What the in-memory bus promises beyond the contract: faults at will, one outcome per seed, processes kept apart."""
+"""Guarantees of the in-memory bus beyond the contract: faults on demand, one outcome per seed, processes kept apart."""
 
 import asyncio
 from contextvars import ContextVar
@@ -209,7 +209,7 @@ def test_a_partition_separates_only_its_two_sides() -> None:
     run_virtual(main)
 
 
-def test_a_death_is_known_within_milliseconds_and_the_name_is_free_again() -> None:
+def test_a_death_is_detected_within_milliseconds_and_the_name_is_free_again() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
         a, b = net.join_process("a"), net.join_process("b")
@@ -235,7 +235,7 @@ def test_a_death_is_known_within_milliseconds_and_the_name_is_free_again() -> No
     run_virtual(main)
 
 
-def test_a_closed_session_receives_nothing_more() -> None:
+def test_faults_of_a_closed_session_have_no_effect() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)
         await net.join_process("a").close()

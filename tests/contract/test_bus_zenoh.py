@@ -1,4 +1,4 @@
-"""What only the live bus can do wrong: endpoints, routers that stand still, callbacks of a faulty program."""
+"""Faults that only the live bus can have: endpoints, routers that stand still, callbacks of a faulty program."""
 
 import asyncio
 import gc
@@ -61,7 +61,7 @@ def test_plain_tcp_is_for_this_host_alone(endpoint: str) -> None:
         open_router(endpoint)
 
 
-def test_a_router_that_stands_still_holds_up_nothing_but_itself() -> None:
+def test_a_stopped_router_delays_nothing_but_itself() -> None:
     async def body(world: LiveWorld) -> None:
         a, b = await world.join("a"), await world.join("b")
         await b.subscribe("t/x", lambda _: None)
@@ -87,7 +87,7 @@ def test_a_router_that_stands_still_holds_up_nothing_but_itself() -> None:
     run_live(body)
 
 
-def test_a_process_ends_although_its_router_stands_still() -> None:
+def test_a_process_ends_although_its_router_is_stopped() -> None:
     program = """
 import asyncio, os, signal, sys
 from orchestrator.bus.base import Priority
@@ -112,7 +112,7 @@ asyncio.run(main())
     run_live(body)
 
 
-def test_processes_that_leave_in_the_middle_end_well() -> None:
+def test_processes_that_leave_in_the_middle_end_cleanly() -> None:
     """One in ten of them ended by SIGABRT."""
     program = """
 import asyncio, sys
@@ -138,7 +138,7 @@ asyncio.run(main())
 
 
 def test_a_bus_has_no_threads_but_its_own() -> None:
-    """One of Zenoh's that comes back to Python while the interpreter ends takes the process with it, by SIGABRT."""
+    """A Zenoh thread that returns to Python while the interpreter ends kills the process by SIGABRT."""
 
     async def body(world: LiveWorld) -> None:
         before = set(threading.enumerate())

@@ -19,7 +19,8 @@ REST: dict[str, Any] = {"until": "rest"}
 class Example:
     """A program of the manual (`place`: its lines), and a vector's `expect`.
 
-    before, after: what is sent, and steps that are taken, before and after the download. burned: with BP and BN.
+    before, after: commands and steps before and after the download.
+    burned: with BP and BN.
     """
 
     place: str
@@ -1038,6 +1039,6 @@ EXAMPLES = [
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.place)
-def test_a_program_of_the_manual_does_what_it_says(example: Example):
+def test_a_program_of_the_manual_runs_as_documented(example: Example):
     failures = run_vector(SMC4000, example.vector())
     assert not failures, "\n".join(f"{each.sent!r}: {each.expected} / {each.received}" for each in failures)

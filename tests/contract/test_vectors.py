@@ -17,7 +17,7 @@ def test_vectors(model: str) -> None:
     assert len(report.passed) >= AT_LEAST[model]
 
 
-def test_replies_are_compared_as_the_vector_says() -> None:
+def test_replies_are_compared_as_the_vector_defines() -> None:
     assert same_reply("1\r\n", "1\r\n", "exact")
     assert not same_reply("1\r\n", "1", "exact")
     assert same_reply(" 1, 2", "1,2", "blanks")

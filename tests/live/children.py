@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for something that another process does; there is no event to wait for."""
+    """Wait for an effect of another process; there is no event to wait for."""
     give_up_s = time.monotonic() + LIMIT_S
     while not condition():
         assert time.monotonic() < give_up_s, f"not within {LIMIT_S} s: {what}"

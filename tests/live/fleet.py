@@ -1,4 +1,4 @@
-"""A whole simulated fleet as a user starts it: `tutti up --sim` in a process of its own, and what really moved."""
+"""A whole simulated fleet as a user starts it: `tutti up --sim` in a process of its own, and the true motions."""
 
 import asyncio
 import json
@@ -21,7 +21,7 @@ from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.model.state import ControllerState
 
-# Two at once on two processors keep each other from answering in time, which no test is about.
+# Two at once on two processors delay each other's answers, which no test is about.
 ONE_FLEET_AT_A_TIME = pytest.mark.xdist_group("fleet")
 
 T = TypeVar("T")
@@ -178,17 +178,17 @@ class RunningFleet:
     # What really moved
 
     def truth(self, controller: str) -> list[Entry]:
-        """What the simulator wrote down, in order."""
+        """The record of the simulator, in order."""
         path = self.state / "truth" / f"{controller}.jsonl"
         whole = path.read_text().rpartition("\n")[0] if path.exists() else ""
         return [json.loads(line) for line in whole.splitlines()]
 
     def starts(self, controller: str) -> int:
-        """How often an axis of the controller has begun to move."""
+        """How often an axis of the controller has started to move."""
         return sum(entry["event"] == "start" for entry in self.truth(controller))
 
     def slow_move(self, steps: Steps = SLOW) -> str:
-        """Begin a slow move; its job, when both controllers really move."""
+        """Start a slow move; return its job when both controllers really move."""
         before = {name: self.starts(name) for name in SLOW_AXES}
         job_id = self.submit(steps)
 
@@ -249,7 +249,7 @@ def margin_s(at_ns: int, rest_ns: int) -> float:
 
 
 def wait_a_moment(until: Callable[[], bool], duration_s: float) -> bool:
-    """Look for something that must not happen, for as long as it would take; whether it happened."""
+    """Watch for an event that must not occur, for as long as it would take; return whether it occurred."""
     end_s = time.monotonic() + duration_s
     while time.monotonic() < end_s:
         if until():

@@ -1,4 +1,4 @@
-"""The adapters' links against simulated controllers, dead ends, and what goes wrong on a bench."""
+"""The adapters' links against simulated controllers, dead ends, and faults that occur on a bench."""
 
 import asyncio
 import os

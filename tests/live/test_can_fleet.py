@@ -1,4 +1,5 @@
-"""Two CiA 402 drives on one bus as a user runs them: adapter, link, slcan, simulators, guardian. The truth judges."""
+"""Two CiA 402 drives on one bus as a user runs them: adapter, link, slcan, simulators, guardian; judged by the
+simulators' ground truth."""
 
 import sys
 import time
@@ -35,7 +36,7 @@ wiring:
 """
 READY = [{"do": "enable", "axes": ["left", "right"]}, {"do": "home"}]
 
-# What the guardian needs to notice, to open the bus in a process of its own, and to stop; a busy machine included.
+# The time in which the guardian notices, opens the bus in a process of its own, and stops; a busy machine included.
 STOPPED_S = 4.0
 
 

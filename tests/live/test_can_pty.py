@@ -57,7 +57,7 @@ def drive_on(network: canopen.Network, node: int) -> Any:
     drive.sdo.RESPONSE_TIMEOUT = LIMIT_S
     # Reported by the heartbeat: the boot-up message was sent before any client listened.
     drive.sdo[0x1017].raw = 20
-    # A node of this client takes PDOs that have come twice for periodic ones, and waits for the next.
+    # A node of this client takes PDOs that have arrived twice for periodic ones, and waits for the next.
     drive.sdo[0x1800][5].raw = drive.sdo[0x1801][5].raw = 50
     drive.nmt.wait_for_heartbeat(LIMIT_S)
     return drive
@@ -130,7 +130,7 @@ def test_a_reset_fault_and_an_emergency_reach_a_client(children: Children) -> No
 # Our own link
 
 
-def test_our_link_speaks_to_the_drives(port: Path) -> None:
+def test_our_link_communicates_with_the_drives(port: Path) -> None:
     async def main() -> None:
         link = CanLink(await open_can(model(port), LiveClock()), 1_000_000)
         before_ns = link.send_frames(CanFrame(0x600 + NODE, bytes.fromhex("4018100400000000")))
@@ -163,7 +163,7 @@ def test_bytes_from_a_firing_process_are_sent_on_our_link(port: Path) -> None:
 @pytest.mark.parametrize(
     ("interface", "channel", "why"), [("slcan", "/dev/no-such-port", "slcan"), ("none", "x", "interface none")]
 )
-def test_an_interface_that_is_not_there_is_refused_with_its_reason(interface: str, channel: str, why: str) -> None:
+def test_a_missing_interface_is_refused_with_its_reason(interface: str, channel: str, why: str) -> None:
     async def main() -> None:
         link = CanBusLink(kind="can", interface=interface, channel=channel, address=1)
         with pytest.raises(LinkRefused, match=why):
@@ -188,7 +188,7 @@ def test_a_bus_that_goes_away_closes_our_link(children: Children) -> None:
     asyncio.run(main())
 
 
-def test_the_adapter_of_the_bus_speaks_the_lawicel_protocol(port: Path) -> None:
+def test_the_adapter_of_the_bus_uses_the_lawicel_protocol(port: Path) -> None:
     with can.Bus(interface="slcan", channel=str(port), bitrate=1_000_000, sleep_after_open=0) as bus:
         assert bus.get_version(LIMIT_S) == (10, 10)  # type: ignore[attr-defined]
         bus.send(can.Message(arbitration_id=0x700 + NODE, is_remote_frame=True, is_extended_id=False, dlc=1))

@@ -1,4 +1,4 @@
-"""The command blocks of the tutorials and how-to pages, run as they stand against a simulated fleet."""
+"""The command blocks of the tutorials and how-to pages, run unchanged against a simulated fleet."""
 
 import os
 import re
@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.live, pytest.mark.nightly, ONE_FLEET_AT_A_TIME]
 
 ROOT = Path(__file__).parents[2]
 PAGE_S = 240.0
-# In the order in which they are read: each page finds the fleet as the one before left it.
+# In reading order: each page finds the fleet as the previous one left it.
 PAGES = (
     "tutorial/first-quarter-hour.md",
     "tutorial/first-day.md",

@@ -44,7 +44,7 @@ def run(test: Callable[[Bench], Coroutine[Any, Any, None]]) -> None:
         try:
             far.setblocking(False)
             async with asyncio.timeout(LIMIT_S):
-                # The first order waits for the process to start.
+                # The first request waits for the process to start.
                 start_ns = raw_ns()
                 await firer.schedule_write(link, b"first", start_ns, start_ns + 60_000 * NS_PER_MS).wait_until_written()
                 assert await loop.sock_recv(far, 100) == b"first"

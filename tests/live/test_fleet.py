@@ -1,4 +1,5 @@
-"""The whole fleet live, as a user runs it: done jobs, killed processes, stops, refusals. The simulators' truth judges."""
+"""The whole fleet live, as a user runs it: completed jobs, killed processes, stops, refusals; judged by the
+simulators' ground truth."""
 
 import json
 import os
@@ -29,13 +30,13 @@ from orchestrator.coordinator.journal.journal import Journal
 
 pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 
-# What the processes declare, in seconds, and what a busy machine may add to it.
+# The declared times of the processes, in seconds, and a margin for a busy machine.
 HOST_DEAD_S = 0.3
 COORDINATOR_LOST_S = 0.5
 RAMPS_S = 0.3
 BUSY_S = 1.5
-# A simulated controller is a process: on a busy machine it acts and answers late, which none of iron does. Evidence is
-# held against the truth exactly in virtual time.
+# A simulated controller is a process: on a busy machine it acts and answers late, which no real one does. Evidence is
+# compared with the truth exactly in virtual time.
 LATE_NS = 10_000_000
 
 BROKEN_OFF = ("failed", "aborted", "interrupted")
@@ -75,7 +76,7 @@ def bring_back(fleet: RunningFleet) -> None:
     assert report.state == "done", report.reason
 
 
-def test_the_demo_job_is_done_and_its_evidence_holds_the_truth(shared: RunningFleet) -> None:
+def test_the_demo_job_is_done_and_its_evidence_contains_the_truth(shared: RunningFleet) -> None:
     done = shared.tutti("submit", str(EXAMPLES / "demo.job.yaml"), "--wait", "--json")
     assert done.returncode == 0, done.stdout + done.stderr
     report = json.loads(done.stdout)

@@ -152,7 +152,7 @@ def test_an_axis_that_moves_is_stopped_by_the_simulators_own_truth(children: Chi
     assert 0 < end["end_ns"] - lost_ns < 3_000_000_000
 
 
-def test_the_makes_that_there_are_are_stopped_and_come_back(children: Children) -> None:
+def test_all_makes_are_stopped_and_reconnected(children: Children) -> None:
     controllers = load_fleet(DEMO).to_plain()["controllers"]
     truth = children.folder / "truth.jsonl"
     port = str(children.folder / "ports" / "stage")
@@ -204,7 +204,7 @@ def test_bad_input_is_one_line_and_code_2(module: str, children: Children) -> No
     assert said.count("\n") == 1
 
 
-def test_a_router_that_is_not_there_is_code_3(children: Children) -> None:
+def test_a_missing_router_is_code_3(children: Children) -> None:
     fleet = children.folder / "fleet.json"
     axis = {"motors": ["X"], "unit": "mm", "limits": {"velocity": 1, "acceleration": 1}}
     one = {"adapter": "fake", "link": {"kind": "tcp", "host": "127.0.0.1", "port": 1}, "axes": {"x": axis}}

@@ -1,4 +1,5 @@
-"""The jog panel as a person uses it: on a terminal of its own, with a whole live fleet. The simulators' truth judges."""
+"""The jog panel as an operator uses it: on a terminal of its own, with a whole live fleet; judged by the simulators'
+ground truth."""
 
 import getpass
 import json
@@ -18,7 +19,7 @@ pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 
 COMMAND = "from orchestrator.cli.main import main; main(prog_name='tutti')"
 
-# What is promised, in seconds, and what a busy machine may add to it.
+# The declared times, in seconds, and a margin for a busy machine.
 SILENCE_S = 0.2
 RAMP_S = 0.1
 BUSY_S = 1.5
@@ -166,7 +167,9 @@ def test_a_jog_that_was_stopped_elsewhere_needs_another_press(fleet: RunningFlee
 
 
 @pytest.mark.parametrize(("end", "code"), [("q", 0), ("\x1b[99;5u", 130), (signal.SIGTERM, 130), (signal.SIGHUP, 130)])
-def test_the_terminal_is_as_it_was(fleet: RunningFleet, start: Start, end: str | signal.Signals, code: int) -> None:
+def test_the_terminal_settings_are_restored(
+    fleet: RunningFleet, start: Start, end: str | signal.Signals, code: int
+) -> None:
     panel = start()
     assert panel.keyboard_flags == 3
     assert panel.terminal_mode() != panel.before
@@ -183,7 +186,7 @@ def test_the_terminal_is_as_it_was(fleet: RunningFleet, start: Start, end: str |
     assert not fleet.status()["gantry"].leases
 
 
-def test_ctrl_z_does_not_put_it_away(fleet: RunningFleet, start: Start) -> None:
+def test_ctrl_z_does_not_suspend_it(fleet: RunningFleet, start: Start) -> None:
     panel = start("gantry.x")
     begins(fleet, panel)
     panel.type_text("\x1b[122;5u")

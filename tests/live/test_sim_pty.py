@@ -78,7 +78,7 @@ def test_a_file_in_the_way_is_refused(children: Children) -> None:
     assert path.read_text() == "mine"
 
 
-def test_the_name_is_taken_away_and_an_old_one_replaced(children: Children) -> None:
+def test_the_name_is_removed_and_an_old_one_replaced(children: Children) -> None:
     path = children.folder / "name"
     path.symlink_to("/dev/pts/9999")
     process, _ = children.simulator("shrc203", f"pty:{path}")

@@ -22,7 +22,7 @@ def client(place: dict[str, Any]) -> socket.socket:
 
 
 def ask(line: socket.socket, command: bytes) -> bytes:
-    """Send a command and take its answer, up to the prompt."""
+    """Send a command and return its answer, up to the prompt."""
     line.sendall(command)
     answer = b""
     while not answer.endswith((b":", b"?")):
@@ -33,7 +33,7 @@ def ask(line: socket.socket, command: bytes) -> bytes:
 
 
 def refused(place: dict[str, Any]) -> None:
-    """See that a connection is reset: while it is made already, if the reset comes before the client looks at it."""
+    """Check that a connection is reset: already while it is made, if the reset comes before the client reads it."""
     with pytest.raises(ConnectionResetError), client(place) as line:
         line.recv(1)
 
@@ -99,7 +99,7 @@ def test_the_one_of_several_links_that_cannot_be_served_is_reported(children: Ch
     assert said.startswith("other: --listen: ") and said.count("\n") == 1
 
 
-def test_the_truth_is_written_down_in_host_time(children: Children) -> None:
+def test_the_truth_is_recorded_in_host_time(children: Children) -> None:
     truth = children.folder / "deep" / "truth.jsonl"
     _, place = children.simulator("smc4000", "tcp:127.0.0.1:0", "--truth", str(truth))
     with client(place) as line:
@@ -112,7 +112,7 @@ def test_the_truth_is_written_down_in_host_time(children: Children) -> None:
     assert end["end_counts"] - end["start_counts"] == pytest.approx(2000, abs=1)
 
 
-def test_the_instant_at_which_a_stop_took_effect_is_written_down(children: Children) -> None:
+def test_the_instant_at_which_a_stop_took_effect_is_recorded(children: Children) -> None:
     truth = children.folder / "truth.jsonl"
     _, place = children.simulator("smc4000", "tcp:127.0.0.1:0", "--truth", str(truth))
     with client(place) as line:

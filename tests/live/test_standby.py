@@ -13,7 +13,7 @@ from orchestrator.clock.live import raw_ns
 pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 
 TAKE_OVER_S = 2.0
-BUSY_S = 4.0  # what a busy machine may add, an interpreter's start among it
+BUSY_S = 4.0  # margin for a busy machine, including an interpreter's start
 COORDINATOR = "orchestrator.coordinator.process"
 
 

@@ -36,8 +36,8 @@ def test_two_processes_measure_what_one_does() -> None:
 
 
 def test_workers_end_with_their_parent() -> None:
-    code = "from orchestrator.runtime.workers import spread; from time import sleep\n"
-    code += "if __name__ == '__main__':\n for k in spread(sleep, [0, 0, 600, 600], 2): print(k, flush=True)"
+    code = "from orchestrator.runtime.workers import map_in_processes; from time import sleep\n"
+    code += "if __name__ == '__main__':\n for k in map_in_processes(sleep, [0, 0, 600, 600], 2): print(k, flush=True)"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None
         assert parent.stdout.readline() and parent.stdout.readline()

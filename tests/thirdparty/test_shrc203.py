@@ -22,7 +22,7 @@ PULSES_PER_UM = 10
 
 
 class Unit:
-    """A simulated unit, where it is, and what it has really done."""
+    """A simulated controller, its address, and its true motions."""
 
     def __init__(self, children: Children) -> None:
         self.port = children.folder / "ports" / "stage"

@@ -60,7 +60,7 @@ class Drives:
     shared: dict[str, Any]
     frames: list[tuple[int, CanFrame]] = field(default_factory=list[tuple[int, CanFrame]])
     late_ns: Callable[[int], int] = lambda at_ns: 0
-    """How much later than usual what is due now is written."""
+    """How much later than usual the bytes that are due now are written."""
 
     @property
     def driver(self) -> Cia402Driver:

@@ -21,7 +21,7 @@ from sim.core.oscillator import Oscillator
 from sim.ppsmc import PPSMC
 from sim.ppsmc.controller import PpsmcController
 
-# 5 to 20 ms a command: what the driver's default options allow for.
+# 5 to 20 ms a command: as allowed for by the driver's default options.
 TIMING = FirmwareTiming(decode_ns=5_000_000, spread_ns=15_000_000)
 NAMES = {"x": "1", "y": "2", "z": "3"}
 SPEED, RAMP = 50_000.0, 200_000.0  # steps/s, steps/s²
@@ -107,7 +107,7 @@ class Bench:
         )
 
     async def arm(self, targets: Mapping[str, int], how: StartOptions | None = None) -> tuple[int, PpSmcLowered]:
-        """Plan from where the axes are, arm, and give T0."""
+        """Plan from the present positions, arm, and return T0."""
         lowered = await self.lowered(targets, how)
         t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 300 * NS_PER_MS
         began_ns = self.clock.now_ns()
@@ -162,7 +162,7 @@ def run(
     timing: FirmwareTiming = TIMING,
     gear: int = 1000,
 ) -> None:
-    """Run `case` before a unit of three axes with `gear` steps/mm that have been saved in it."""
+    """Run `case` with a controller of three axes with `gear` steps/mm that have been saved in it."""
 
     async def main(clock: VirtualClock) -> None:
         fleet = config or controller()

@@ -160,7 +160,7 @@ def test_a_burst_of_error_frames_disturbs_no_stream() -> None:
     run(main, count=2, **SMOOTH)
 
 
-def test_a_stranger_stops_a_stream_with_the_makes_stop_bytes() -> None:
+def test_another_client_stops_a_stream_with_the_makes_stop_bytes() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000)})
@@ -180,7 +180,7 @@ def test_a_stranger_stops_a_stream_with_the_makes_stop_bytes() -> None:
     run(main, **SMOOTH)
 
 
-def test_two_drives_with_one_node_number_are_found_out() -> None:
+def test_two_drives_with_one_node_number_are_detected() -> None:
     async def main(clock: VirtualClock) -> None:
         branches = [
             DeviceSpec(1, {}, Oscillator(0, 0.0), FirmwareTiming(300 * NS_PER_US, 200 * NS_PER_US), seed)

@@ -61,7 +61,7 @@ def test_a_drive_that_is_switched_off_by_its_enable_input_is_reported_so() -> No
 
 
 @pytest.mark.parametrize("stage", ["armed", "released", "moving"])
-def test_a_drive_that_was_switched_off_and_on_is_found_out(stage: str) -> None:
+def test_a_drive_that_was_switched_off_and_on_is_detected(stage: str) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = world.clock.now_ns() + 500 * NS_PER_MS
@@ -118,7 +118,7 @@ def test_bus_off_in_a_move_is_reported_and_a_stop_is_sent_again_afterwards() -> 
         t0_ns = await world.go(target=400_000)
         await world.driver.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
-        # Only what this computer sends is destroyed: the drives stay on the bus.
+        # Only the frames of this computer are destroyed: the drives stay on the bus.
         node = world.bus._nodes[-1]
         node.transmit_errors = 255
         node.queue_frames(CanFrame(0x201, bytes([0x0F, 0])))
@@ -207,7 +207,7 @@ def test_duplicate_answers_are_reported() -> None:
     run(main)
 
 
-def test_a_late_answer_is_not_taken_for_that_to_something_else() -> None:
+def test_a_late_answer_is_not_taken_for_that_to_another_request() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         held: list[bytes] = []
@@ -248,7 +248,7 @@ def test_sdo_aborts_are_reported_in_words() -> None:
     run(main)
 
 
-def test_an_emergency_between_arming_and_the_promise_is_found_out() -> None:
+def test_an_emergency_between_arming_and_the_promise_is_detected() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = world.clock.now_ns() + 400 * NS_PER_MS
@@ -282,14 +282,14 @@ def test_a_fault_just_before_the_start_is_reported_by_its_emergency() -> None:
 _EDS = Path(cia402.__file__).with_name("drive.eds")
 
 
-def test_the_drives_own_eds_file_is_taken() -> None:
+def test_the_drives_own_eds_file_is_accepted() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
 
     run(main, options={"eds": str(_EDS)})
 
 
-def test_the_eds_file_of_another_product_is_found_out(tmp_path: Path) -> None:
+def test_the_eds_file_of_another_product_is_detected(tmp_path: Path) -> None:
     other = tmp_path / "other.eds"
     other.write_text(_EDS.read_text().replace("ProductNumber=0x00000402", "ProductNumber=0x00000777"))
 
@@ -319,7 +319,7 @@ def test_an_eds_file_that_is_not_enough_is_refused_offline(tmp_path: Path, old: 
         MAKE.check_config(config(1, {"eds": str(other)}))
 
 
-def test_a_drive_that_takes_a_mapping_only_pre_operational_is_brought_there() -> None:
+def test_a_drive_that_accepts_a_mapping_only_pre_operational_is_switched_to_it() -> None:
     commands: list[int] = []
 
     async def main(world: Drives) -> None:

@@ -41,7 +41,7 @@ def move(to: int) -> Any:
 PREPARE = job(f"[{{do: enable, axes: [{', '.join(NAMES)}]}}, {{do: home}}]")
 
 
-def test_two_buses_home_and_start_together_with_a_verdict_that_holds_the_truth() -> None:
+def test_two_buses_home_and_start_together_with_a_verdict_that_contains_the_truth() -> None:
     async def main(virtual: VirtualFleet) -> None:
         prepared = await outcome(virtual, PREPARE)
         assert prepared.state == "done", prepared.reason

@@ -28,7 +28,7 @@ def test_the_reference_is_found_by_its_method(method: str, place: float | None) 
             # At one of the edges of the switch, which is 0 now.
             assert world.unit.position("1") == 0
             assert round(world.unit.station.drive.servo.mechanical_position) in (-3000, -2000)
-        # And a step can begin there.
+        # And a step can start there.
         here = (await world.driver.poll()).axes["a"].commanded_counts
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
         await world.arm(0, here + 3000, t0_ns, begin=here)
@@ -59,7 +59,7 @@ def test_a_drive_that_has_found_its_reference_is_at_rest(method: str, inhibit_ms
     run(main, simulate=SWITCH, options={"inhibit_ms": inhibit_ms}, homing={"method": method, "speed": 8000})
 
 
-def test_a_search_for_the_reference_ends_when_its_drive_is_left() -> None:
+def test_a_homing_ends_when_its_drive_is_disconnected() -> None:
     """The drive may have become silent on a bus that others still have open: its homing gets no further messages."""
 
     async def main(world: Drives) -> None:
@@ -96,7 +96,7 @@ def test_a_method_that_the_drive_does_not_have_is_refused() -> None:
 
 
 @pytest.mark.parametrize("cancelled", [False, True])
-def test_homing_ends_with_a_stop_or_with_its_callers_patience(cancelled: bool) -> None:
+def test_homing_ends_with_a_stop_or_with_the_timeout_of_its_caller(cancelled: bool) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         homing = asyncio.get_running_loop().create_task(world.driver.home_axes(["a"], lambda _: None))
@@ -118,7 +118,7 @@ def test_homing_ends_with_a_stop_or_with_its_callers_patience(cancelled: bool) -
     run(main, simulate={"home_switch": [-90_000, -80_000]}, homing={"method": "27", "speed": 8000})
 
 
-def test_a_jog_ends_by_itself_is_changed_and_turned_round() -> None:
+def test_a_jog_ends_by_itself_is_changed_and_reversed() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, 5000))
@@ -179,7 +179,7 @@ def test_a_step_is_refused_while_jogging_and_a_jog_while_a_step_is_loaded() -> N
     run(main)
 
 
-def test_limits_are_loaded_and_taken_away() -> None:
+def test_limits_are_loaded_and_removed() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         await world.driver.load_soft_limits({"a": (-1000, 3000)})
@@ -196,7 +196,7 @@ def test_limits_are_loaded_and_taken_away() -> None:
 
 
 @pytest.mark.parametrize("abort", [False, True])
-def test_a_stop_takes_the_target_away_and_leaves_the_motor_on(abort: bool) -> None:
+def test_a_stop_clears_the_target_and_leaves_the_motor_on(abort: bool) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=200_000)

@@ -1,4 +1,4 @@
-"""Profiles to whole numbers of a drive's units, and what is refused."""
+"""Profiles in whole numbers of a drive's units, and refusals."""
 
 from random import Random
 from typing import Any
@@ -34,7 +34,7 @@ def _driver(node: int = 1, shared: dict[str, Any] | None = None, **options: Any)
     return MAKE.create_driver(DriverSetup("d", its, parsed, clock, _no_link, LoopTimedWriter(clock), known))
 
 
-def test_durations_are_met_within_the_bounds() -> None:
+def test_durations_are_kept_within_the_bounds() -> None:
     draw, bounds, units = Random(1), DriveBounds(VELOCITY, ACCELERATION), DriveUnits(1.0, 1.0)
     for _ in range(300):
         velocity = VELOCITY * draw.uniform(0.02, 0.9)
@@ -58,7 +58,7 @@ def test_other_units_of_velocity_are_used() -> None:
     assert abs(shape.duration_s - 2.0) < 1e-3
 
 
-def test_too_quick_a_move_is_answered_with_the_duration_that_it_needs() -> None:
+def test_a_move_that_is_too_quick_is_answered_with_the_duration_that_it_needs() -> None:
     quick = profiles(0, 40_000)["a"].stretch_time(0.2)
     lowered = _driver().lower_profiles({"a": quick}, StartOptions(), None)
     assert lowered.durations_s["a"] > quick.duration_s * 2

@@ -114,7 +114,7 @@ def test_a_lost_sync_is_reported_and_nothing_moves() -> None:
         await world.driver.disarm_move()
         world.wire.to_far = None
         assert not world.unit.commanded_motions
-        # What had been lost is not made up for by the next start.
+        # The next start does not make up for the lost one.
         await world.rest(200)
         await world.go(target=-10_000)
         await world.driver.wait_for_start()
@@ -124,7 +124,7 @@ def test_a_lost_sync_is_reported_and_nothing_moves() -> None:
     run(main)
 
 
-def test_a_stranger_stops_a_moving_drive_with_the_makes_stop_bytes() -> None:
+def test_another_client_stops_a_moving_drive_with_the_makes_stop_bytes() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
@@ -142,7 +142,7 @@ def test_a_stranger_stops_a_moving_drive_with_the_makes_stop_bytes() -> None:
     run(main)
 
 
-def test_stop_bytes_overwrite_what_waits_for_a_sync() -> None:
+def test_stop_bytes_overwrite_setpoints_that_wait_for_a_sync() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         await world.go()

@@ -130,7 +130,7 @@ def fastest(world: Drives, number: int = 0) -> "asyncio.Task[float]":
     return asyncio.get_running_loop().create_task(watch())
 
 
-def test_a_position_that_is_lost_once_is_no_jump() -> None:
+def test_a_single_lost_setpoint_causes_no_jump() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         profile = smooth(0, 20_000)["a"]
@@ -163,7 +163,7 @@ def test_a_lost_setpoint_is_reported_as_an_underrun_and_the_drive_brakes() -> No
 
 
 async def another(world: Drives, number: int) -> None:
-    """The drive can make its next move, from where it stands."""
+    """The drive can make its next move, from its present position."""
     here = (await world.drivers[number].poll()).axes["a"].commanded_counts
     await released(world, {number: smooth(here, here + 5_000)})
     _, outcome = await followed(world, number)
@@ -325,7 +325,7 @@ def test_more_than_the_bus_can_carry_is_refused() -> None:
     run(main, count=8, options={"period_ms": 3}, **SMOOTH)
 
 
-def test_drives_of_one_bus_that_want_another_period_are_refused() -> None:
+def test_drives_of_one_bus_with_different_periods_are_refused() -> None:
     async def main(world: Drives) -> None:
         its = config(2, {"period_ms": 20}, **SMOOTH)
         options = MAKE.options_model.model_validate(its.options)

@@ -11,7 +11,7 @@ WATCHING = {"watchdog_ms": 200}
 
 
 @pytest.mark.parametrize("watching", [False, True])
-def test_a_host_that_dies_is_missed_by_drives_that_watch_it(watching: bool) -> None:
+def test_drives_with_a_watchdog_stop_when_the_host_dies(watching: bool) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=200_000)
@@ -35,7 +35,7 @@ def test_a_host_that_dies_is_missed_by_drives_that_watch_it(watching: bool) -> N
     run(main, options=WATCHING if watching else {})
 
 
-def test_a_host_that_leaves_is_not_missed() -> None:
+def test_a_host_that_disconnects_does_not_trip_the_watchdog() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=100_000)
@@ -48,7 +48,7 @@ def test_a_host_that_leaves_is_not_missed() -> None:
     run(main, options=WATCHING)
 
 
-def test_a_drive_that_was_off_watches_again() -> None:
+def test_a_power_cycled_drive_gets_its_watchdog_again() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         world.unit.set_power(on=False)

@@ -1,4 +1,5 @@
-"""What drivers log: fields of every line, refusals, and the events of a connection; and that a log changes nothing."""
+"""The logs of drivers: fields of every line, refusals, and the events of a connection; and that a log changes
+nothing."""
 
 import json
 from contextvars import copy_context

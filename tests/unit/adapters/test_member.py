@@ -29,7 +29,7 @@ class Scripted:
     """A driver.
 
     told: the commands that it got, in their order.
-    begun, rested: what `started` and `outcome` wait for."""
+    begun, rested: the results that `started` and `outcome` wait for."""
 
     def __init__(self) -> None:
         loop = asyncio.get_running_loop()
@@ -121,7 +121,7 @@ class Desk:
         await self.member.arm_step(ArmRequest(**self._ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))
 
     async def go(self, step: int = 0, t0_ns: int = T0_NS, sooner_ns: int = 0) -> None:
-        """Armed, promised and released, for `sooner_ns` before what it was armed for."""
+        """Armed, promised and released, `sooner_ns` before the T0 that it was armed for."""
         await self.arm(step, t0_ns)
         await self.member.commit_step(CommitRequest(**self._ref(step), t0_fleet_ns=t0_ns))
         await self.member.start_step(GoRequest(**self._ref(step), t0_fleet_ns=t0_ns - sooner_ns, advance_ns=sooner_ns))
@@ -145,7 +145,7 @@ def run(body: Callable[[Desk], Coroutine[Any, Any, None]]) -> None:
     run_virtual(main)
 
 
-def test_go_may_be_for_sooner_than_was_promised() -> None:
+def test_go_may_advance_the_promised_t0() -> None:
     async def body(desk: Desk) -> None:
         await desk.go(sooner_ns=SOONER_NS)
         assert desk.driver.told == ["arm", "verify", f"go {SOONER_NS} ns sooner"]
@@ -208,7 +208,7 @@ def test_a_move_that_another_job_armed_is_not_disarmed() -> None:
     run(body)
 
 
-def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_rest() -> None:
+def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_a_poll_shows_it_at_rest() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
         await desk.member.stop(abort=False, reason="stop")
@@ -222,7 +222,7 @@ def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_re
     run(body)
 
 
-def test_the_end_of_a_step_that_was_stopped_as_it_started_is_not_taken_for_that_of_the_next_one() -> None:
+def test_the_end_of_a_step_that_was_stopped_at_its_start_is_not_taken_for_that_of_the_next() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
         await desk.member.stop(abort=False, reason="stop")
@@ -238,7 +238,7 @@ def test_the_end_of_a_step_that_was_stopped_as_it_started_is_not_taken_for_that_
 
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_member_that_received_go_is_stopped_or_has_a_pending_stop_when_its_link_breaks(closed: bool) -> None:
-    """Its line may be open again by then, for others that are on it."""
+    """Its port may be open again by then, for other controllers on it."""
 
     async def body(desk: Desk) -> None:
         await desk.go()

@@ -40,7 +40,7 @@ def nothing(*_: object, **__: object) -> None:
 @pytest.mark.parametrize(
     ("read_ns", "now_ns", "following", "mode"),
     [
-        (900, 1100, False, "stopping"),  # read before the stop: it may have begun to move since
+        (900, 1100, False, "stopping"),  # read before the stop: it may have started to move since
         (1001, 1100, False, "idle"),
         (900, 2001, False, "idle"),  # as long as it may take has passed
         (2500, 2600, True, "stopping"),  # its driver has not come to the end of the step
@@ -68,7 +68,7 @@ def test_a_stopped_controller_is_at_rest_only_after_a_poll_confirms_it(
 
 
 def test_a_jogged_controller_is_at_rest_only_after_a_poll_confirms_it() -> None:
-    """The order to begin may have been on its way when the key was let go."""
+    """The start command may have been on its way when the key was released."""
 
     async def main(clock: VirtualClock) -> None:
         condition = ControllerStatus(CONFIG, faults=[])
@@ -134,7 +134,7 @@ class Slow:
         (True, "x", ["x"]),
     ],
 )
-def test_orders_of_several_axes_that_take_long_are_renewed_on_their_way(
+def test_slow_jog_commands_of_several_axes_are_renewed_before_their_answers(
     renewed: bool, refuses: str, told: list[str]
 ) -> None:
     async def main(clock: VirtualClock) -> None:
@@ -249,7 +249,7 @@ def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
 
 
 def test_a_pending_stop_is_repeated_until_the_controller_answers() -> None:
-    """What was written into a line that is still broken is lost."""
+    """Bytes that are written into a line that is still broken are lost."""
     told: list[str] = []
 
     class Broken:

@@ -1,4 +1,5 @@
-"""The SMC driver against the simulated unit, judged by the simulator's truth: meeting it, moving it, stopping it."""
+"""The SMC driver against the simulated controller, judged by the simulator's ground truth: connecting, moving,
+stopping."""
 
 import asyncio
 import contextlib
@@ -51,7 +52,7 @@ def test_controllers_of_every_reading_are_connected_and_moved(simulate: dict[str
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_starts_and_ends_lie_in_the_claimed_spans(seed: int) -> None:
+def test_starts_and_ends_are_within_the_reported_intervals(seed: int) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         await bench.ready()
@@ -140,7 +141,7 @@ async def _follow(bench: Bench) -> None:
 def test_a_stop_does_not_wait_for_a_blocked_first_connection() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        # Commands of this connection are held back by the unit itself from now on (L2787).
+        # The controller itself delays commands of this connection from now on (L2787).
         bench.wire.links[0].write(b"sleep20\r\n")
         other = await bench.somebody("ffast1:20000", "goto1:80", wait_ms=300)
         assert bench.unit.is_moving("1") and other.raw
@@ -186,7 +187,7 @@ def test_a_blocked_controller_is_reported_and_a_reset_unblocks_it(stage: str) ->
         lowered = bench.driver.lower_profiles({}, StartOptions(), None)
         with pytest.raises((Refusal, ControllerFault), match="blocked"):
             await bench.driver.arm_move(lowered, bench.clock.now_ns() + NS_PER_S, None)
-        # Reached again while it is blocked, it is not taken for another make, and not released by that.
+        # Reconnected while it is blocked, it is not taken for another make, and is not unblocked by that.
         await bench.driver.close()
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
         assert (await bench.driver.connect()).firmware == "1.1.165"
@@ -273,7 +274,7 @@ def test_a_peer_that_vanishes_is_reported_at_once() -> None:
     run(case)
 
 
-def test_the_connection_for_stops_is_opened_again() -> None:
+def test_the_connection_for_stops_is_reopened() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert len(bench.wire.links) == 2

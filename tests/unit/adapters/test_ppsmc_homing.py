@@ -1,4 +1,4 @@
-"""Reference searches of the SMC in all its documented ways, and what becomes of them."""
+"""Homing of the SMC by all its documented methods, and the results."""
 
 import asyncio
 import contextlib
@@ -74,7 +74,7 @@ def test_an_installed_reference_is_taken_as_found_without_motion() -> None:
     run(case, simulate=SWITCHES, config=config("org"))
 
 
-def test_without_its_switch_an_axis_fails_and_the_rest_is_done() -> None:
+def test_without_its_switch_an_axis_fails_and_the_others_finish() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         found: list[str] = []

@@ -107,7 +107,7 @@ def test_another_motion_a_program_a_block_and_the_input_gate_are_refused() -> No
     run(case)
 
 
-def test_a_loaded_step_is_not_started_by_a_jog() -> None:
+def test_an_armed_step_is_not_started_by_a_jog() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
@@ -118,7 +118,7 @@ def test_a_loaded_step_is_not_started_by_a_jog() -> None:
     run(case)
 
 
-def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open() -> None:
+def test_a_limit_switch_ends_a_jog_and_allows_the_way_back() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("x", JogMove(5000.0, 40_000.0, None))
@@ -135,7 +135,7 @@ def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open() -> None:
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("after_ms", [0, 10, 40, 90, 150, 240, 400])
-def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bool) -> None:
+def test_a_stop_at_every_stage_of_a_jog_leaves_it_at_rest(after_ms: int, abort: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("y", JogMove(4000.0, 40_000.0, None))
@@ -157,7 +157,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bo
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_random_hands_never_pass_the_end_nor_the_speed(seed: int) -> None:
+def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         await bench.ready()
@@ -198,7 +198,7 @@ def test_an_axis_gentler_than_the_slowest_ramp_jogs_at_a_start_speed() -> None:
 
 @pytest.mark.parametrize("cycled", [False, True])
 def test_a_controller_that_was_restarted_since_the_last_jog_starts_none(cycled: bool) -> None:
-    """It has forgotten the speeds that were loaded, and calls the place where it stands 0."""
+    """It has lost the loaded speeds, and reports its present position as 0."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()

@@ -26,7 +26,7 @@ def raise_at(bench: Bench, at_ns: int, number: int = 2, level: bool = True) -> N
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int) -> None:
+def test_the_edge_starts_all_axes_within_the_reported_intervals(seed: int) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         await bench.ready()
@@ -111,7 +111,7 @@ def test_an_edge_between_the_promise_and_go_is_refused() -> None:
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("when_ms", [-400, -20, -1, 8, 200])
-def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool) -> None:
+def test_a_stop_at_any_moment_leaves_no_program_waiting(when_ms: int, abort: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         t0_ns, lowered = await bench.start({"x": 90_000}, StartOptions(wait=WINDOW))
@@ -154,7 +154,7 @@ def test_a_missing_trigger_edge_is_reported_and_a_late_one_moves_nothing() -> No
 @pytest.mark.parametrize("before_ms", [40, 100, 250])
 @pytest.mark.parametrize("by_line", [True, False])
 def test_a_controller_that_is_reset_before_the_start_reports_none(before_ms: int, by_line: bool) -> None:
-    """It calls the place where it stands another, which is not where the move was to begin."""
+    """It reports another position for the same place, which is not the start of the move."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()
@@ -221,7 +221,7 @@ def test_a_trigger_line_that_cannot_be_used_is_refused(how: StartOptions, named:
     run(case, config=CONFIG)
 
 
-def test_without_the_port_there_is_no_start_by_line() -> None:
+def test_without_the_port_there_is_no_start_by_trigger_line() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert bench.driver.capabilities.start_classes == ("host",)
@@ -236,7 +236,7 @@ def test_without_the_port_there_is_no_start_by_line() -> None:
 @pytest.mark.parametrize("targets", [{}, {"x": 40_000}, {"x": -3000, "z": 20_000}], ids=str)
 @pytest.mark.parametrize("output", ["line", "low"])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_output_is_switched_within_the_claimed_edge_and_back(
+def test_the_output_is_switched_within_the_reported_interval_and_back(
     seed: int, output: str, targets: dict[str, int]
 ) -> None:
     number, active = (3, True) if output == "line" else (6, False)

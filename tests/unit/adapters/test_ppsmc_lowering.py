@@ -105,7 +105,7 @@ def test_slow_axes_of_one_controller_propose_a_common_duration() -> None:
 
 
 @pytest.mark.parametrize("ppm", [-300.0, 0.0, 250.0])
-def test_the_rate_of_the_crystal_is_made_up_for(ppm: float) -> None:
+def test_the_rate_of_the_crystal_is_compensated(ppm: float) -> None:
     profile = planned(100_000, 20_000.0, 100_000.0, 1.2)
     result = lowered(profile, PpSmcOptions(rate_ppm=ppm))
     (move,) = result.moves
@@ -181,13 +181,13 @@ def test_the_fleet_file_is_checked(change: dict[str, Any], said: str) -> None:
         MAKE.check_config(type(controller()).model_validate(config))
 
 
-def test_options_refuse_what_they_do_not_know() -> None:
+def test_options_refuse_unknown_fields() -> None:
     with pytest.raises(ValidationError):
         MAKE.options_model.model_validate({"wheels": 4})
 
 
 @pytest.mark.parametrize("gear", ["1", "10000/3", "400", "0.5", "123.4"])
-def test_positions_as_text_are_the_step_that_was_meant(gear: str) -> None:
+def test_positions_as_text_give_the_exact_step(gear: str) -> None:
     from fractions import Fraction
 
     draw, exact = Random(3), Fraction(gear)

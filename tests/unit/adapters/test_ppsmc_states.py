@@ -47,7 +47,7 @@ def test_leftovers_never_move_and_do_no_harm(lines: Sequence[str], serial: bool)
 
 
 @pytest.mark.parametrize("half", ["goto1:5", "move1:5.", "tbg", "1:5s500", "fast1+", "q", "block", "run2-"])
-def test_a_half_typed_line_on_the_serial_port_is_not_completed(half: str) -> None:
+def test_an_incomplete_line_on_the_serial_port_is_not_completed(half: str) -> None:
     async def case(bench: Bench) -> None:
         line = await bench.wire.open_link()
         line.write(half.encode())
@@ -207,7 +207,7 @@ def test_a_start_that_the_controller_ignores_is_reported() -> None:
     run(case)
 
 
-def test_a_limit_on_another_axis_does_not_keep_a_group_from_starting() -> None:
+def test_a_limit_on_another_axis_does_not_prevent_the_start_of_a_group() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.unit.set_limit("3", "reverse")
@@ -216,7 +216,7 @@ def test_a_limit_on_another_axis_does_not_keep_a_group_from_starting() -> None:
     run(case)
 
 
-def test_a_limit_that_changes_after_arming_is_found() -> None:
+def test_a_limit_that_changes_after_arming_is_detected() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
@@ -365,8 +365,8 @@ def test_an_encoder_that_is_only_read_shows_where_the_stage_is() -> None:
 
 
 @pytest.mark.parametrize("lead_ms", [320, 200, 120, 80, 50, 30])
-def test_a_poll_that_is_under_way_never_delays_a_start(lead_ms: int) -> None:
-    """A question still unanswered would be executed before the starting line: the order waits for it, or is late."""
+def test_a_poll_in_progress_never_delays_a_start(lead_ms: int) -> None:
+    """A query without an answer yet would be executed before the start command: the start waits for it, or is late."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()

@@ -1,4 +1,4 @@
-"""Chains of prebuffered moves against the simulated unit's truth."""
+"""Chains of prebuffered moves, judged by the simulator's ground truth."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -198,7 +198,7 @@ def test_nothing_else_is_armed_or_jogged_while_a_chain_runs() -> None:
 
 @pytest.mark.parametrize("axes", ["x", "xyz"])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_chain_that_is_read_all_the_while_makes_every_move(seed: int, axes: str) -> None:
+def test_a_continuously_polled_chain_makes_every_move(seed: int, axes: str) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         await bench.ready()
@@ -263,7 +263,7 @@ def test_a_chain_beyond_the_limits_is_refused_before_it_starts(move: ChainMove, 
 
 @pytest.mark.parametrize("axes", ["x", "xyz"])
 @pytest.mark.parametrize("nth", range(1, 5))
-def test_a_garbled_load_is_found_and_the_chain_ends(nth: int, axes: str) -> None:
+def test_a_garbled_load_is_detected_and_the_chain_ends(nth: int, axes: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         moves = {axis: [ChainMove(300, ShrcTrapezoid(300, 1000, 20_000, 45))] * 8 for axis in axes}

@@ -1,4 +1,4 @@
-"""The SHRC-203 driver against the simulated unit over a serial wire, judged by the simulator's truth."""
+"""The SHRC-203 driver against the simulated controller over a serial line, judged by the simulator's ground truth."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
@@ -59,7 +59,7 @@ class Bench:
         await self.driver.poll()
 
     async def arm(self, targets: Mapping[str, int], lead_ns: int = 400 * NS_PER_MS) -> int:
-        """Plan from where the axes are, arm, and give T0."""
+        """Plan from the present positions, arm, and return T0."""
         reading = await self.driver.poll()
         moves = [
             AxisMove(name, reading.axes[name].commanded_counts, target, 100_000.0, 500_000.0)
@@ -129,7 +129,7 @@ def test_a_fresh_controller_is_connected_and_read() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_starts_and_ends_lie_in_the_claimed_spans(seed: int) -> None:
+def test_starts_and_ends_are_within_the_reported_intervals(seed: int) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         await bench.ready()
@@ -234,7 +234,7 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
         count = len(bench.unit.commanded_motions)
         await bench.driver.send_raw("G:W")
         await sleep_ns(bench.clock, NS_PER_S)
-        if "repeat_executed" not in simulate:  # there the unit itself runs again what it has run
+        if "repeat_executed" not in simulate:  # there the controller itself repeats its executed moves
             assert not [each for each in bench.unit.commanded_motions[count:] if each.end_counts != each.start_counts]
         await bench.start({"x": 0})
         await bench.driver.wait_for_start()
@@ -300,7 +300,7 @@ def test_a_power_cycle_is_noticed(when: str) -> None:
 
 
 @pytest.mark.parametrize("nth", range(1, 14))
-def test_a_refusal_while_arming_leaves_nothing_loaded(nth: int) -> None:
+def test_a_refusal_while_arming_leaves_nothing_armed(nth: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.poll()

@@ -1,4 +1,4 @@
-"""What an SHRC-203 makes of random moves, as `tutti bench lowering --make shrc203` measures it."""
+"""How an SHRC-203 executes random moves, as `tutti bench lowering --make shrc203` measures it."""
 
 from orchestrator.bench.lowering_steppers import bench_stepper
 

@@ -1,4 +1,5 @@
-"""Two SHRC-203 in a fleet: one drives the line that the other waits for, with axes of its own in the step or without."""
+"""Two SHRC-203 in a fleet: one drives the trigger line that the other waits for, with or without axes of its own in
+the step."""
 
 from typing import Any
 
@@ -35,7 +36,7 @@ def fleet() -> Fleet:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_stage_drives_the_line_that_starts_another(seed: int) -> None:
+def test_a_stage_drives_the_trigger_line_that_starts_another(seed: int) -> None:
     async def main(world: VirtualFleet) -> None:
         assert (await outcome(world, PREPARE)).state == "done"
         for targets, ways in MOVES.items():

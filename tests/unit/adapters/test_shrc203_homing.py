@@ -1,4 +1,4 @@
-"""An SHRC-203 that looks for its origins, and stages that were moved while their motors were off."""
+"""Homing of an SHRC-203, and stages that were moved while their motors were off."""
 
 import asyncio
 from collections.abc import Mapping
@@ -50,7 +50,7 @@ def test_axes_of_different_methods_are_all_homed(simulate: dict[str, Any]) -> No
     run(case, config=mixed("orgs", "mini", "default"), simulate=simulate)
 
 
-def test_the_rest_is_done_though_one_fails() -> None:
+def test_the_other_axes_finish_if_one_fails() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.set_enabled(["y"], on=False)
@@ -77,7 +77,7 @@ def test_each_axis_is_reported_as_soon_as_it_is_homed() -> None:
     run(case, simulate={"origin_pls": {"1": -1000, "2": -9000}})
 
 
-def test_an_error_that_stands_is_named() -> None:
+def test_a_persistent_error_is_named() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.stop(abort=True)
@@ -121,7 +121,7 @@ def test_the_origin_is_found_from_either_side_and_from_where_it_is(origin: int) 
 @pytest.mark.parametrize("after_ms", [0, 2, 5, 8, 11, 14, 17, 20, 60, 150])
 @pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("speaks", [False, True])
-def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool, speaks: bool) -> None:
+def test_a_stop_in_between_ends_the_homing_as_failed(after_ms: int, whole: bool, speaks: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         search = asyncio.create_task(homed(bench, "x"))
@@ -139,7 +139,7 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool,
 
 @pytest.mark.parametrize("after_ms", [*range(0, 40, 4), 120])
 @pytest.mark.parametrize("speaks", [False, True])
-def test_a_cancelled_search_is_ended_by_a_stop_and_polls_stay_right(after_ms: int, speaks: bool) -> None:
+def test_a_cancelled_homing_is_ended_by_a_stop_and_polls_stay_right(after_ms: int, speaks: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.unit.set_input(2, level=True)
@@ -182,7 +182,7 @@ def test_a_power_cycle_in_between_is_no_success(after_ms: int, polls: bool) -> N
     run(case)
 
 
-def test_a_cancelled_search_is_ended_by_itself() -> None:
+def test_a_cancelled_homing_ends_by_itself() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         search = asyncio.create_task(homed(bench, "x", "y"))
@@ -213,7 +213,7 @@ def test_an_open_loop_stage_whose_motor_was_off_has_lost_its_position() -> None:
     run(case)
 
 
-def test_a_closed_loop_keeps_its_position_and_takes_the_stage_back() -> None:
+def test_a_closed_loop_keeps_its_position_and_returns_the_stage() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.set_enabled(["x"], on=False)

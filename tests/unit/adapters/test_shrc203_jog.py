@@ -14,7 +14,7 @@ from orchestrator.model.errors import Refusal
 from sim.core.controller import FirmwareTiming
 
 RAMP = 400_000.0  # pls/s²
-STOP_NS = 25 * NS_PER_MS  # a stop's characters, and the decoding of what was written before it
+STOP_NS = 25 * NS_PER_MS  # a stop's characters, and the decoding of earlier commands
 KNOBS = [
     {},
     {"stop_keeps_prebuffer": True},
@@ -74,7 +74,7 @@ def test_a_jog_comes_to_rest_exactly_at_the_end_of_travel_without_another_comman
 
 
 @pytest.mark.parametrize("ends", [(None, None), (90_000, 90_000), (90_000, -14_000), (None, -13_000)])
-def test_speed_and_direction_are_changed_by_way_of_a_stop(ends: tuple[int | None, int | None]) -> None:
+def test_speed_and_direction_are_changed_by_a_stop(ends: tuple[int | None, int | None]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         signs = (1, 1) if ends[0] == ends[1] else (1, -1)
@@ -206,7 +206,7 @@ def test_a_motor_that_is_off_an_error_and_another_motion_are_refused() -> None:
     run(case)
 
 
-def test_a_loaded_step_is_not_started_by_a_jog() -> None:
+def test_an_armed_step_is_not_started_by_a_jog() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
@@ -220,7 +220,7 @@ def test_a_loaded_step_is_not_started_by_a_jog() -> None:
 
 
 @pytest.mark.parametrize("end", [None, 90_000])
-def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open(end: int | None) -> None:
+def test_a_limit_switch_ends_a_jog_and_allows_the_way_back(end: int | None) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("x", jog(30_000.0, end))
@@ -240,7 +240,7 @@ def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open(end: int | None) -> 
 
 
 @pytest.mark.parametrize("simulate", KNOBS)
-def test_after_jogs_a_step_and_homing_work_as_ever(simulate: dict[str, Any]) -> None:
+def test_after_jogs_a_step_and_homing_work_as_before(simulate: dict[str, Any]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         for end in (None, 20_000, 4_000):
@@ -266,7 +266,7 @@ def test_after_jogs_a_step_and_homing_work_as_ever(simulate: dict[str, Any]) -> 
     run(case, simulate=simulate)
 
 
-def test_inputs_outputs_and_motors_are_seen_while_axes_jog() -> None:
+def test_inputs_outputs_and_motors_are_read_while_axes_jog() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("x", jog(10_000.0))
@@ -283,7 +283,7 @@ def test_inputs_outputs_and_motors_are_seen_while_axes_jog() -> None:
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("after_ms", range(0, 75, 3))
-def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bool) -> None:
+def test_a_stop_at_every_stage_of_a_jog_leaves_it_at_rest(after_ms: int, abort: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.jog_axis("y", jog(5_000.0))
@@ -385,7 +385,7 @@ def hands(bench: Bench, names: str, seed: int) -> list[Hand]:
 
 
 @pytest.mark.parametrize("seed", range(75))
-def test_random_hands_never_pass_the_end_nor_the_speed(seed: int) -> None:
+def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         (hand,) = hands(bench, "x", seed)

@@ -61,7 +61,7 @@ def test_leftovers_never_move_and_are_gone_after_connecting(lines: tuple[str, ..
     )
 
 
-def test_a_half_typed_line_does_not_harm() -> None:
+def test_an_incomplete_line_does_no_harm() -> None:
     async def case(bench: Bench) -> None:
         await by_hand(bench, "M:1+P100", end="")
         await bench.ready()
@@ -301,7 +301,7 @@ def test_stops_at_any_moment_leave_nothing_that_moves(seed: int) -> None:
     run(case, seed=seed, simulate={"stop_keeps_prebuffer": bool(seed % 2)})
 
 
-def test_a_stop_while_armed_is_tidied_up_by_the_next_poll() -> None:
+def test_a_stop_while_armed_is_cleaned_up_by_the_next_poll() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
@@ -340,7 +340,7 @@ def test_concurrent_polls_disturb_nothing() -> None:
     run(case)
 
 
-def test_a_start_that_was_taken_back_is_not_waited_for() -> None:
+def test_a_withdrawn_start_is_not_waited_for() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 5000})
@@ -366,7 +366,7 @@ def test_an_axis_that_does_not_settle_is_a_fault() -> None:
 
 @pytest.mark.parametrize("seed", range(16))
 def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
-    """One byte in about 300 is garbled, both ways: steps may fail, but no axis goes anywhere else."""
+    """One byte in about 300 is garbled, both ways: steps may fail, but no axis moves anywhere else."""
 
     async def case(bench: Bench) -> None:
         draw = Random(seed)

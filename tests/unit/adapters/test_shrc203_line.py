@@ -1,4 +1,4 @@
-"""Starts by an input, and an output that is switched at T0, judged by the simulated unit's truth."""
+"""Starts by an input, and an output that is switched at T0, judged by the simulator's ground truth."""
 
 import contextlib
 from collections.abc import Mapping
@@ -56,7 +56,7 @@ async def followed(bench: Bench) -> tuple[Mapping[str, HostInterval], MoveOutcom
 
 @pytest.mark.parametrize("other_inputs", [(), (1, 6)])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int, other_inputs: tuple[int, ...]) -> None:
+def test_the_edge_starts_all_axes_within_the_reported_intervals(seed: int, other_inputs: tuple[int, ...]) -> None:
     async def case(bench: Bench) -> None:
         draw = Random(seed)
         for number in other_inputs:
@@ -123,7 +123,7 @@ def test_an_input_that_is_active_low_starts_when_its_current_stops() -> None:
 @pytest.mark.parametrize("off_ms", [5, 40])
 @pytest.mark.parametrize("by_line", [True, False])
 def test_a_power_cycle_before_the_start_is_no_start(before_ms: int, off_ms: int, by_line: bool) -> None:
-    """Its prebuffers are as empty as if they had been executed, and the place where it stands is another."""
+    """Its prebuffers are as empty as after execution, and its position has another coordinate."""
 
     async def case(bench: Bench) -> None:
         await bench.ready()
@@ -221,7 +221,7 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, 
             assert outcome.state == ("fault" if abort else "stopped"), outcome
             assert when_ms > 0
         await sleep_until_ns(bench.clock, t0_ns + NS_PER_S)
-        if when_ms < -50:  # later its characters are still on the wire when the line comes
+        if when_ms < -50:  # later its characters are still on the line when the edge comes
             assert not bench.moved()
         await bench.driver.clear_faults()
         await bench.driver.set_enabled(["x", "y", "z"], on=True)
@@ -294,7 +294,7 @@ def test_a_controller_without_standby_at_rest_is_refused_before_anything_is_arme
         (StartOptions(start_class="clock"), "clock"),
     ],
 )
-def test_a_line_that_the_fleet_file_does_not_name_is_refused(how: StartOptions, named: str) -> None:
+def test_a_trigger_line_that_is_not_in_the_fleet_file_is_refused(how: StartOptions, named: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert bench.driver.capabilities.start_classes == ("host", "line")
@@ -306,7 +306,7 @@ def test_a_line_that_the_fleet_file_does_not_name_is_refused(how: StartOptions, 
 
 
 @pytest.mark.parametrize("waits", [True, False])
-def test_a_guardians_stop_ends_what_waits_and_what_moves(waits: bool) -> None:
+def test_a_guardians_stop_ends_waiting_and_running_moves(waits: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         how = StartOptions(wait=WINDOW) if waits else StartOptions()
@@ -330,7 +330,7 @@ def test_a_guardians_stop_ends_what_waits_and_what_moves(waits: bool) -> None:
 
 
 class Edges:
-    """What an output has done."""
+    """The edges of an output."""
 
     def __init__(self, bench: Bench, number: int) -> None:
         self.seen: list[tuple[bool, int]] = []
@@ -345,7 +345,7 @@ class Edges:
 @pytest.mark.parametrize("targets", [{}, {"x": 30_000}, {"x": 90_000, "y": 500}])
 @pytest.mark.parametrize("output", ["line", "low"])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_output_is_switched_within_the_claimed_edge_and_back(
+def test_the_output_is_switched_within_the_reported_interval_and_back(
     seed: int, output: str, targets: dict[str, int]
 ) -> None:
     async def case(bench: Bench) -> None:
@@ -450,7 +450,7 @@ def window(earliest_ns: int, latest_ns: int) -> TriggerWait:
 
 @pytest.mark.parametrize("seed", range(16))
 def test_on_a_noisy_line_nothing_moves_but_what_was_released(seed: int) -> None:
-    """One byte in about 300 is garbled, both ways: steps may fail, but no axis goes anywhere else, or by itself."""
+    """One byte in about 300 is garbled, both ways: steps may fail, but no axis moves anywhere else, or by itself."""
 
     async def case(bench: Bench) -> None:
         draw = Random(seed)

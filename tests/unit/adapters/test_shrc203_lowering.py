@@ -66,7 +66,7 @@ def test_random_moves_keep_their_duration_and_limits() -> None:
     assert worst < 1e-4
 
 
-def test_a_plan_at_its_limits_is_answered_with_what_it_takes() -> None:
+def test_a_plan_at_its_limits_is_answered_with_its_duration() -> None:
     config = controller()
     profile = plan_step([AxisMove("x", 0, 123_457, 200_000.0, 1_000_000.0)]).profiles["x"]
     first = lowered(config, profile)
@@ -126,7 +126,7 @@ def test_the_fleet_file_is_checked(axis: dict[str, Any], said: str) -> None:
         MAKE.check_config(controller(**axis))
 
 
-def test_options_refuse_what_they_do_not_know() -> None:
+def test_options_refuse_unknown_fields() -> None:
     with pytest.raises(ValidationError):
         MAKE.options_model.model_validate({"wheels": 4})
 
@@ -136,7 +136,7 @@ def test_nm_per_pulse_follows_unit_and_scale() -> None:
     assert fleetaxes.expected_nm(controller(unit="deg", scale=400).axes["x"], None) is None
 
 
-def test_a_guardian_stops_whatever_was_half_typed() -> None:
+def test_a_guardian_stops_after_any_incomplete_input() -> None:
     assert MAKE.stop_bytes(controller()) == b"\r\nMP:1+P0\r\nL:W\r\nL:1\r\n"
 
 

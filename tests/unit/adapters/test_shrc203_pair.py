@@ -75,7 +75,7 @@ async def nothing_is_left(bench: Bench) -> None:
     assert bench.unit.at_rest() and len(bench.moved()) == count
 
 
-# What is chosen
+# The choice
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -127,7 +127,7 @@ def farthest(profile: Profile, shape: TwoPartMove) -> float:
     return worst
 
 
-def test_of_all_pairs_that_take_the_time_the_nearest_to_the_plan_is_taken() -> None:
+def test_of_all_pairs_with_the_duration_the_nearest_to_the_plan_is_chosen() -> None:
     config, options = one_axis(scale=1000, limits={"velocity": 0.5, "acceleration": 5}), ShrcOptions()
     profile = planned({"x": 0}, {"x": 1500}, 63.3)["x"]
     made = lower_step(config, options, wire(options, 260_000), {"x": profile}, StartOptions())
@@ -151,7 +151,7 @@ def test_one_move_is_preferred_and_required_if_the_scale_has_to_settle() -> None
         assert len(made.moves[0].executed_moves) == 1
 
 
-# What the unit makes of it
+# The execution by the controller
 
 
 @pytest.mark.parametrize("how", [None, WAIT], ids=["host", "line"])
@@ -276,7 +276,7 @@ def test_a_guardian_that_stops_between_leaves_nothing_that_moves() -> None:
 
 @pytest.mark.parametrize("harm", [(b"MP:", b"MQ:"), (b"+P", b"+P9")], ids=["refused", "another distance"])
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_second_move_that_is_not_taken_stops_the_step_unless_it_is_taken_then(
+def test_a_rejected_follow_up_move_stops_the_step_unless_its_repetition_is_accepted(
     harm: tuple[bytes, bytes], times: int
 ) -> None:
     async def case(bench: Bench) -> None:
@@ -322,7 +322,7 @@ def test_a_follow_up_move_that_comes_too_late_is_reported_and_not_run() -> None:
 
 
 @pytest.mark.parametrize("loaded", [False, True])
-def test_a_cut_link_leaves_the_axis_at_the_end_of_what_it_holds(loaded: bool) -> None:
+def test_a_cut_link_leaves_the_axis_at_the_end_of_its_loaded_moves(loaded: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         made, _ = await released(bench, {"x": 612})
@@ -343,7 +343,7 @@ def test_a_cut_link_leaves_the_axis_at_the_end_of_what_it_holds(loaded: bool) ->
     run(case)
 
 
-def test_a_link_that_swallows_everything_while_the_second_is_loaded_ends_in_a_fault() -> None:
+def test_a_link_that_loses_everything_while_the_follow_up_move_is_loaded_ends_in_a_fault() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await released(bench, {"x": 612})
@@ -393,7 +393,7 @@ def test_a_limit_sensor_in_the_first_move_ends_the_step() -> None:
 
 
 @pytest.mark.parametrize("lost", [1, 2])
-def test_a_lost_completion_line_is_found_by_a_look(lost: int) -> None:
+def test_a_lost_completion_line_is_recovered_by_a_poll(lost: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await released(bench, {"x": 612})
@@ -432,7 +432,7 @@ def test_a_move_that_is_withdrawn_before_its_start_never_moves(end: str, how: St
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_noisy_line_takes_no_axis_beyond_its_way(seed: int) -> None:
+def test_a_noisy_line_moves_no_axis_beyond_its_target(seed: int) -> None:
     """One byte in about 100 is garbled, both ways, from the start on."""
 
     async def case(bench: Bench) -> None:

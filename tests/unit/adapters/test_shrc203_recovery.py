@@ -1,4 +1,5 @@
-"""Settling in closed loop, the way out of errors and of an emergency stop, and positions registered in the unit."""
+"""Settling in closed loop, recovery from errors and from an emergency stop, and positions registered in the
+controller."""
 
 from typing import Any
 
@@ -92,7 +93,7 @@ def test_a_limit_error_stays_until_its_cause_is_gone_and_it_is_reset() -> None:
 
 
 @pytest.mark.parametrize("excitation_off", [True, False])
-def test_after_an_emergency_stop_in_motion_reset_and_enable_lead_on(excitation_off: bool) -> None:
+def test_after_an_emergency_stop_in_motion_reset_and_enable_recover(excitation_off: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 80_000, "y": 60_000})

@@ -1,4 +1,4 @@
-"""Straight lines: by the unit's interpolation where that is nearer to the plan, by single axes elsewhere."""
+"""Straight paths: by the controller's interpolation if that is nearer to the plan, by single axes otherwise."""
 
 from collections.abc import Mapping
 from math import hypot
@@ -122,7 +122,7 @@ def test_the_chosen_method_is_never_further_from_the_plan(seed: int) -> None:
 @pytest.mark.parametrize(
     ("config", "profiles"),
     [
-        (CONFIG, straight({"x": 60_000, "y": -700}, 6.3, 0.1)),  # too fast to be begun without a ramp
+        (CONFIG, straight({"x": 60_000, "y": -700}, 6.3, 0.1)),  # too fast to be started without a ramp
         (CONFIG, {**straight({"x": 1200}, LINE_S, 0.001), **straight({"y": 14}, LINE_S, 0.5)}),  # no straight line
         (
             slow_controller(scale=1_000_000, unit="deg"),
@@ -143,7 +143,7 @@ def test_other_paths_than_slow_straight_ones_in_equal_pulses_use_single_axes(
 
 
 @pytest.mark.parametrize("end", ["disarm", "stop", "abort"])
-def test_a_line_that_is_taken_back_never_starts(end: str) -> None:
+def test_a_withdrawn_linear_move_never_starts(end: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         made = lowered(bench, straight({"x": 1200, "y": -14}, LINE_S, 0.001))

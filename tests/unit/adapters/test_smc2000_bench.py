@@ -45,7 +45,7 @@ class World:
     other: Callable[[], Any]
 
     async def talk(self, line: str, quiet_ms: int = 60) -> str:
-        """What a person types at a terminal of his own, and what comes back until it is quiet."""
+        """The commands of another user at a terminal of his own, and the answers until it is quiet."""
         link = await self.wire.open_link()
         reply = await typed(self.clock, link, line + "\r", quiet_ms)
         await link.close()
@@ -76,7 +76,7 @@ class World:
 
 
 async def typed(clock: Clock, link: Any, text: str, quiet_ms: int = 60) -> str:
-    """Write to a link, and read until nothing comes any more."""
+    """Write to a link, and read until nothing more arrives."""
     link.write(text.encode("latin-1"))
     reply = b""
     try:
@@ -115,7 +115,7 @@ def run(
 
 @dataclass
 class ChainWorld:
-    """Units on one daisy chain, by address, each with a driver."""
+    """Controllers on one daisy chain, by address, each with a driver."""
 
     clock: Clock
     units: dict[int, Any]  # the queries of a test are specific to each model
@@ -142,7 +142,7 @@ def run_chain(
     hold_ms: int = 0,
     options: dict[str, Any] | None = None,
 ) -> Any:
-    """Each unit has one axis x and an input, a crystal of its own, and another start of its counter."""
+    """Each controller has one axis x and an input, a crystal of its own, and another start of its counter."""
 
     async def within(clock: VirtualClock) -> Any:
         draw = Random(seed)

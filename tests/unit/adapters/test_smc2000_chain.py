@@ -19,7 +19,7 @@ from orchestrator.model.messages import StartOptions
 
 
 @pytest.mark.parametrize("first", range(0, 40, 10))
-def test_replies_are_not_mixed_whatever_overlaps(first: int):
+def test_replies_are_not_mixed_under_any_overlap(first: int):
     """Each controller stands at a position of its own and stores a number of its own; all are queried at random."""
 
     async def main(world: ChainWorld) -> None:

@@ -73,7 +73,7 @@ async def usable(world: World) -> None:
 @pytest.mark.parametrize(
     ("seed", "ppm", "hold_ms"), [(1, 0.0, 0), (2, 100.0, 0), (3, -100.0, 16), (4, 35.0, 16), (5, -100.0, 0)]
 )
-def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: int, ppm: float, hold_ms: int):
+def test_path_and_evidence_contain_the_truth_over_random_moves_and_crystals(seed: int, ppm: float, hold_ms: int):
     async def main(world: World) -> None:
         draw = Random(seed)
         await world.ready(60)
@@ -129,7 +129,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
 
 
 @pytest.mark.parametrize("hold_ms", [0, 16])
-def test_the_declared_time_is_what_arming_takes_at_the_most_and_not_much_more(hold_ms: int):
+def test_the_declared_time_is_a_tight_bound_of_the_arming_time(hold_ms: int):
     async def main(world: World) -> None:
         await world.ready()
         for ends in ({"x": (0, 90_000)}, {"x": (0, -200_000), "y": (0, 300_000)}):
@@ -146,7 +146,7 @@ def test_the_declared_time_is_what_arming_takes_at_the_most_and_not_much_more(ho
     run(main, hold_ms=hold_ms, fleet=FLEET | {"options": {"hold_us": 1000 * hold_ms}})
 
 
-def test_the_gate_never_opened_means_no_motion():
+def test_a_gate_that_is_never_opened_means_no_motion():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 20_000)}))
@@ -200,7 +200,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         await world.driver.stop(abort=abort)
         await sleep_ns(world.clock, lowered.costs.stop_ns)
         assert world.controller.at_rest()
-        # The wire takes some milliseconds, and a record that is being executed is ended.
+        # The line takes some milliseconds, and a record that is being executed is completed.
         assert world.controller.position("X") - at <= VELOCITY * 0.03
         if after_ms < -30:
             assert not world.controller.commanded_motions
@@ -212,7 +212,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("after_ms", [50, 300, 433, 900, 1300])
-def test_a_stop_while_it_is_loaded_refuses_the_step(after_ms: int, abort: bool):
+def test_a_stop_while_arming_refuses_the_step(after_ms: int, abort: bool):
     async def main(world: World) -> None:
         await world.ready()
         arming = asyncio.get_running_loop().create_task(armed(world, jerked({"x": (0, 90_000), "y": (0, 30_000)})))
@@ -267,7 +267,7 @@ def test_a_contour_is_played_during_continuous_polls():
     run(main, options={"late_contour_error": True})
 
 
-def test_a_move_whose_adapter_is_gone_is_stopped_by_the_controller_itself():
+def test_a_move_whose_adapter_is_lost_is_stopped_by_the_controller_itself():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 400_000)}))
@@ -284,7 +284,7 @@ def test_a_move_whose_adapter_is_gone_is_stopped_by_the_controller_itself():
     run(main)
 
 
-def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
+def test_arrays_that_differ_from_the_loaded_data_refuse_the_step():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"\x1a", b"7\x1a")

@@ -93,7 +93,7 @@ def test_spans_and_budgets_hold_over_random_moves_crystals_and_adapters(seed: in
     run(main, seed=seed, ppm=ppm, hold_ms=hold_ms)
 
 
-def test_the_gate_never_opened_means_no_motion():
+def test_a_gate_that_is_never_opened_means_no_motion():
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.clock_mapping()
@@ -115,7 +115,7 @@ def test_the_gate_never_opened_means_no_motion():
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("before_ms", [300, 60, 30, 5, 0])
-def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, before_ms: int):
+def test_a_stop_while_armed_keeps_everything_at_rest_or_stops_it(abort: bool, before_ms: int):
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.clock_mapping()
@@ -157,7 +157,7 @@ def test_disarmed_and_reconnected_controllers_do_not_start():
     run(main)
 
 
-def test_axes_without_a_way_take_part_without_moving():
+def test_axes_without_a_distance_take_part_without_moving():
     async def main(world: World) -> None:
         await world.ready()
         still = Profile(0, 0, 0.0, [0.0], [0.0], [0.0])
@@ -171,7 +171,7 @@ def test_axes_without_a_way_take_part_without_moving():
     run(main)
 
 
-def test_minutes_of_polls_are_seconds_of_work():
+def test_minutes_of_polls_take_seconds_of_cpu_time():
     async def main(world: World) -> None:
         await world.ready()
         for _ in range(3000):
@@ -180,7 +180,7 @@ def test_minutes_of_polls_are_seconds_of_work():
         mapping = world.driver.clock_mapping()
         assert mapping is not None
         assert abs(mapping.rate_ppm + 40.0) < 5
-        # Half a round trip, and what the middle is moved by because commands usually take their half millisecond.
+        # Half a round trip, and the shift of the middle because commands usually take half a millisecond.
         assert mapping.bound_ns < 1.1 * NS_PER_MS
         assert abs(mapping.rate_ppm + 40.0) < mapping.drift_ppm
 

@@ -62,7 +62,7 @@ def test_it_is_connected_in_any_state_and_nothing_moves(before: str):
     ],
     ids=repr,
 )
-def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
+def test_every_open_point_of_the_manual_is_supported(options: dict[str, Any]):
     async def main(world: World) -> None:
         await world.ready()
         profiles = {"x": trapezoid(0, 5000, 20_000, 200_000), "y": trapezoid(0, -3000, 20_000, 200_000)}
@@ -115,7 +115,7 @@ def test_settings_that_must_not_be_changed_are_refused(line: str, words: str):
     run(main)
 
 
-def test_an_interpreter_that_is_held_is_a_fault_with_what_to_do():
+def test_a_blocked_interpreter_is_a_fault_with_a_remedy():
     async def main(world: World) -> None:
         await world.ready(3)
         for _ in range(3):
@@ -131,7 +131,7 @@ def test_an_interpreter_that_is_held_is_a_fault_with_what_to_do():
 
 
 @pytest.mark.parametrize("noise", [b"\xff\xfe\x80\r\n", b"GARBAGE\r\n:", b"?", b"\x00" * 100])
-def test_noise_is_a_fault_and_the_next_poll_finds_its_way(noise: bytes):
+def test_noise_is_a_fault_and_the_next_poll_succeeds(noise: bytes):
     async def main(world: World) -> None:
         await world.ready(5)
         world.wire.to_near = lambda data: noise
@@ -207,7 +207,7 @@ def test_switches_are_reported_in_words_and_a_limit_ends_a_move():
 
 
 @pytest.mark.parametrize("method", ["default", "edge", "index"])
-def test_it_finds_its_reference_by_every_documented_way(method: str):
+def test_it_is_homed_by_every_documented_method(method: str):
     homing = {"method": method, "speed": 5.0, "direction": "positive"}
     axes = {"x": {"motors": ["A"], "unit": "mm", "scale": 1000, "limits": LIMITS, "homing": homing}}
 

@@ -58,7 +58,7 @@ def config(unit: int | None = None, **more: Any) -> Controller:
 
 @dataclass
 class World:
-    """Units by address (None: one alone) and their drivers."""
+    """Controllers by address (None: a single one) and their drivers."""
 
     clock: Clock
     units: dict[int | None, SimulatedController]
@@ -67,7 +67,7 @@ class World:
 
     @property
     def one(self) -> tuple[Smc30Driver, SimulatedController]:
-        """The first driver and its unit."""
+        """The first driver and its controller."""
         address = next(iter(self.drivers))
         return self.drivers[address], self.units[address]
 
@@ -94,7 +94,7 @@ class World:
         return lowered, t0_ns
 
     async def move(self, driver: Smc30Driver, target: int) -> tuple[int, HostInterval, MoveOutcome]:
-        """A whole step; T0, the start, and what has become of it."""
+        """A whole step; return T0, the start, and the outcome."""
         _, t0_ns = await self.arm(driver, target)
         await driver.verify_armed()
         await driver.go()
@@ -139,7 +139,7 @@ def run(
     seed: int = 1,
     **more: Any,
 ) -> None:
-    """Run `main` with units at these addresses, none: one alone. more: for the configuration of each."""
+    """Run `main` with controllers at these addresses, none: a single one. more: for the configuration of each."""
 
     async def within(clock: VirtualClock) -> None:
         draw = Random(seed)

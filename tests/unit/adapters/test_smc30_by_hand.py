@@ -11,7 +11,7 @@ from orchestrator.model.errors import Refusal
 
 
 @pytest.mark.parametrize("end", [7, 40, 900, 20_000])
-def test_a_jog_ends_exactly_where_its_way_does(end: int) -> None:
+def test_a_jog_ends_exactly_at_the_end_of_travel(end: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -59,7 +59,7 @@ def test_a_jog_changes_its_speed_by_a_stop_and_continues_when_it_is_repeated() -
 
 
 @pytest.mark.parametrize("after_ms", [0, 5, 30, 60, 90, 120, 150])
-def test_a_stop_overtakes_a_jog_that_is_being_begun(after_ms: int) -> None:
+def test_a_stop_overtakes_a_jog_that_is_being_started(after_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -75,7 +75,7 @@ def test_a_stop_overtakes_a_jog_that_is_being_begun(after_ms: int) -> None:
     run(main, (3,))
 
 
-def test_a_jog_that_is_given_up_stops() -> None:
+def test_a_cancelled_jog_stops() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -165,7 +165,7 @@ def test_homing_to_a_user_input(reached: bool) -> None:
 
 
 @pytest.mark.parametrize("how", ["stop", "cancel", "power"])
-def test_a_search_that_is_ended_has_found_nothing(how: str) -> None:
+def test_a_homing_that_is_stopped_has_found_nothing(how: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -246,7 +246,7 @@ def test_a_controller_that_is_restarted_while_its_homing_is_prepared_does_not_st
 
 @pytest.mark.parametrize("after_ms", range(0, 200, 10))
 def test_a_controller_that_is_restarted_while_a_jog_is_prepared_does_not_start_it(after_ms: int) -> None:
-    """Its counter is 0 again: the end of the way would lie on the other side."""
+    """Its counter is 0 again: the end of travel would lie on the other side."""
 
     async def main(world: World) -> None:
         await world.ready()

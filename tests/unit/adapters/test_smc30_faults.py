@@ -41,7 +41,7 @@ def test_a_controller_left_in_programming_mode_with_an_incomplete_line() -> None
     run(main, (2,))
 
 
-def test_a_half_typed_motion_of_a_person_is_not_ended_into_one() -> None:
+def test_an_incomplete_motion_command_of_an_operator_is_not_completed() -> None:
     async def main(world: World) -> None:
         _, unit = world.one
         await world.typed(b"+700")
@@ -105,7 +105,7 @@ def test_the_checksum_switch_is_compared(switched_on: bool) -> None:
     "firmware",
     [{"live_verify": True}, {"direct_moves": False}, {"power_up_e1": True}, {"input_poll_ms": 2.0}, {"line_limit": 40}],
 )
-def test_every_firmware_that_the_manual_leaves_open_does(firmware: dict[str, object]) -> None:
+def test_every_firmware_variant_that_the_manual_allows_works(firmware: dict[str, object]) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -229,7 +229,7 @@ def test_noise_on_both_ways_never_makes_a_wrong_move(seed: int) -> None:
         draw = Random(seed)
 
         def spoil(data: bytes) -> bytes:
-            # What the line makes of a character: another one with the wrong parity, or none at all.
+            # The effect of the line on a character: another one with the wrong parity, or none at all.
             return bytes(draw.randrange(128, 256) if draw.random() < 0.02 else each for each in data)
 
         wrong = 0
@@ -384,7 +384,8 @@ def test_a_power_cycle_in_a_move() -> None:
 
 
 def test_a_power_cycle_just_before_the_start_is_no_start() -> None:
-    """The unit takes the order to start, has no program any more, and calls the place where it stands another."""
+    """The controller accepts the start command, has no program any more, and reports another coordinate for its
+    position."""
 
     async def main(world: World) -> None:
         await world.ready()
@@ -421,7 +422,7 @@ def test_an_end_of_travel_is_a_fault_that_names_the_side() -> None:
     run(main, simulate={"travel_steps": [-3000, 3000]})
 
 
-def test_a_held_stop_input_ends_the_move_for_good() -> None:
+def test_an_active_stop_input_ends_the_move_for_good() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -443,7 +444,7 @@ def test_a_held_stop_input_ends_the_move_for_good() -> None:
     run(main)
 
 
-def test_a_kill_in_motion_loses_the_place_and_a_ramp_does_not() -> None:
+def test_a_kill_in_motion_loses_the_position_and_a_ramp_does_not() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -540,7 +541,7 @@ def test_a_bus_is_stopped_first_by_its_own_line() -> None:
     run(main, (1, 2))
 
 
-def test_a_starting_line_that_is_lost_is_known_at_once() -> None:
+def test_a_lost_start_command_is_detected_at_once() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -559,7 +560,7 @@ def test_a_starting_line_that_is_lost_is_known_at_once() -> None:
 
 
 @pytest.mark.parametrize("late_ms", [0, 4])
-def test_an_answer_to_the_starting_line_that_is_lost_stops_nothing(late_ms: int) -> None:
+def test_a_lost_answer_to_the_start_command_stops_nothing(late_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
@@ -612,7 +613,7 @@ def test_a_stop_before_the_step_is_followed_leaves_room_for_the_next(how: StartO
     run(main, (2,))
 
 
-def test_a_step_may_follow_a_jog_that_no_poll_has_seen_end() -> None:
+def test_a_step_may_follow_a_jog_whose_end_no_poll_has_observed() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one

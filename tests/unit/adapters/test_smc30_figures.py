@@ -12,7 +12,7 @@ def test_seven_controllers_start_together_by_slots_and_by_a_trigger_line() -> No
     assert line.max_ms <= ASKED_LINE_MS
 
 
-def test_moves_take_what_was_planned_and_what_was_predicted() -> None:
+def test_moves_take_the_planned_and_the_predicted_time() -> None:
     found = bench_stepper("smc30", 400, seed=2)
     by_name = {each.what: each for each in found.figures}
     assert by_name["all, lowered-planned"].met

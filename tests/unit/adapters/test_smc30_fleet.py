@@ -52,7 +52,7 @@ PREPARE = job(f"[{{do: enable, axes: [{', '.join(NAMES)}]}}, {{do: home}}]")
 MOVE = job("[{do: move, to: {" + ", ".join(f"{n}.x: {10 + i}" for i, n in enumerate(NAMES)) + "}}]")
 
 
-def test_a_bus_homes_and_starts_together_with_a_verdict_that_holds_the_truth() -> None:
+def test_a_bus_homes_and_starts_together_with_a_verdict_that_contains_the_truth() -> None:
     async def main(virtual: VirtualFleet) -> None:
         prepared = await outcome(virtual, PREPARE)
         assert prepared.state == "done", prepared.reason

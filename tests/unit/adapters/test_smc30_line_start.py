@@ -1,4 +1,4 @@
-"""SMC30 started by a wired line, or driving one, judged by the simulator's truth."""
+"""SMC30 started by a trigger line, or driving one, judged by the simulator's ground truth."""
 
 import asyncio
 
@@ -44,7 +44,7 @@ def test_a_controller_waits_for_its_trigger_line_and_starts_within_its_bounds(se
     run(main, simulate={"input_poll_ms": 1.0, "live_verify": live}, seed=seed)
 
 
-def test_a_line_that_is_active_already_is_refused() -> None:
+def test_a_trigger_line_that_is_active_already_is_refused() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one

@@ -35,7 +35,7 @@ def test_the_manuals_own_line() -> None:
     assert frame_line("E", None, with_checksum=True) == b"EE\r"
 
 
-def test_replies_with_checksum_are_cut_wherever_the_bytes_are_parted() -> None:
+def test_replies_with_checksum_are_split_independently_of_their_packets() -> None:
     stream = b"YY\rV25=\rT1000\x15\rE1v\r"
     whole = ["Y", "V25", "T1000", "E1"]
     assert texts(ReplyReader(with_checksum=True), stream) == whole
@@ -52,7 +52,7 @@ def test_a_checksum_that_is_a_return_is_a_part_of_its_line() -> None:
     assert texts(reader, text.encode() + b"\rYY\r") == [None, "Y"]
 
 
-def test_garbled_lines_are_known_as_such() -> None:
+def test_garbled_lines_are_detected() -> None:
     assert texts(ReplyReader(with_checksum=True), b"YX\r") == [None]
     assert texts(ReplyReader(with_checksum=True), b"Y\r") == [None]
     assert texts(ReplyReader(with_checksum=False), b"V\xb25\rR\r") == [None, "R"]
@@ -64,7 +64,7 @@ def test_garbled_lines_are_known_as_such() -> None:
 # Numbers
 
 
-def test_a_ramp_takes_what_its_profile_takes() -> None:
+def test_a_ramp_takes_the_time_of_its_profile() -> None:
     draw = Random(3)
     limits = Smc30Bounds(top=8000, acceleration=60_000.0, start_min=50, start_max=900)
     for _ in range(300):
@@ -136,7 +136,7 @@ def test_the_text_of_programs() -> None:
         assert program[-1] == "G-2000"
         assert driver.lower_profiles(profiles, wait(), None).program[3:] == ("N11.19", "G-2000")
         assert driver.lower_profiles({}, drive(100), None).program == ("S16", "T16", "R1", "D1", "A2", "D10", "C2")
-        # A motion longer than the line is held leaves nothing to wait for.
+        # A motion longer than the pulse of the trigger line leaves nothing to wait for.
         assert driver.lower_profiles(profiles, drive(100), None).program[3:] == ("D1", "A2", "G-2000", "C2")
         standing = dict(plan_step([AxisMove("x", 5, 6, 5000, 25_000)]).profiles)
         standing["x"].end_counts = 5

@@ -18,7 +18,7 @@ TARGET = 4000
 
 
 async def follow(driver: Smc30Driver) -> MoveOutcome | None:
-    """What a member does after its go; None: it has not started."""
+    """The outcome of a member after its `go`; None: it has not started."""
     try:
         await driver.wait_for_start()
         return await driver.wait_for_end()
@@ -40,7 +40,7 @@ async def released(world: World) -> int:
 async def followed(
     world: World, stopping: list[Smc30Driver], at_ns: int, abort: bool
 ) -> Mapping[int | None, MoveOutcome]:
-    """Some are stopped at that instant; what has become of those that have started."""
+    """Some are stopped at that instant; return the outcome of those that have started."""
     following = {each: asyncio.get_running_loop().create_task(follow(driver)) for each, driver in world.drivers.items()}
     await sleep_until_ns(world.clock, at_ns)
     for driver in stopping:
@@ -55,7 +55,7 @@ async def followed(
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("before_ms", [120, 90, 83, 78, 71, 64, 57, 49, 41, 33, 27, 19, 11, 5, 0, -3, -200])
-def test_all_stop_wherever_their_starting_lines_are(before_ms: int, abort: bool) -> None:
+def test_all_stop_at_any_stage_of_their_start_commands(before_ms: int, abort: bool) -> None:
     async def main(world: World) -> None:
         await world.ready()
         t0_ns = await released(world)
@@ -64,7 +64,7 @@ def test_all_stop_wherever_their_starting_lines_are(before_ms: int, abort: bool)
         rests = {each: unit.position("1") for each, unit in world.units.items()}
         await world.sleep(3000)
         assert rests == {each: unit.position("1") for each, unit in world.units.items()}
-        # Seven stops take 29 ms on the wire, and then some to be decoded.
+        # Seven stops take 29 ms on the line, and some more to be decoded.
         if before_ms > 35:
             assert set(rests.values()) == {0.0}
         # Nothing is left over.
@@ -138,7 +138,8 @@ def test_seven_that_jog_are_stopped_together() -> None:
 def test_a_controller_on_a_busy_line_that_is_restarted_before_a_manual_motion_does_not_move(
     act: str, after_ms: int
 ) -> None:
-    """Not one line of its program is carried out instead of being kept: it is gone while the others have their turns."""
+    """No line of its program is executed instead of being stored: the program is lost while the others have their
+    turns."""
 
     async def main(world: World) -> None:
         await world.ready()
@@ -161,7 +162,7 @@ def test_a_controller_on_a_busy_line_that_is_restarted_before_a_manual_motion_do
     run(main, ALL)
 
 
-def test_a_line_starts_some_while_slots_start_the_others() -> None:
+def test_a_trigger_line_starts_some_while_slots_start_the_others() -> None:
     async def main(world: World) -> None:
         await world.ready()
         ways = {each: wait() if (each or 0) % 2 else HOST for each in world.drivers}

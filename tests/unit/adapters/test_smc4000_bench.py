@@ -40,7 +40,7 @@ class World:
     other: Callable[[], Any]
 
     async def talk(self, line: str) -> str:
-        """What a person types at a terminal of his own."""
+        """The commands of another user at a terminal of his own."""
         link = await self.wire.open_link()
         reply = ""
         link.write(line.encode("latin-1") + b"\r")

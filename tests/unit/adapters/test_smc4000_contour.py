@@ -66,7 +66,7 @@ async def usable(world: World) -> None:
 
 
 @pytest.mark.parametrize(("seed", "ppm"), [(1, 0.0), (2, 100.0), (3, -100.0), (4, 35.0)])
-def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: int, ppm: float):
+def test_path_and_evidence_contain_the_truth_over_random_moves_and_crystals(seed: int, ppm: float):
     async def main(world: World) -> None:
         draw = Random(seed)
         await world.ready(60)
@@ -124,7 +124,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
     run(main, seed=seed, ppm=ppm)
 
 
-def test_the_gate_never_opened_means_no_motion():
+def test_a_gate_that_is_never_opened_means_no_motion():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 20_000)}))
@@ -194,7 +194,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
 
 @pytest.mark.parametrize("halts", [True, False])
 @pytest.mark.parametrize("after_ms", [-300, -35, 1, 300])
-def test_a_guardians_bytes_stop_what_plays_and_what_waits(after_ms: int, halts: bool):
+def test_a_guardians_bytes_stop_running_and_waiting_contours(after_ms: int, halts: bool):
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
@@ -221,7 +221,7 @@ def test_a_guardians_bytes_stop_what_plays_and_what_waits(after_ms: int, halts: 
         {"axes": 2},
     ],
 )
-def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
+def test_every_open_point_of_the_manual_is_supported(options: dict[str, Any]):
     async def main(world: World) -> None:
         await world.ready()
         _, _, outcome, _ = await world.moved(jerked({"x": (0, 70_000), "y": (0, -3_000)}), 1.5)
@@ -271,7 +271,7 @@ def test_a_stop_in_motion_is_reported_as_a_stop():
 
 
 @pytest.mark.parametrize("contour", [True, False])
-def test_a_move_whose_adapter_is_gone_is_stopped_by_the_controller_itself(contour: bool):
+def test_a_move_whose_adapter_is_lost_is_stopped_by_the_controller_itself(contour: bool):
     async def main(world: World) -> None:
         await world.ready()
         ends = {"x": (0, 400_000), "y": (0, 200_000)}
@@ -297,7 +297,7 @@ def test_a_move_whose_adapter_is_gone_is_stopped_by_the_controller_itself(contou
     run(main)
 
 
-def test_a_watchdog_that_has_bitten_is_named():
+def test_a_tripped_watchdog_is_named():
     async def main(world: World) -> None:
         await world.ready()
         await armed(world, jerked({"x": (0, 400_000)}))
@@ -378,7 +378,7 @@ def test_a_limit_switch_in_a_contour_is_a_fault_of_its_axis():
     run(main)
 
 
-def test_a_power_cycle_leaves_nothing_of_a_contour():
+def test_a_power_cycle_clears_a_contour():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
@@ -425,7 +425,7 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
     run(main)
 
 
-def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
+def test_arrays_that_differ_from_the_loaded_data_refuse_the_step():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"\x1a", b"7\x1a")

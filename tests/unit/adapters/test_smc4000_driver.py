@@ -73,7 +73,7 @@ def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(see
     run(main, seed=seed, ppm=ppm)
 
 
-def test_the_gate_never_opened_means_no_motion():
+def test_a_gate_that_is_never_opened_means_no_motion():
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.clock_mapping()
@@ -134,7 +134,7 @@ def test_a_release_at_the_last_moment_starts_in_time_or_not_at_all(period_us: in
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("before_ms", [300, 60, 21, 2, 0])
-def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, before_ms: int):
+def test_a_stop_while_armed_keeps_everything_at_rest_or_stops_it(abort: bool, before_ms: int):
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.clock_mapping()
@@ -177,7 +177,7 @@ def test_disarmed_and_reconnected_controllers_do_not_start():
     run(main)
 
 
-def test_axes_without_a_way_take_part_without_moving():
+def test_axes_without_a_distance_take_part_without_moving():
     async def main(world: World) -> None:
         await world.ready()
         still = Profile(0, 0, 0.0, [0.0], [0.0], [0.0])
@@ -191,7 +191,7 @@ def test_axes_without_a_way_take_part_without_moving():
     run(main)
 
 
-def test_minutes_of_polls_are_seconds_of_work():
+def test_minutes_of_polls_take_seconds_of_cpu_time():
     async def main(world: World) -> None:
         await world.ready()
         for _ in range(6000):  # far more than the estimate keeps

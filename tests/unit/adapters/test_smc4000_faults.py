@@ -1,4 +1,4 @@
-"""What goes wrong on the SMC-4000's link and in the unit itself, and what its driver makes of it."""
+"""Faults on the SMC-4000's link and in the controller itself, and how its driver handles them."""
 
 from typing import Any, cast
 
@@ -32,7 +32,7 @@ async def armed(world: World, lead_s: float = 1.0) -> int:
         {"axes": 2},
     ],
 )
-def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
+def test_every_open_point_of_the_manual_is_supported(options: dict[str, Any]):
     async def main(world: World) -> None:
         await world.ready()
         profiles = {"x": trapezoid(0, 5000, 20_000, 200_000), "y": trapezoid(0, -3000, 20_000, 200_000)}
@@ -122,7 +122,7 @@ def test_a_lost_reply_does_not_shift_the_next_ones():
     run(main)
 
 
-def test_unsolicited_text_between_replies_is_kept_apart():
+def test_unsolicited_text_between_replies_is_separated():
     async def main(world: World) -> None:
         await world.ready()
         printed = b"HELLO: world\r\n?003 BGX\r\n"
@@ -366,7 +366,7 @@ def test_a_stop_that_is_not_yet_executed_halts_no_step_that_is_armed_after_it():
         way = StartOptions(drive=TriggerDrive(output="start", active_ns=50 * NS_PER_MS))
         for abort in (False, True):
             edges.clear()
-            for _ in range(4):  # of several people: each command takes its half millisecond
+            for _ in range(4):  # of several clients: each command takes its half millisecond
                 await driver.stop(abort=abort)
             await driver.disarm_move()
             t0_ns = world.clock.now_ns() + 300 * NS_PER_MS

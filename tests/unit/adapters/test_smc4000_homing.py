@@ -1,4 +1,4 @@
-"""An SMC-4000 that looks for its references, its soft limits, and motors that were moved while off."""
+"""Homing of an SMC-4000, its soft limits, and motors that were moved while off."""
 
 import asyncio
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ async def homed(world: World, *axes: str) -> Mapping[str, Refusal]:
     return failed
 
 
-def test_axes_home_at_once_and_the_rest_is_done_though_one_fails():
+def test_axes_home_simultaneously_and_the_others_finish_if_one_fails():
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.set_enabled(["x"], on=False)
@@ -87,7 +87,7 @@ def test_a_switch_that_never_comes_ends_on_the_limit_switch(method: str):
     run(main, fleet=FLEET | {"axes": axes}, options=found | {"travel": {"X": (-2000, 2000)}})
 
 
-def test_native_limits_hold_a_search_until_they_are_opened():
+def test_native_limits_block_a_homing_until_they_are_opened():
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.load_soft_limits({"x": (-500, 500)})
@@ -103,7 +103,7 @@ def test_native_limits_hold_a_search_until_they_are_opened():
     run(main, options=BOTH)
 
 
-def test_limits_that_are_not_held_are_a_fault():
+def test_limits_that_are_not_stored_are_a_fault():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"FLX=900", b"FLX=800")
@@ -116,7 +116,7 @@ def test_limits_that_are_not_held_are_a_fault():
 
 @pytest.mark.parametrize("after_ms", [0, 1, 2, 4, 6, 8, 10, 12, 30, 200, 900])
 @pytest.mark.parametrize("whole", [False, True])
-def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool):
+def test_a_stop_in_between_ends_the_homing_as_failed(after_ms: int, whole: bool):
     async def main(world: World) -> None:
         await world.ready()
         search = asyncio.create_task(homed(world, "x"))
@@ -132,7 +132,7 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool)
 
 
 @pytest.mark.parametrize("after_ms", [*range(0, 24, 2), 300, 900])
-def test_a_cancelled_search_is_ended_by_a_stop(after_ms: int):
+def test_a_cancelled_homing_is_ended_by_a_stop(after_ms: int):
     async def main(world: World) -> None:
         await world.ready()
         search = asyncio.create_task(homed(world))
@@ -148,7 +148,7 @@ def test_a_cancelled_search_is_ended_by_a_stop(after_ms: int):
     run(main, options=BOTH, seed=after_ms)
 
 
-def test_a_cancelled_search_is_ended_by_itself():
+def test_a_cancelled_homing_ends_by_itself():
     async def main(world: World) -> None:
         await world.ready()
         search = asyncio.create_task(homed(world))
@@ -214,7 +214,7 @@ def test_a_stepper_that_is_off_has_lost_its_position():
         assert reading.axes["x"].actual_counts == reading.axes["x"].commanded_counts == 0
         await world.driver.set_enabled(["x"], on=True)
         assert not (await world.driver.poll()).axes["x"].position_lost
-        # The stage stands where it was pushed to: the switch is nearer by as much.
+        # The stage stands where it was pushed to: the switch is nearer by that distance.
         assert not await homed(world, "x")
         motion = world.controller.commanded_motions[0]
         assert motion.axis == "X"

@@ -99,7 +99,7 @@ def test_its_direction_is_changed(ends: tuple[int | None, int | None]):
     run(main)
 
 
-def test_a_gentler_ramp_and_a_nearer_end_go_by_way_of_a_stop():
+def test_a_gentler_ramp_and_a_nearer_end_require_a_stop():
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.jog_axis("x", jog(40_000.0, 80_000))
@@ -134,7 +134,7 @@ def test_axes_jog_independently_and_stop_alone():
     run(main)
 
 
-def test_nothing_is_stopped_where_nothing_is_named():
+def test_nothing_is_stopped_if_no_axis_is_named():
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.jog_axis("x", jog(30_000.0))
@@ -198,7 +198,7 @@ def test_a_motor_that_is_off_and_an_axis_that_moves_otherwise_are_refused():
 
 
 @pytest.mark.parametrize("end", [None, 90_000])
-def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open(end: int | None):
+def test_a_limit_switch_ends_a_jog_and_allows_the_way_back(end: int | None):
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.jog_axis("x", jog(30_000.0, end))
@@ -217,7 +217,7 @@ def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open(end: int | None):
     run(main, options={"home_edge": {"X": 3000}})
 
 
-def test_after_jogs_a_step_and_homing_work_as_ever():
+def test_after_jogs_a_step_and_homing_work_as_before():
     async def main(world: World) -> None:
         await world.ready()
         for end in (None, 20_000):
@@ -241,7 +241,7 @@ def test_after_jogs_a_step_and_homing_work_as_ever():
 
 @pytest.mark.parametrize("abort", [False, True])
 @pytest.mark.parametrize("after_us", [*range(0, 12_000, 500)])
-def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_us: int, abort: bool):
+def test_a_stop_at_every_stage_of_a_jog_leaves_it_at_rest(after_us: int, abort: bool):
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.jog_axis("y", jog(5_000.0))
@@ -265,7 +265,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_us: int, abort: bo
 
 
 @pytest.mark.parametrize("after_us", [*range(0, 30_000, 700)])
-def test_a_stop_while_the_direction_is_changed_leaves_it_still(after_us: int):
+def test_a_stop_while_the_direction_is_changed_leaves_it_at_rest(after_us: int):
     async def main(world: World) -> None:
         await world.ready()
         await world.driver.jog_axis("x", jog(5_000.0, 50_000))
@@ -329,7 +329,7 @@ def hands(world: World, names: str, seed: int) -> list[Hand]:
 
 
 @pytest.mark.parametrize("seed", range(100))
-def test_random_hands_never_pass_the_end_nor_the_speed(seed: int):
+def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int):
     async def main(world: World) -> None:
         await world.ready(3)
         (hand,) = hands(world, "x", seed)

@@ -83,7 +83,7 @@ def test_contours_of_random_plans_are_exact_at_every_instant_and_in_their_sum(se
                     assert end == instants[-1]
 
 
-def test_between_two_instants_a_contour_leaves_its_plan_by_no_more_than_it_says():
+def test_between_two_instants_a_contour_deviates_by_no_more_than_its_bound():
     draw = Random(3)
     for _ in range(30):
         profiles = random_plans(draw, 3, 5_000.0)
@@ -103,7 +103,7 @@ def test_between_two_instants_a_contour_leaves_its_plan_by_no_more_than_it_says(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_fast_trapezoids_go_by_registers_and_last_as_planned(seed: int):
+def test_fast_trapezoids_use_registers_and_last_as_planned(seed: int):
     draw = Random(seed)
     by_contour = 0
     for _ in range(40):
@@ -138,7 +138,7 @@ def test_a_slow_trapezoid_too_long_for_a_contour_uses_registers_and_reports_its_
     assert "with its registers x ends" in lowered.commands[-1] and "no contour: axis x" in lowered.commands[-1]
 
 
-def test_a_plan_at_its_limits_is_held_by_the_registers_and_answered_with_the_time_that_takes():
+def test_a_plan_at_its_limits_uses_the_registers_and_reports_its_duration():
     config = Controller.model_validate(
         FLEET
         | {

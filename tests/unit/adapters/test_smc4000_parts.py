@@ -38,7 +38,7 @@ def test_a_reply_is_its_lines_and_its_prompt(data: bytes, lines: list[str], refu
     parsed = parse_reply(data)
     assert parsed is not None
     assert (parsed.lines, parsed.refused, parsed.used) == (lines, refused, len(data))
-    # A question mark that came alone in a packet may be the prompt; all other beginnings wait for more.
+    # A question mark that arrived alone in a packet may be the prompt; all other beginnings wait for more.
     assert all(parse_reply(data[:n]) is None or data[n - 1 : n] == b"?" for n in range(1, len(data)))
 
 
@@ -68,7 +68,7 @@ def test_a_plan_at_its_limits_is_kept_when_it_is_planned_again_with_the_answer()
 
 
 @pytest.mark.parametrize("placed", [False, True])
-def test_axes_that_are_fitted_together_are_what_each_is_by_itself(placed: bool):
+def test_axes_that_are_fitted_together_equal_each_fitted_alone(placed: bool):
     draw = Random(8)
     coarse = 0
     for _ in range(60):
@@ -123,7 +123,7 @@ def test_profiles_that_do_not_fit_are_refused(profile: Profile, code: str):
         (20000, 500, GateTiming(wait_after_gate=1, usual_delay=5, longest_delay=5, decided_before=6, release_before=7)),
     ],
 )
-def test_the_gate_leaves_its_commands_their_time_whatever_a_sample_is(period_us: int, decode_us: int, gate: GateTiming):
+def test_the_gate_leaves_time_for_its_commands_at_any_sample_period(period_us: int, decode_us: int, gate: GateTiming):
     assert (
         GateTiming.for_options(YaskawaOptions(servo_period_us=period_us, decode_us=decode_us, decode_min_us=100))
         == gate
@@ -136,7 +136,7 @@ def test_the_program_keeps_the_controllers_rules():
     assert len(lines) <= 2000 and all(len(line) <= MAX_LINE for line in lines)
     assert all(1 < len(label) <= 8 for label in labels) and len(set(labels)) == len(labels)
     assert all(len(name) <= 8 and name[0] == "X" and name[:2] != "XQ" for name in VARIABLES)
-    # Nothing stands between the wait and the begin.
+    # Nothing stands between the wait and the start.
     waits = [line.partition("WT XT0-TIME;")[2] for line in lines if "WT XT0-TIME;" in line]
     inputs = [line.partition("AI XLI;")[2] for line in lines if "AI XLI;" in line]
     assert len(waits) == 32 and len(inputs) == 31  # one more drives the line
@@ -174,7 +174,7 @@ def test_the_fleet_file_is_checked_offline(change: dict[str, Any], words: str):
 
 @pytest.mark.parametrize("halts", [True, False])
 @pytest.mark.parametrize("before_ms", [-300, 1, 300])
-def test_a_guardians_bytes_stop_what_moves_and_what_waits(halts: bool, before_ms: int):
+def test_a_guardians_bytes_stop_moving_and_waiting_axes(halts: bool, before_ms: int):
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.clock_mapping()

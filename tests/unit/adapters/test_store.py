@@ -1,4 +1,4 @@
-"""What an adapter remembers over its own death."""
+"""The state that an adapter keeps across its own restart."""
 
 import asyncio
 from collections.abc import Callable
@@ -18,7 +18,7 @@ LATCH = EstopLatch(event="e1", actor="anna", reason="a hand in the machine", utc
 
 
 class Disk(VolatileStore):
-    """A store that counts what is saved, and that can be full."""
+    """A store that counts its writes, and that can be full."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -107,7 +107,7 @@ def adoption(epoch: int) -> AdoptRequest:
 
 @pytest.mark.parametrize("before", [False, True])
 def test_a_leader_whose_epoch_cannot_be_stored_is_not_adopted(before: bool) -> None:
-    """Neither at first, nor when an earlier one was: what that has left is still to be dropped."""
+    """Neither at first, nor after an earlier leader: the work that it left is still to be dropped."""
 
     async def main() -> None:
         disk = Disk()

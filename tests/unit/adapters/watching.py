@@ -1,4 +1,4 @@
-"""What a simulated controller really commands, looked at all the time while a test does something."""
+"""The commanded motion of a simulated controller, observed all the time while a test runs."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -26,7 +26,7 @@ class Track:
         return max(map(abs, self.velocities), default=0.0)
 
     def steepest(self) -> float:
-        """The largest change of velocity, counts/s², between two looks."""
+        """The largest change of velocity, counts/s², between two samples."""
         changes = zip(self.velocities, self.velocities[1:], self.at_ns, self.at_ns[1:], strict=False)
         return max((abs(b - a) / (t1 - t0) * 1e9 for a, b, t0, t1 in changes), default=0.0)
 
@@ -35,7 +35,7 @@ class Track:
 
 
 class Watch:
-    """`async with Watch(...) as tracks`: the truth about `axes`, by their names."""
+    """`async with Watch(...) as tracks`: the true motion of `axes`, by their names."""
 
     def __init__(
         self, clock: Clock, controller: SimulatedController, axes: Sequence[str], every_ns: int = NS_PER_MS
@@ -86,7 +86,7 @@ class Polling:
 
 
 async def at_rest(clock: Clock, controller: SimulatedController, axis: str, within_ns: int) -> int:
-    """Wait until an axis stands still, and give how long that took."""
+    """Wait until an axis stands still, and return how long that took."""
     began_ns = clock.now_ns()
     while controller.is_moving(axis):
         assert clock.now_ns() - began_ns <= within_ns, f"{axis} still moves after {within_ns / 1e9} s"
@@ -156,7 +156,7 @@ class Hand:
 
 
 def not_found(outcome: Mapping[str, Refusal] | BaseException, axis: str) -> str:
-    """Why a homing of `axis` has failed, by what it gave or raised."""
+    """Why a homing of `axis` has failed, by its result or exception."""
     if isinstance(outcome, BaseException):
         assert isinstance(outcome, Refusal | ControllerFault | LinkClosed), repr(outcome)
         return str(outcome)

@@ -28,7 +28,7 @@ def test_a_reported_release_ends_the_hold_at_once() -> None:
     assert hold.key is None
 
 
-def test_a_terminal_that_falls_silent_ends_it_too() -> None:
+def test_a_silent_terminal_ends_it_too() -> None:
     hold = HeldKey(releases=True)
     hold.handle_key(LEFT, 0)
     hold.note_activity(SILENCE_NS // 2)

@@ -115,7 +115,7 @@ def jogs(actions: list[PanelAction]) -> list[tuple[str, float, bool]]:
     return [(each.axis, each.velocity, each.renew) for each in actions if isinstance(each, JogAxis)]
 
 
-def test_a_press_takes_the_axis_and_jogs_it_until_it_is_let_go() -> None:
+def test_a_press_acquires_the_axis_and_jogs_it_until_its_release() -> None:
     desk = Desk()
     began = desk.key(RIGHT)
     assert began[0] == AcquireAxis("gantry.x")
@@ -129,7 +129,7 @@ def test_a_press_takes_the_axis_and_jogs_it_until_it_is_let_go() -> None:
     assert desk.key(LEFT) == [JogAxis("gantry.x", -10.0, False, 2)]
 
 
-def test_the_axis_is_given_back_after_some_rest() -> None:
+def test_the_lease_is_released_after_an_idle_time() -> None:
     desk = Desk()
     desk.key(RIGHT, KeyEvent("right", "release"))
     assert desk.panel.is_acquired
@@ -138,7 +138,7 @@ def test_the_axis_is_given_back_after_some_rest() -> None:
     assert desk.key(RIGHT)[0] == AcquireAxis("gantry.x")
 
 
-def test_let_go_before_the_lease_is_there_nothing_moves() -> None:
+def test_a_key_released_before_the_lease_arrives_moves_nothing() -> None:
     desk = Desk()
     desk.answers = False
     assert desk.key(RIGHT) == [AcquireAxis("gantry.x")]
@@ -182,7 +182,7 @@ def test_the_same_on_a_terminal_that_only_repeats() -> None:
     assert jogs(desk.key(RIGHT)) == [("gantry.x", 10.0, False)]
 
 
-def test_a_tap_moves_for_as_long_as_a_jog_is_good_for_and_repeats_go_on() -> None:
+def test_a_tap_moves_for_the_validity_of_a_jog_and_repeats_continue_it() -> None:
     desk = Desk(releases=False)
     desk.key(RIGHT)
     tapped = desk.wait(500 * NS_PER_MS)
@@ -263,7 +263,7 @@ def test_another_axis_stops_the_first_and_needs_its_own_lease() -> None:
     assert desk.panel.chosen_axis == "stage.x"
 
 
-def test_an_axis_that_came_with_another_needs_no_lease_of_its_own() -> None:
+def test_an_axis_leased_with_another_needs_no_lease_of_its_own() -> None:
     desk = Desk()
     desk.answers = False
     desk.key(RIGHT)
@@ -273,7 +273,7 @@ def test_an_axis_that_came_with_another_needs_no_lease_of_its_own() -> None:
     assert desk.key(RIGHT) == [JogAxis("gantry.y", 10.0, False, 2)]
 
 
-def test_an_axis_chosen_while_the_lease_is_on_its_way() -> None:
+def test_an_axis_selected_while_the_lease_is_pending() -> None:
     desk = Desk()
     desk.answers = False
     assert desk.key(RIGHT, DOWN, RIGHT) == [AcquireAxis("gantry.x")]

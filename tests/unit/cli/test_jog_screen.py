@@ -1,4 +1,4 @@
-"""What the jog panel looks like: everything that a person needs, at 80 columns, in a terminal of any height."""
+"""The screen of the jog panel: everything that an operator needs, at 80 columns, in a terminal of any height."""
 
 import io
 
@@ -62,19 +62,19 @@ def shown(made: JogPanel, now_ns: int = 0, columns: int = 80, rows: int = 24) ->
     return [line.rstrip() for line in file.getvalue().splitlines()]
 
 
-def test_an_axis_with_all_that_is_known_of_it() -> None:
+def test_an_axis_with_its_complete_state() -> None:
     row = next(line for line in shown(panel(limit="reverse")) if "▸" in line)
     assert row.split() == ["▸", "gantry.a0", "123.457", "mm", "-12.50", "/s", "on", "yes", "−", "end", "110", "300"]
 
 
-def test_an_axis_that_is_off_and_does_not_know_where_it_is() -> None:
+def test_an_axis_that_is_off_and_unreferenced() -> None:
     lines = shown(panel(enabled=False, referenced=False))
     row = next(line for line in lines if "▸" in line)
     assert row.split()[6:] == ["off", "no", "?", "?"]
     assert any("of 4 mm/s, slow: unreferenced" in line for line in lines)
 
 
-def test_a_silent_controller_is_not_shown_as_if_it_were_known() -> None:
+def test_a_silent_controller_is_not_shown_as_current() -> None:
     lines = shown(panel(), STALE_NS + 1)
     assert "silent" in next(line for line in lines if "▸" in line)
     assert any("no state received for 2 s" in line for line in lines)

@@ -1,4 +1,4 @@
-"""Axes in hand, against a coordinator and adapters that only take notes."""
+"""Manual leases, against a coordinator and adapters that only record requests."""
 
 import asyncio
 from collections.abc import Callable, Coroutine
@@ -84,7 +84,7 @@ def hand_of(tutti: Tutti) -> ManualControl:
     return tutti.manual_control(["gantry.x", "stage.u"], what="alignment")
 
 
-def test_the_lease_is_taken_renewed_and_given_back() -> None:
+def test_the_lease_is_acquired_renewed_and_released() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         began_ns = stage.clock.now_ns()
         async with tutti.manual_control(["gantry.x"], what="alignment", ttl_s=3.0) as hand:
@@ -113,7 +113,7 @@ def test_a_lease_is_released_although_the_user_code_fails() -> None:
     on_stage(test)
 
 
-def test_an_order_that_takes_long_is_renewed_meanwhile() -> None:
+def test_a_slow_jog_command_is_renewed_meanwhile() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         stage.order_s = 0.5
         async with hand_of(tutti) as hand:
@@ -127,7 +127,7 @@ def test_an_order_that_takes_long_is_renewed_meanwhile() -> None:
     on_stage(test)
 
 
-def test_another_speed_that_takes_long_is_renewed_meanwhile() -> None:
+def test_a_slow_speed_change_is_renewed_meanwhile() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             await hand.jog({"gantry.x": 5.0})
@@ -164,7 +164,7 @@ def test_an_obsolete_jog_command_is_not_renewed(then: str) -> None:
     on_stage(test)
 
 
-def test_each_taking_has_a_holder_of_its_own() -> None:
+def test_each_acquisition_has_an_owner_of_its_own() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         assert hand_of(tutti).holder != hand_of(tutti).holder
 
@@ -243,7 +243,7 @@ def test_a_lease_that_ended_early_is_reported_and_moves_nothing_more() -> None:
     on_stage(test)
 
 
-def test_an_adapter_without_the_lease_ends_it_here() -> None:
+def test_a_lease_that_an_adapter_lacks_ends_in_the_client() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             await hand.jog({"gantry.x": 5.0})
@@ -251,7 +251,7 @@ def test_an_adapter_without_the_lease_ends_it_here() -> None:
             with pytest.raises(Refusal):
                 await hand.renew_jog()
             assert hand.lost is not None
-            # What has stopped already needs no stop: this is no refusal.
+            # A jog that has stopped already needs no stop: this is no refusal.
             await hand.stop()
 
     on_stage(test)

@@ -7,7 +7,7 @@ import pytest
 from orchestrator.clock.executor import run_while_recording
 
 
-def test_a_record_is_on_disk_before_its_action_has_an_effect() -> None:
+def test_a_record_is_on_disk_before_the_result_of_its_action_is_used() -> None:
     said: list[str] = []
 
     async def tell(error: Exception | None = None) -> None:

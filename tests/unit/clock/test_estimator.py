@@ -25,7 +25,7 @@ def learn(seed: int, count: int, hold_ns: int = 0) -> tuple[TickEstimator, Oscil
 
 
 @pytest.mark.parametrize("hold_ns", [0, 16_000_000])
-def test_the_bound_holds_the_truth(hold_ns: int) -> None:
+def test_the_bound_contains_the_truth(hold_ns: int) -> None:
     for seed in range(150):
         estimator, crystal, now_ns = learn(seed, 1 + seed * 2, hold_ns)
         mapping = estimator.compute_mapping()
@@ -120,7 +120,7 @@ def test_a_clock_that_is_set_forward_is_estimated_again() -> None:
     assert mapping.drift_ppm >= 100
 
 
-def test_a_host_that_slept_believes_its_old_readings_less() -> None:
+def test_a_host_that_slept_widens_the_bound_of_its_old_readings() -> None:
     """Its raw clock continues; the crystal may have drifted meanwhile."""
     draw = Random(5)
     crystal = Oscillator(5, 20.0, 0.05, 5)

@@ -24,7 +24,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     return found
 
 
-def test_children_are_as_urgent_unless_they_are_not_meant_to_be(asked: list[tuple[int, int]]) -> None:
+def test_children_inherit_the_priority_unless_it_is_disabled(asked: list[tuple[int, int]]) -> None:
     assert set_realtime_priority(RealtimePriority.SERVICE)
     assert set_realtime_priority(RealtimePriority.GUARDIAN, children=False)
     assert asked == [

@@ -1,4 +1,4 @@
-"""What the live clock's module does to its process."""
+"""The effects of the live clock's module on its process."""
 
 import gc
 

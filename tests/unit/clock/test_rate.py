@@ -1,4 +1,4 @@
-"""Crystals and starts learned from what is seen of moves; truth is a simulated crystal."""
+"""Crystals and starts estimated from observed moves; the ground truth is a simulated crystal."""
 
 from dataclasses import replace
 from random import Random
@@ -20,7 +20,8 @@ SPEED, RAMP_S = 5000.0, 0.5
 def made(
     crystal: Oscillator, begin_ns: int, duration_s: float, draw: Random, held_ns: int = 0, told: bool = True
 ) -> TimedMove:
-    """A move as an adapter sees it: answers take up to a millisecond each way, and are held back by up to `held_ns`."""
+    """A move as observed by an adapter: answers take up to a millisecond each way, and are delayed by up to
+    `held_ns`."""
 
     def way_ns() -> int:
         return draw.randrange(NS_PER_MS)
@@ -49,7 +50,7 @@ def mean_ppm(crystal: Oscillator, begin_ns: int, seconds: int) -> float:
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("told", [True, False])
-def test_bounds_hold_the_truth_and_the_rate_comes_near_to_it(seed: int, told: bool) -> None:
+def test_bounds_contain_the_truth_and_the_rate_comes_near_to_it(seed: int, told: bool) -> None:
     draw = Random(seed)
     crystal = Oscillator(0, draw.uniform(-60, 60), 0.05, seed)
     clock, now_ns, widths = InferredClock(0.0, 100.0, START), NS_PER_S, list[float]()
@@ -70,7 +71,7 @@ def test_bounds_hold_the_truth_and_the_rate_comes_near_to_it(seed: int, told: bo
     assert abs(clock.crystal_rate.rate_ppm - mean_ppm(crystal, now_ns, 60)) < (4 if told else 45)
 
 
-def test_a_held_back_end_widens_and_does_not_move() -> None:
+def test_a_delayed_end_widens_the_interval_and_does_not_move_it() -> None:
     """The completion line comes 50 ms late: on the slow side the move gives no more information, and no false one."""
     crystal, draw = Oscillator(0, 30.0), Random(1)
     clock = InferredClock(0.0, 100.0, START)
@@ -102,7 +103,7 @@ def test_a_crystal_that_jumps_is_noticed_and_estimated_again() -> None:
     )
 
 
-def test_a_measurement_that_contradicts_the_assumption_is_ignored() -> None:
+def test_a_measurement_that_contradicts_the_assumption_does_not_replace_it() -> None:
     rates = RateEstimator(10.0, 100.0)
     assert rates.add_move([], [], 5)
     assert not rates.add_move(
@@ -123,7 +124,7 @@ def test_the_measured_rate_loses_precision_with_time_but_never_beyond_the_assump
     assert rates.rate == RateEstimator(0.0, 100.0).rate
 
 
-def test_the_middle_of_starts_is_learned_where_nothing_is_held_back() -> None:
+def test_the_mean_start_latency_is_estimated_if_no_answer_is_delayed() -> None:
     draw, prompt, held = Random(4), LatencyEstimator(START), LatencyEstimator(START)
     for _ in range(30):
         start_ns = round(draw.uniform(1.4, 2.2) * NS_PER_MS)
@@ -142,7 +143,7 @@ def test_the_second_start_outside_the_promise_widens_it_for_as_long_as_it_is_kep
         assert (starts.latency.earliest_ns, starts.latency.latest_ns) == (START.earliest_ns, latest_ns)
     for _ in range(MAX_STARTS - 2):
         starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None)
-    # The one that was late for once is gone: what is left of the others is one.
+    # The one late start has expired: one of the others is left.
     assert starts.latency.latest_ns == 4 * NS_PER_MS
     starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None)
     assert starts.latency.latest_ns == START.latest_ns

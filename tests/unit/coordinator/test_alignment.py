@@ -31,7 +31,7 @@ def test_the_instant_is_as_good_as_any_within_a_tick(count: int) -> None:
         assert spread_ns <= tried + 300
 
 
-def test_the_phases_of_two_crystals_meet_within_the_time_that_they_need() -> None:
+def test_the_phases_of_two_crystals_align_within_the_predicted_time() -> None:
     slow, fast = TickGrid(0, TICK_NS), TickGrid(300_000, TICK_NS * (1 - 50e-6))
     at_once, apart_ns = find_closest_ticks([slow, fast], 10**10, 0)
     later, meet_ns = find_closest_ticks([slow, fast], 10**10, 25 * 10**9)

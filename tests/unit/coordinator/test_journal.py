@@ -1,4 +1,4 @@
-"""The journal: what it keeps, the way from older versions, and what becomes of it when its disk does not work."""
+"""The journal: its contents, the upgrade from older versions, and its behaviour when the disk fails."""
 
 import asyncio
 import sqlite3
@@ -93,7 +93,7 @@ def test_a_job_that_is_no_longer_queued_cannot_be_restored() -> None:
     assert [each.state for each in journal.list_transitions("a")] == ["queued", "cancelled"]
 
 
-def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
+def test_old_jobs_are_deleted_with_all_their_records() -> None:
     journal = Journal(":memory:")
     for number in range(1, 11):
         journal.accept_job(str(number), f"k{number}", JOB, utc(number))
@@ -102,7 +102,7 @@ def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
             end(journal, str(number))
     journal.accept_job("x", "x", JOB, utc(11), QueueEntryOptions(QueueTerms(after="3")))
     assert journal.prune_jobs(utc(8), keep=5) == 4
-    # 2 has not ended, x comes after 3, and of the newest five none goes.
+    # 2 has not ended, x comes after 3, and of the newest five none is removed.
     assert sorted(row.id for row in journal.find_jobs(99)[0]) == sorted(["2", "3", "7", "8", "9", "10", "x"])
     assert journal.load_report("4") is None
     assert journal.list_decisions("4") == []
@@ -128,7 +128,7 @@ def test_an_ended_job_stays_ended_and_an_older_leader_cannot_write() -> None:
 
 
 @pytest.mark.parametrize("version", range(1, VERSION))
-def test_the_way_from_older_versions(tmp_path: Path, version: int) -> None:
+def test_upgrade_from_older_versions(tmp_path: Path, version: int) -> None:
     path = tmp_path / "journal.db"
     old = sqlite3.connect(path)
     steps = SCHEMA + "".join(MIGRATIONS[each] for each in range(1, version))

@@ -1,4 +1,4 @@
-"""Which jobs may begin: the rule of the queue, by itself."""
+"""Which jobs may start: the rule of the queue, by itself."""
 
 from random import Random
 

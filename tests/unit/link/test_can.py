@@ -186,7 +186,7 @@ def test_a_burst_of_error_frames_takes_the_sender_off_the_bus_and_a_restart_brin
     assert [frame.id for _, frame in bench.heard[1]] == [0x125]
 
 
-def test_alone_on_a_bus_a_node_becomes_passive_and_waits_for_company() -> None:
+def test_a_node_alone_on_a_bus_becomes_passive_and_waits_for_another() -> None:
     bench = Bench(1)
     bench.nodes[0].queue_frames(CanFrame(0x123))
     bench.wait(50)

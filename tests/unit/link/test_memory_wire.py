@@ -1,4 +1,4 @@
-"""A wire in memory: which lines were longer on their way than it promises, and a port that is opened again at once."""
+"""A wire in memory: which lines were longer on their way than promised, and a port that is opened again at once."""
 
 from collections.abc import Callable
 from contextvars import copy_context
@@ -11,7 +11,11 @@ from orchestrator.link.supply import PowerSupply
 
 
 class Echo:
-    """Answers each line with itself. arrived_ns: when lines have come. taken: its one port is open. supply: it may lose its power."""
+    """Answers each line with itself.
+
+    arrived_ns: when lines have arrived.
+    taken: its one port is open.
+    supply: it may lose its power."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.arrived_ns: list[int] = []

@@ -1,4 +1,4 @@
-"""Files: what is wrong is named with line, field, what was found and what is allowed."""
+"""Files: an error is named with line, field, the value found and the values allowed."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a screen shows of the jobs under way."""
+"""The display of the running jobs on a screen."""
 
 from io import StringIO
 
@@ -33,7 +33,7 @@ def screen(view: LiveView) -> str:
     return console.export_text()
 
 
-def test_jobs_that_run_side_by_side_are_all_shown_and_of_ended_ones_the_newest() -> None:
+def test_all_running_jobs_are_shown_and_the_newest_ended_ones() -> None:
     view = LiveView(FleetKeys("lab"))
     assert view.take_sample(progress("aaaa", "running"))
     assert view.take_sample(progress("bbbb", "running"))

@@ -32,7 +32,7 @@ def modules() -> list[Path]:
 
 
 @pytest.mark.parametrize("path", [p for p in modules() if not LIVE.search(str(p.relative_to(ROOT)))], ids=str)
-def test_virtual_code_has_no_other_time_and_no_other_chance(path: Path) -> None:
+def test_virtual_code_has_no_other_time_and_no_other_random_source(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):

@@ -76,7 +76,7 @@ class CanBench:
         ]
 
     def ask(self, data: bytes, node: int = 1, wait_ms: float = 3) -> list[bytes]:
-        """What the SDO server answers to eight bytes."""
+        """The SDO server's answer to eight bytes."""
         begun_ns = self.clock.now_ns()
         self.send(0x600 + node, data)
         self.wait(wait_ms)

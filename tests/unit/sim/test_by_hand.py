@@ -31,7 +31,7 @@ def test_a_servos_encoder_measures_a_push_and_enabling_starts_from_there() -> No
         desk.unit.push_axis("X", 1)
 
 
-def test_a_stepper_does_not_see_a_push_but_its_switches_do() -> None:
+def test_a_stepper_does_not_measure_a_push_but_its_switches_do() -> None:
     desk = Desk(travel={"X": (-1000, 1000)})
     desk.ask("MTX=2")
     desk.unit.push_axis("X", 1500)
@@ -158,7 +158,7 @@ def test_the_record_lists_start_slowing_and_end_in_order() -> None:
 
 
 @pytest.mark.parametrize("command", ["HM", "FE", "FI"])
-def test_a_limit_switch_of_one_axis_hides_no_edge_from_another_that_comes_to_it_just_then(command: str) -> None:
+def test_a_limit_switch_of_one_axis_hides_no_simultaneous_edge_from_another(command: str) -> None:
     ends: set[float] = set()
     for sample in range(60):
         desk = Desk(home_edge={"Y": -30}, index_every={"Y": 40})

@@ -328,7 +328,7 @@ def test_a_drive_in_bus_off_stops_and_comes_back_with_an_emergency() -> None:
     bench.write(0x60FF, 0, 5_000, 4)
     bench.wait(100)
     bench.bus.disturb_frames(32)
-    bench.drive.station.emergencies.send_emergency(0x1000, 1)  # what it is sending when the errors come
+    bench.drive.station.emergencies.send_emergency(0x1000, 1)  # the frame that it is sending when the errors come
     bench.wait(50)
     assert bench.drive.station.can.node_state == "off"
     assert not bench.drive.is_moving("1")

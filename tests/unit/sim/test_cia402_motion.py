@@ -68,7 +68,7 @@ def test_a_set_of_set_points_and_one_that_changes_at_once() -> None:
     move(bench, 10_000)
     bench.write(0x607A, 0, 5_000, 4)
     assert bench.control(0x1F) & 0x1000
-    assert bench.control(0x0F) & 0x1000  # the buffer is full as long as the first one is under way
+    assert bench.control(0x0F) & 0x1000  # the buffer is full as long as the first one is running
     bench.wait(1200)
     assert not bench.status() & 0x1000
     bench.wait(1000)
@@ -501,7 +501,7 @@ def test_a_slow_path_with_periods_of_rest_is_one_motion() -> None:
     (motion,) = bench.drive.commanded_motions
     assert motion.end_ns is not None
     assert (motion.end_ns - motion.start_ns) / 1e9 == pytest.approx(0.13, abs=2e-4)
-    # What begins half a second later is another one.
+    # A motion that starts half a second later is another one.
     follow(bench, rpdo, [20, 20], 10)
     assert [(each.start_counts, each.end_counts) for each in bench.drive.commanded_motions] == [
         (0.0, 10.0),

@@ -1,4 +1,4 @@
-"""The simulated SMC in virtual time: the test vectors, and what they do not reach."""
+"""The simulated SMC in virtual time: the test vectors, and what they do not cover."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,7 +25,7 @@ def test_vector(vector: Mapping[str, Any]) -> None:
 
 
 class Client:
-    """One connection, and every line that has come on it."""
+    """One connection, and every line that has arrived on it."""
 
     def __init__(self, rig: "Rig", port: str = "tcp") -> None:
         self.rig = rig
@@ -44,14 +44,14 @@ class Client:
             self.wire.receive_bytes(command.encode("latin-1") + b"\r\n")
 
     def ask(self, command: str) -> list[str]:
-        """What comes at once."""
+        """The lines that arrive at once."""
         self.raw = b""
         self.send(command)
         return self.raw.decode("latin-1").split("\r\n")[:-1]
 
 
 class Rig:
-    """A unit on a clock of its own, with one client."""
+    """A controller on a clock of its own, with one client."""
 
     def __init__(
         self,
@@ -274,7 +274,7 @@ def test_program_subroutines_inputs_and_axis_choice() -> None:
     rig.wait(0.003)
     rig.unit.set_input(0, level=True)
     rig.settle()
-    # The wait began when the count was over, 0.512 s after the start.
+    # The wait started when the count was over, 0.512 s after the start.
     assert rig.unit.commanded_motions[-1].start_ns == 1_012 * MS > began_ns
     assert rig.unit.position("2") == 5 and rig.ask("?cnt") == ["500"] and rig.ask("?c") == ["500"]
     rig.send("start2:")

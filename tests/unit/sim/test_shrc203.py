@@ -1,4 +1,4 @@
-"""The simulated SHRC-203 in virtual time: what the test vectors do not reach."""
+"""The simulated SHRC-203 in virtual time: behaviour that the test vectors do not cover."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,7 @@ S = 1_000_000_000
 
 
 class Rig:
-    """A unit on a clock of its own, and every line it has sent with its instant."""
+    """A controller on a clock of its own, and every line it has sent with its instant."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class Rig:
             assert self.ask(text) == "OK", text
 
     def wait(self, seconds: float) -> list[str]:
-        """Let time pass; the lines that come meanwhile."""
+        """Let time pass; return the lines that arrive meanwhile."""
         before = len(self.said)
         self.clock.run_until_ns(self.clock.now_ns() + round(seconds * S))
         return [line for _, line in self.said[before:]]

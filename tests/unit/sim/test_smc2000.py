@@ -112,7 +112,7 @@ def test_a_trip_point_from_the_port_holds_what_follows_and_too_much_is_lost() ->
     assert desk.ask("WT 5", "TC0", wait_s=0.1) == " 005\r\n:"
 
 
-def test_error_texts_are_the_makes_own() -> None:
+def test_error_texts_are_those_of_the_make() -> None:
     desk = Desk()
     assert desk.ask("bg", "TC1") == "1 Unrecognized command\r\n:"
     assert desk.ask("ET[257]=1", "TC1") == "101 Improper index to ET (must be 0-256)\r\n:"

@@ -1,4 +1,4 @@
-"""The simulated SMC30 in virtual time: what the test vectors do not reach."""
+"""The simulated SMC30 in virtual time: behaviour that the test vectors do not cover."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -22,7 +22,8 @@ VECTORS = read_vectors(Path(__file__).parents[2] / "contract/vectors/smc30.vecto
 
 
 class Rig:
-    """Units on a clock of their own, and every string they have sent with its instant. ideal: firmware takes no time."""
+    """Controllers on a clock of their own, and every string they have sent with its instant. ideal: firmware takes
+    no time."""
 
     def __init__(
         self,
@@ -159,7 +160,7 @@ def test_stop_input_suspends_program_and_motion() -> None:
     rig.wait(0.02)
     assert rig.bus.output_level(1)
     assert [motion.end_counts for motion in rig.bus.commanded_motions] == [400, 1000]
-    # While it is pulled, what is started waits, and K forgets it.
+    # While it is active, started motions wait, and K discards them.
     rig.bus.set_input(4, level=True)
     assert rig.ask("+10 F K F") == "Y B Y R"
     rig.bus.set_input(4, level=False)
@@ -327,7 +328,7 @@ def test_register_programs() -> None:
     modules = rig.bus.find_indexer("1").modules
     assert (modules.flags, modules.shown) == ({(5, 7)}, {(9, 41): "300"})
     assert rig.ask("VR2 V2") == "R2=6 V00"
-    # A loop without L0 is from the first line; 33 subroutines are one too many.
+    # A loop without L0 starts at the first line; 33 subroutines are one too many.
     rig.program("R3=R3+1 L4")
     assert rig.ask("VR3") == "R3=5"
     rig.program("S100 T100 f+0 con=0.5 +1 +1 -3")

@@ -14,7 +14,7 @@ MS = 1_000_000
 
 
 class Line:
-    """Units with these addresses on a line, and all that has come from it."""
+    """Controllers with these addresses on a line, and all bytes that have arrived from it."""
 
     def __init__(self, addresses: Sequence[int], options: Mapping[str, object] | None = None) -> None:
         self.clock = EventQueue()
@@ -32,7 +32,7 @@ class Line:
         self.said += data
 
     def ask(self, text: bytes, wait_ms: float = 20.0) -> bytes:
-        """What comes within `wait_ms` of a line."""
+        """The bytes that arrive within `wait_ms` of a line."""
         before = len(self.said)
         self.port.receive_bytes(text)
         self.wait(wait_ms)

@@ -1,4 +1,4 @@
-"""The simulated SMC-4000, command by command: what its vectors do not touch. Lines are of the manual."""
+"""The simulated SMC-4000, command by command: behaviour that its vectors do not cover. Lines are of the manual."""
 
 from dataclasses import dataclass
 

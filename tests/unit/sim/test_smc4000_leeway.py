@@ -40,7 +40,7 @@ class PunctualQueue(LateQueue):
 
 
 def _started(clock: EventQueue) -> Desk:
-    """With the program under way, a quarter of a second after power-up."""
+    """With the program running, a quarter of a second after power-up."""
     desk = Desk(clock=clock, timing=FirmwareTiming(decode_ns=300_000))
     desk.ask("SHX", wait_s=0.01)
     desk.ask("DL", PROGRAM + "\x1a", wait_s=0.01)
@@ -94,7 +94,7 @@ def test_a_contours_records_follow_each_other_as_they_would_have() -> None:
 
 
 def test_commands_that_came_together_are_answered_when_the_last_one_is() -> None:
-    """As late as they may be: the last answer comes when it would have, and the others not after it."""
+    """As late as they may be: the last answer comes at its usual time, and the others not after it."""
     ends: list[int] = []
     wakes: list[int] = []
     for clock in (PunctualQueue(), LateQueue()):

@@ -16,7 +16,7 @@ OTHER_NUMBER = int.from_bytes(bytes((192, 168, 3, 11)), "big") - (1 << 32)
 
 
 class Device:
-    """A Modbus device of 32 coils and 16 registers; `packets` is what it has got."""
+    """A Modbus device of 32 coils and 16 registers; `packets` are the packets that it received."""
 
     def __init__(self) -> None:
         self.packets: list[bytes] = []
