@@ -99,6 +99,7 @@ def test_the_demo_job_is_done_and_its_evidence_contains_the_truth(shared: Runnin
     assert judged == 12
 
 
+@pytest.mark.nightly
 def test_the_demo_prints_one_object_with_every_step() -> None:
     done = run_tutti("demo", "--headless", "--json")
     assert done.returncode == 0, done.stdout + done.stderr

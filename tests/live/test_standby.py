@@ -21,7 +21,7 @@ def coordinators(fleet: RunningFleet) -> set[int]:
     return {pid for pid, command in fleet.family().items() if COORDINATOR in command}
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.nightly)])
 def test_the_queue_continues_when_the_leader_is_lost(tmp_path: Path, number: signal.Signals) -> None:
     fleet = RunningFleet(tmp_path, EXAMPLES / "demo.fleet.yaml", "--standby")
     try:
