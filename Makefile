@@ -15,7 +15,7 @@ SLOWEST = --durations=10
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
-	@echo "make test             set up, run all tests (below 5 minutes on two cores)"
+	@echo "make test             set up, run all tests (about 5 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases"
