@@ -195,7 +195,7 @@ class Smc30Line:
                         raise reply
                     replies.append(reply)
             except TimeoutError:
-                pass
+                self.discard_late_replies()
             except asyncio.CancelledError:
                 self._leave_idle(len(data))
                 raise
@@ -204,6 +204,14 @@ class Smc30Line:
             if self.stops != stops:
                 raise ExchangeDisturbed
             return sent_ns, replies
+
+    def discard_late_replies(self) -> None:
+        """Begin no exchange, and discard what arrives, until no reply to the last command can be outstanding.
+
+        Replies carry no address: without this, a late reply would answer the next query, of another controller too, and
+        every query after it would get the reply of the one before.
+        """
+        self._leave_idle(0)
 
     async def _wait_for_gap(self, characters: int) -> None:
         """Wait until an exchange of `characters` characters can end before the next slot, and no reply is under way."""

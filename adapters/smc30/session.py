@@ -157,6 +157,8 @@ class Smc30Session:
                 if text in _ERRORS and (refused or not repeatable):
                     raise self._command_refusal(command, text)
                 refused += text in _ERRORS
+            if text is not None and text not in _ERRORS and text != "E1":
+                self.line.discard_late_replies()  # It may be the late reply to an earlier command.
             # E1: the controller has accepted nothing. Any other reply: the result is unknown.
             if not left or (not repeatable and text != "E1"):
                 raise (

@@ -319,6 +319,42 @@ def test_replies_never_mix_while_all_are_read_and_some_are_stopped() -> None:
     run(main, range(1, 8))
 
 
+@pytest.mark.parametrize("late_ms", [105, 130, 170])
+@pytest.mark.parametrize("nth", range(6))
+def test_a_reply_later_than_allowed_is_not_taken_for_another_controllers(nth: int, late_ms: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        for address in world.drivers:
+            await world.drivers[address].send_raw(f"f+{1000 * (address or 0)}")
+        usual, count, faults = world.wire.model, 0, 0
+
+        def delay(data: bytes) -> bytes:
+            nonlocal count
+            late = count % 20 == nth
+            world.wire.model = replace(usual, latency_ns=late_ms * NS_PER_MS) if late else usual
+            count += 1
+            return data
+
+        async def read(address: int) -> None:
+            nonlocal faults
+            for _ in range(30):
+                try:
+                    reading = await world.drivers[address].poll()
+                except ControllerFault:
+                    faults += 1
+                else:
+                    assert reading.axes["x"].commanded_counts == 1000 * address
+                await world.sleep(5)
+
+        world.wire.to_near = delay
+        await asyncio.gather(read(1), read(2), read(3))
+        world.wire.to_near, world.wire.model = None, usual
+        # Each late reply costs a repetition, and disturbs no later exchange.
+        assert not faults
+
+    run(main, (1, 2, 3))
+
+
 @pytest.mark.parametrize("after_ms", [0, 20, 60, 120, 200, 260])
 def test_a_stop_of_one_controller_while_another_is_armed(after_ms: int) -> None:
     async def main(world: World) -> None:
