@@ -268,7 +268,7 @@ class MemoryCanBus:
         senders = [node for node, _ in same]
         begin_ns = planned_ns
         self._sending = True
-        acknowledged = not self.cut and any(node.is_active for node in self._nodes if node not in senders)
+        acknowledged = self._is_acknowledged(senders)
         spoilt = any(head != frame or not node.is_active for node, head in same) or self._is_disturbed()
         bits = exact_bits(frame)
         if spoilt:
@@ -291,6 +291,9 @@ class MemoryCanBus:
             self.schedule_start()
 
         self.clock.call_at_ns(end_ns, end_frame)
+
+    def _is_acknowledged(self, senders: list[CanNode]) -> bool:
+        return not self.cut and any(node.is_active for node in self._nodes if node not in senders)
 
     def _is_disturbed(self) -> bool:
         if self._disturbed:
@@ -326,8 +329,9 @@ class MemoryCanBus:
         for node in senders:
             if node.node_state == "active":
                 node.count_errors(transmit=8)
-            else:
-                # A passive node retries for ever without counting, and nothing on the bus changes by it.
+            elif not self._is_acknowledged(senders):
+                # A passive node retries for ever without counting, and nothing on the bus changes by it. A node that
+                # has appeared during this frame acknowledges the next one.
                 node.parked = True
                 node.on_error(ERROR_NO_ACKNOWLEDGE)
             self._suspend_node(node)

@@ -199,6 +199,18 @@ def test_a_node_alone_on_a_bus_becomes_passive_and_waits_for_another() -> None:
     assert [frame.id for frame in heard] == [0x123]
 
 
+@pytest.mark.parametrize("after_us", range(0, 3000, 25))
+def test_a_node_that_appears_at_any_instant_of_the_retries_receives_the_frame(after_us: int) -> None:
+    # Also in the very frame after which a passive node without a partner gives up: in its last retry before that.
+    bench = Bench(1)
+    bench.nodes[0].queue_frames(CanFrame(0x123))
+    bench.wait(after_us / 1000)
+    received: list[CanFrame] = []
+    bench.bus.attach_node(received.append)
+    bench.wait(2)
+    assert [frame.id for frame in received] == [0x123]
+
+
 def test_a_broken_wire_separates_all_nodes() -> None:
     bench = Bench()
     bench.bus.cut = True
