@@ -11,6 +11,7 @@ import gc
 import heapq
 from collections import deque
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from contextvars import Context, ContextVar, copy_context
 from typing import Any, TypeVar
 
@@ -215,13 +216,19 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         return self._closed
 
     def close(self) -> None:
-        """Close the loop: unfinished calls are dropped silently, because their process ends with the loop."""
+        """Close the loop: unfinished calls are dropped silently, because their process ends with the loop.
+
+        So are the errors of their `finally` and `except` blocks, which Python runs when it drops a coroutine: without a
+        loop they cannot do what they are for.
+        """
         self._closed = True
         self._ready.clear()
         self._timers.clear()
         for task in self._tasks:
             if not task.done():
                 task._log_destroy_pending = False  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue]
+                with suppress(Exception, asyncio.CancelledError):
+                    task.get_coro().close()
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
         """Stop the run at an error that was not awaited: in virtual time it is always a defect."""

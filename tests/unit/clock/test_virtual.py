@@ -1,6 +1,7 @@
 """Virtual time: exact, deterministic, with processes that hang and die."""
 
 import asyncio
+import gc
 
 import pytest
 
@@ -44,9 +45,30 @@ def test_a_frozen_process_catches_up_and_a_killed_one_never_runs_again() -> None
         process.add_death_callback(lambda: log.append("reaped"))
         process.kill()
         await asyncio.sleep(10)
-        return log
+        return list(log)
 
     assert run_virtual(main) == [1.0, 6.5, 7.5, "reaped"]
+
+
+def test_the_cleanup_of_a_killed_process_disturbs_nothing_after_the_run() -> None:
+    async def main(clock: VirtualClock) -> None:
+        process = VirtualProcess(clock.loop, "p")
+
+        async def brake_when_cancelled() -> None:
+            try:
+                await asyncio.Event().wait()
+            except BaseException:
+                asyncio.get_running_loop().create_future()
+                raise
+
+        process.start_task(brake_when_cancelled())
+        await asyncio.sleep(1)
+        process.kill()
+        await asyncio.sleep(1)
+
+    # Python runs the cleanup when it drops the coroutine; an error of it would be a warning, and so a failed test.
+    run_virtual(main)
+    gc.collect()
 
 
 def test_deadlock_and_errors_end_the_run() -> None:
