@@ -83,6 +83,31 @@ class ControllerReading:
 
 
 @dataclass(frozen=True, slots=True)
+class SettingDifference:
+    """A value that motion relies on, and that the controller no longer holds: another client has changed it.
+
+    item: the setting in the controller's own words (`IT of axis x`). found, expected: as the controller writes them.
+    axis: its name in the fleet file; None: the whole controller.
+    moves_reference: counts no longer stand for the positions that they stood for; the axis must be homed again.
+    repairable: `Driver.clear_faults` writes the expected value again. Otherwise `remedy` says what a person must do.
+    """
+
+    item: str
+    found: str
+    expected: str
+    axis: str | None = None
+    moves_reference: bool = False
+    repairable: bool = True
+    remedy: str = ""
+
+    def to_fault(self) -> FaultReport:
+        """The fault that keeps the controller from moving until the setting is as expected."""
+        remedy = "`tutti reset` writes it again; find out which client changed it" if self.repairable else self.remedy
+        text = f"{self.item} is {self.found}, expected {self.expected}: another client has changed it"
+        return FaultReport(code="setting-changed", text=text, remedy=remedy, axis=self.axis)
+
+
+@dataclass(frozen=True, slots=True)
 class DriverCapabilities:
     """What the make's adapter supports, fixed before any job.
 
@@ -300,6 +325,16 @@ class Driver(ABC):
         Raises `ControllerRestarted` when the controller has restarted and much must be loaded again. The caller then
         reconnects, and the first reading after that reports `restarted`.
         """
+
+    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
+        """Compare what motion relies on with what the controller holds now, and return the differences.
+
+        That is what `configure` has loaded or checked and a second client can change: scaling, filters, coupling,
+        modes, ranges, limits, resident programs. everything: all of it, before a step is armed (`costs.arm_ns` covers
+        it); otherwise the next part, in turn, of a controller at rest. `clear_faults` writes again what it can.
+        """
+        del everything
+        return ()
 
     def clock_mapping(self) -> TickMapping | None:
         """Return the current clock estimate; None for a make without a readable clock."""

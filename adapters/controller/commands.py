@@ -17,6 +17,7 @@ from adapters.controller.publisher import StatePublisher, first_error_text
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
+from adapters.controller.surveillance import Surveillance
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS
@@ -91,6 +92,7 @@ class Components:
     jogging: JogControl
     motors: MotorControl
     referencing: AxisReferencing
+    surveillance: Surveillance
     status: ControllerStatus
     publisher: StatePublisher
 
@@ -197,7 +199,10 @@ class ControllerCommands:
         self._require_idle(request)
         if request.on:
             self._fence.require_no_estop()
-        await self._components.motors.switch_motors(request.axes, on=request.on)
+        try:
+            await self._components.motors.switch_motors(request.axes, on=request.on)
+        finally:
+            self._status.ordered_ns = self._context.clock.now_ns()
         return Reply()
 
     async def _handle_home(self, request: HomeRequest) -> HomeReply:
@@ -210,6 +215,8 @@ class ControllerCommands:
             with suppress(LinkClosed, LinkRefused, ControllerFault):
                 await self._supervisor.stop(abort=False, reason=f"homing has failed: {error}")
             raise
+        finally:
+            self._status.ordered_ns = self._context.clock.now_ns()
 
     async def _handle_jog(self, request: JogRequest) -> Reply:
         self._status.require_known(request.velocities)
@@ -219,7 +226,10 @@ class ControllerCommands:
             self._fence.require_no_estop()
             self._status.require_no_fault()
             self._require_no_step()
-        await self._components.jogging.apply_request(request)
+        try:
+            await self._components.jogging.apply_request(request)
+        finally:
+            self._status.ordered_ns = self._context.clock.now_ns()
         return Reply()
 
     async def _handle_set_position(self, request: SetPositionRequest) -> Reply:
@@ -271,7 +281,9 @@ class ControllerCommands:
                 f"the controller is about to move for job {armed_step.job}",
                 "wait for the end of the step, then reset",
             )
+        status.ordered_ns = self._context.clock.now_ns()
         await self._driver.clear_faults()
+        await self._components.surveillance.recheck_settings()
         await self._supervisor.poll_and_publish()
         status.require_no_fault()
         moving = [name for name, axis in status.require_online().axes.items() if axis.moving]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from adapters.contract import Driver, Make
+from adapters.controller.sessions import SessionSigns
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
@@ -22,6 +23,7 @@ class ControllerContext:
     instance: identifies this start of the supervisor.
     scale: returns fleet time, or None before the first message of a coordinator.
     replace_supervisor: requests from the host that it replaces this supervisor by one with another configuration.
+    sessions: when the commands that a person waits for were last seen.
     lowering_lock: lock that lets one controller of the host lower profiles at a time."""
 
     controller: str
@@ -37,4 +39,5 @@ class ControllerContext:
     instance: str
     scale: Callable[[], FleetScale | None]
     replace_supervisor: Callable[[str, Controller], None]
+    sessions: SessionSigns
     lowering_lock: asyncio.Lock

@@ -9,15 +9,21 @@ from orchestrator.clock.base import NS_PER_MS, Clock, ClockTimer
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaseRequest
+from orchestrator.model.session import SESSION_TIMEOUT_NS
 
 HOLDERS_REMEMBERED = 64  # holders
+_EVER = 2**53  # above the number of any acquisition
 
 
 @dataclass(frozen=True, slots=True)
 class _AxisLease:
+    """session, since_ns: the session that it ends with (empty: none), and when it was granted first."""
+
     holder: str
     actor: str
     until_ns: int
+    session: str
+    since_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +38,9 @@ class _LeaseEnd:
 
 
 class MotionLeases:
-    """The leases of one controller. `ended(holder, axes, reason)` is called when axes are no longer leased.
+    """The leases of one controller. `on_ended(holder, axes, reason)` is called when axes are no longer leased.
+
+    session_seen_ns: returns when a session was last seen; a lease of a session ends `SESSION_TIMEOUT_NS` later.
 
     If the axes cannot be moved independently of each other, only all of them together can be leased.
     """
@@ -43,11 +51,13 @@ class MotionLeases:
         clock: Clock,
         independent_axes: Callable[[], bool],
         on_ended: Callable[[str, list[str], str], None],
+        session_seen_ns: Callable[[str], int],
     ) -> None:
         self._config = config
         self._clock = clock
         self._independent_axes = independent_axes
         self._on_ended = on_ended
+        self._session_seen_ns = session_seen_ns
         self._leases: dict[str, _AxisLease] = {}
         self._lease_ends: OrderedDict[str, _LeaseEnd] = OrderedDict()
         self._timer: ClockTimer | None = None
@@ -79,9 +89,12 @@ class MotionLeases:
                 raise Refusal(
                     "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
                 )
-        until_ns = self._clock.now_ns() + request.ttl_ms * NS_PER_MS
+        now_ns = self._clock.now_ns()
+        until_ns = now_ns + request.ttl_ms * NS_PER_MS
         for axis in request.axes:
-            self._leases[axis] = _AxisLease(request.holder, request.actor, until_ns)
+            lease = self._leases.get(axis)
+            since_ns = now_ns if lease is None else lease.since_ns
+            self._leases[axis] = _AxisLease(request.holder, request.actor, until_ns, request.session, since_ns)
         self._expire_leases()
 
     def require_lease(self, holder: str, axes: Iterable[str]) -> None:
@@ -111,6 +124,9 @@ class MotionLeases:
     def _expire_leases(self) -> None:
         """End expired leases and set the timer for the next expiry."""
         now_ns = self._clock.now_ns()
+        of_sessions = {axis: lease for axis, lease in self._leases.items() if lease.session}
+        absent = [axis for axis, lease in of_sessions.items() if self._present_until_ns(lease) <= now_ns]
+        self._end_leases(absent, "the command that it belongs to has ended", final=True)
         self._end_leases(
             [axis for axis, lease in self._leases.items() if lease.until_ns <= now_ns], "the lease has expired"
         )
@@ -118,15 +134,22 @@ class MotionLeases:
             self._timer.cancel()
             self._timer = None
         if self._leases:
-            first_ns = min(lease.until_ns for lease in self._leases.values())
+            first_ns = min(min(lease.until_ns, self._present_until_ns(lease)) for lease in self._leases.values())
             self._timer = self._clock.call_at_ns(first_ns, self._expire_leases)
 
-    def _end_leases(self, axes: list[str], reason: str) -> None:
+    def _present_until_ns(self, lease: _AxisLease) -> int:
+        """Until when the lease is valid without another sign of life of its session."""
+        if not lease.session:
+            return lease.until_ns
+        return max(lease.since_ns, self._session_seen_ns(lease.session)) + SESSION_TIMEOUT_NS
+
+    def _end_leases(self, axes: list[str], reason: str, *, final: bool = False) -> None:
+        """End the leases of `axes`. final: no renewal under way may revive them."""
         by_holder: dict[str, list[str]] = {}
         for axis in axes:
             by_holder.setdefault(self._leases.pop(axis).holder, []).append(axis)
         for holder, lost in by_holder.items():
-            self._record_end(holder, reason, None)
+            self._record_end(holder, reason, _EVER if final else None)
             self._on_ended(holder, lost, reason)
 
     def _record_end(self, holder: str, reason: str, taking: int | None) -> None:

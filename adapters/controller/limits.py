@@ -38,6 +38,20 @@ def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *,
                 "plan again from the present position",
             )
         check_limits(name, axis, profile)
+        _check_limit_switch(name, now.limit, profile)
+
+
+def _check_limit_switch(name: str, active: str, profile: Profile) -> None:
+    """Raise `Refusal` when the axis is on a limit switch in the direction of motion."""
+    low, high = profile.extent_counts
+    forward, reverse = high > profile.start_counts + 0.5, low < profile.start_counts - 0.5
+    for side, wanted in (("forward", forward), ("reverse", reverse)):
+        if wanted and active in (side, "both"):
+            raise Refusal(
+                "limit-switch",
+                f"axis {name} is on its {side} limit switch, and the move goes in that direction",
+                "move it off the switch in the other direction, or check the switch and its cable",
+            )
 
 
 def check_limits(name: str, axis: Axis, profile: Profile) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
 
-from adapters.contract import Driver, HostInterval
+from adapters.contract import Driver, HostInterval, SettingDifference
 from adapters.controller.clock import clock_mapping
 from adapters.controller.settling import SettlingResult
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
@@ -80,6 +80,7 @@ class StepServices:
     scale: returns fleet time; raises `Refusal` while it is unknown.
     emit: publishes an event of a step.
     settle: waits until axes are at rest at their targets; a fresh state is on the bus when it returns.
+    note_differences: keeps the controller from moving while settings differ.
     spawn: runs a coroutine in the background.
     """
 
@@ -87,6 +88,7 @@ class StepServices:
     scale: Callable[[], FleetScale]
     emit: StepEventEmitter
     settle: Callable[[Sequence[str]], Awaitable[SettlingResult]]
+    note_differences: Callable[[Sequence[SettingDifference]], None]
     spawn: Callable[[Coroutine[Any, Any, None]], object]
 
 
@@ -110,6 +112,7 @@ class StepParticipant:
         self._emit = services.emit
         self._settle = services.settle
         self._spawn = services.spawn
+        self._note_differences = services.note_differences
         self._lowering_lock = lowering_lock
         self._transition_lock = asyncio.Lock()
         self._loading_lock = asyncio.Lock()
@@ -178,6 +181,7 @@ class StepParticipant:
             )
             try:
                 async with self._loading_lock:
+                    await self._require_settings()
                     stages = await self._driver.arm_move(lowered, t0_ns, mapping)
             except (Refusal, ControllerFault):
                 await self._driver.disarm_move()
@@ -196,6 +200,14 @@ class StepParticipant:
                 took_ns=self._clock.now_ns() - began_ns,
                 stages_ns=dict(stages),
             )
+
+    async def _require_settings(self) -> None:
+        """Raise `Refusal` when a setting that the move relies on is not as expected."""
+        differences = await self._driver.check_settings(everything=True)
+        if differences:
+            self._note_differences(differences)
+            fault = differences[0].to_fault()
+            raise Refusal(fault.code, fault.text, fault.remedy)
 
     async def commit_step(self, request: CommitRequest) -> Reply:
         """Commit to the step after a final check of the controller."""

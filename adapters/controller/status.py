@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from adapters.contract import ControllerIdentity, ControllerReading
+from adapters.contract import ControllerIdentity, ControllerReading, SettingDifference
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import FaultReport
@@ -26,7 +26,10 @@ class ControllerStatus:
     begun_by_ns: when the step that was loaded at that stop would have begun.
     may_move: no poll yet, or none since the link broke in or before a motion: an earlier process may have left the
     controller moving.
-    restarts: number of restarts of the controller that polls have shown."""
+    restarts: number of restarts of the controller that polls have shown.
+    ordered_ns: when the last order that may change positions was given by this adapter: a step, a jog, a search for the
+    reference, motors on or off, a stop.
+    differences: settings that are not as this adapter has left them, by item, until a reset or a new connection."""
 
     config: Controller
     referenced: dict[str, bool] = field(init=False)
@@ -42,6 +45,8 @@ class ControllerStatus:
     begun_by_ns: int = 0
     may_move: bool = True
     restarts: int = 0
+    ordered_ns: int = 0
+    differences: dict[str, SettingDifference] = field(default_factory=dict[str, SettingDifference])
 
     def __post_init__(self) -> None:
         self.forget_references()

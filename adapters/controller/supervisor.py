@@ -24,6 +24,7 @@ from adapters.controller.referencing import AxisReferencing
 from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
+from adapters.controller.surveillance import Surveillance
 from orchestrator.bus.base import BusDeclaration, RequestHandler
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
@@ -55,7 +56,11 @@ class ControllerSupervisor:
         self._status = ControllerStatus(context.config)
         driver, condition = context.driver, self._status
         self._leases = MotionLeases(
-            context.config, context.clock, lambda: driver.capabilities.independent_axes, self._handle_lease_end
+            context.config,
+            context.clock,
+            lambda: driver.capabilities.independent_axes,
+            self._handle_lease_end,
+            context.sessions.seen_ns,
         )
         self._settling = SettlingMonitor(context.clock, condition, self.poll_and_publish)
         self._participant = StepParticipant(
@@ -67,6 +72,7 @@ class ControllerSupervisor:
                 scale=self._require_scale,
                 emit=self._emit_step,
                 settle=self._settling.wait_until_settled,
+                note_differences=lambda found: self._surveillance.note_differences(found),
                 spawn=self._spawn_task,
             ),
             context.lowering_lock,
@@ -87,6 +93,9 @@ class ControllerSupervisor:
         self._referencing = AxisReferencing(
             driver, self._settling, condition, self._publisher.emit_event, self.poll_and_publish
         )
+        self._surveillance = Surveillance(
+            driver, context.clock, condition, self._publisher.emit_event, self._has_ordered_motion
+        )
         parts = Components(
             fence=self._fence,
             remembered=remembered,
@@ -95,6 +104,7 @@ class ControllerSupervisor:
             jogging=self._jogging,
             motors=self._motors,
             referencing=self._referencing,
+            surveillance=self._surveillance,
             status=condition,
             publisher=self._publisher,
         )
@@ -211,6 +221,7 @@ class ControllerSupervisor:
     async def _poll_until_lost(self) -> None:
         """Poll and publish until the link breaks or the controller's replies are invalid."""
         self._status.faults = []
+        self._status.differences.clear()
         self._is_connected = True
         await self.poll_and_publish()
         identity = self._status.identity
@@ -220,6 +231,7 @@ class ControllerSupervisor:
         while True:
             await self._wait_for_next_poll()
             await self.poll_and_publish()
+            await self._surveillance.check_next_settings()
 
     async def _wait_for_next_poll(self) -> None:
         """Wait for the next poll: at the configured rate, at once after a wake-up, never in the quiet time before
@@ -264,6 +276,12 @@ class ControllerSupervisor:
                 wait_ns = HEARTBEAT_NS
             await sleep_ns(self._clock, wait_ns)
 
+    def _has_ordered_motion(self) -> bool:
+        """Whether anything that this adapter has ordered may change positions now."""
+        participant, status = self._participant, self._status
+        busy = participant.armed_step is not None or participant.is_following or participant.is_loading
+        return busy or status.stop_unseen or self.is_moving or bool(status.homing | status.jogging)
+
     def wake_poll(self) -> None:
         """Poll soon: an activity has begun or ended."""
         self._poll_wake.set()
@@ -286,6 +304,7 @@ class ControllerSupervisor:
         before, status.reading = status.reading, reading
         status.may_move = False
         unreferenced = self._referencing.handle_reading(reading)
+        unreferenced += self._surveillance.find_jumps(before, reading)
         if reading.restarted:
             self._publisher.emit_event("fault", "the controller was restarted; its axes are no longer referenced")
             self._participant.drop_step("the controller was restarted")
@@ -303,6 +322,7 @@ class ControllerSupervisor:
                 active = level == (point.active == "high")
                 self._publisher.emit_event("input", f"input {name} is {'active' if active else 'inactive'}")
         faults = [*reading.faults, *self._settling.find_following_errors(reading)]
+        faults += [each.to_fault() for each in status.differences.values()]
         known = {(fault.code, fault.axis) for fault in status.faults}
         for fault in faults:
             if (fault.code, fault.axis) not in known:
@@ -338,7 +358,11 @@ class ControllerSupervisor:
         """Return the reason why a moving step must be aborted after this poll, or None; a failure of one axis is a
         failure of the step."""
         armed_step = self._participant.armed_step
-        if armed_step is None or armed_step.phase is not StepPhase.MOVING or before is None:
+        is_step_moving = armed_step is not None and armed_step.phase is StepPhase.MOVING
+        outside = self._surveillance.find_outside_motion(
+            armed_step.axes if armed_step and is_step_moving else (), reading
+        )
+        if armed_step is None or not is_step_moving or before is None:
             return None
         if self._status.faults:
             return self._status.faults[0].text
@@ -351,7 +375,7 @@ class ControllerSupervisor:
                 return f"axis {name} has run into its {now.limit} limit switch"
             if old.enabled and not now.enabled:
                 return f"the motor of axis {name} has switched off"
-        return None
+        return outside
 
     def _handle_offline(self, fault: FaultReport) -> None:
         status, participant = self._status, self._participant
@@ -378,6 +402,7 @@ class ControllerSupervisor:
         self._participant.drop_step(f"the link is lost: {fault.text}")
         if was_online:
             self._publisher.emit_event("offline", fault.text, fault=fault)
+            self._publisher.publish_state()
         self._log.warning(fault.text, controller=self.controller, code=fault.code)
 
     # Stops, bypassing everything else
@@ -386,7 +411,7 @@ class ControllerSupervisor:
         """Stop the controller for any reason; nothing that is loaded starts afterwards. follow: keep following a moving
         step until it is at rest."""
         status = self._status
-        status.stopped_ns = self._clock.now_ns()
+        status.stopped_ns = status.ordered_ns = self._clock.now_ns()
         stop_ns = max(self._driver.capabilities.costs.stop_ns, self._participant.stop_ns)
         status.stopping_until_ns = status.stopped_ns + stop_ns
         status.stop_unseen = True

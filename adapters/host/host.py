@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from adapters.contract import DriverSetup, Make, TimedWriter
 from adapters.controller.context import ControllerContext
 from adapters.controller.log import ControllerLog
+from adapters.controller.sessions import SessionSigns
 from adapters.controller.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
@@ -122,6 +123,7 @@ class AdapterHost:
         self._starts = 0
         self._lines: dict[str, _SharedPort] = {}
         self._lowering_lock = asyncio.Lock()
+        self._sessions = SessionSigns(environment.clock)
         mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
         self.supervisors = {
             controller: self._create_supervisor(controller, config) for controller, config in mine.items()
@@ -172,6 +174,7 @@ class AdapterHost:
             replace_supervisor=lambda controller, config: self._spawn_task(
                 self._replace_supervisor(controller, config)
             ),
+            sessions=self._sessions,
             lowering_lock=self._lowering_lock,
         )
         return ControllerSupervisor(seat, PersistentMemory(around.store(controller), around.runs))
@@ -185,6 +188,7 @@ class AdapterHost:
         self._declared = [
             await bus.subscribe(keys.estop, self._handle_estop),
             await bus.subscribe(keys.leader, self._handle_leadership),
+            await bus.subscribe(keys.session(), self._sessions.receive_sign),
             await bus.announce(keys.live("host", self._name, self._environment.instance)),
         ]
         for unit in self.supervisors.values():

@@ -95,6 +95,10 @@ class FleetKeys:
         """Requests of users; served by the leader."""
         return f"{self.prefix}/svc/{_make_chunk(verb, 'verb')}"
 
+    def session(self, session: str | None = None) -> str:
+        """Signs of life of a command that a person waits for; published by its client."""
+        return f"{self.prefix}/session/{_make_chunk(session, 'session')}"
+
     @property
     def time(self) -> str:
         """Fleet time; served by the leader."""

@@ -18,7 +18,14 @@ from orchestrator.bus.base import BusSample
 from orchestrator.campaign.faults import FAULTS, FaultInjector
 from orchestrator.campaign.fleets import PERMIT_MAKE, make_campaign_fleet
 from orchestrator.campaign.invariants import InvariantChecker
-from orchestrator.campaign.jobs import MAX_MOVE_S, SPEED_FRACTION, draw_orders, make_preparation, make_trial
+from orchestrator.campaign.jobs import (
+    MAX_MOVE_S,
+    SPEED_FRACTION,
+    JobOrder,
+    draw_orders,
+    make_preparation,
+    make_trial,
+)
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.client.api import Tutti
@@ -26,6 +33,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.virtual import VirtualFleet
@@ -34,6 +42,8 @@ REPAIR_DELAY_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is de
 STAGE_TIMEOUT_NS = 20 * NS_PER_S  # for the stage to be reached
 REFUSED_JOB_TIMEOUT_S = 10.0  # for a job that must be refused
 READY_TIMEOUT_S = 25.0  # for a fleet to become ready after the repair
+OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
+_WAITS_FOR_AXIS = ("is not referenced", "is not enabled")  # reasons of waiting jobs that the operator mends
 END_TIMEOUT_NS = 50 * NS_PER_S  # for the remaining jobs to end
 POLL_NS = 200 * NS_PER_MS
 REST_POLLS = 150  # polls for controllers at rest, 7 ms apart
@@ -130,6 +140,7 @@ class _Scenario:
         self._target: tuple[CampaignPhase, FaultCell, asyncio.Future[tuple[str, int]]] | None = None
         self._stage_times: dict[tuple[tuple[str, int], str], dict[str, int]] = {}
         self._epochs: dict[str, int] = {}
+        self._phase: CampaignPhase | None = None
         self._jogging = False
         self.recorder = BusRecorder(clock, self._on_request)
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
@@ -161,8 +172,15 @@ class _Scenario:
             await sleep_ns(self._clock, POLL_NS)
 
     async def _prepare_axes(self, client: Tutti, axes: list[str], homing: list[str]) -> bool:
+        """Enable and home axes as an operator does, whose commands come before all waiting jobs."""
         self._seed_run.jobs += 1
-        report = await client.wait_for_job(await client.submit(make_preparation(axes, homing)))
+        async with client.attend() as attendance:
+            job, terms = make_preparation(axes, homing), QueueTerms(session=attendance.session)
+            job_id = await client.submit(job, terms=terms)
+            if self._phase is not None:
+                controllers = tuple(dict.fromkeys(axis.partition(".")[0] for axis in axes))
+                self._phase.jobs[job_id] = JobOrder(job, terms, controllers)
+            report = await client.wait_for_job(job_id)
         if report.state != "done":
             self.checker.add_violation("3", f"the preparation of {axes} is {report.state}: {report.reason}")
         self.checker.check_positions(await client.status(1.0))
@@ -177,6 +195,7 @@ class _Scenario:
         act = CampaignPhase(fault, member, self._injector.find_affected(fault, member), before)
         reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
         self._target = act, cell, reached
+        self._phase = act
         keys: dict[str, str] = {}
         by_hand: asyncio.Task[None] | None = None
         if cell.stage == "jog":
@@ -208,6 +227,7 @@ class _Scenario:
                 if row
                 else f"{order.job.name} is missing from the journal"
             )
+        self._phase = None
         self.checker.check_phase(act)
         self.checker.check_positions(await client.status(1.0))
 
@@ -255,6 +275,8 @@ class _Scenario:
     async def _try_other_file(self, phase: CampaignPhase) -> None:
         """Submit a job that homes and moves a member whose host has another fleet file than the coordinator."""
         person = self.virtual.make_client("ben")
+        with suppress(Refusal):
+            await person.start_queue()
         order = make_trial(self._seed_run.fleet, phase.member)
         job_id = await person.submit(order.job, terms=order.terms)
         phase.jobs[job_id] = order
@@ -265,13 +287,18 @@ class _Scenario:
         await person.close()
 
     async def _wait_for_ends(self, client: Tutti, phase: CampaignPhase) -> None:
-        """Wait until the fleet is ready, then until all jobs end."""
+        """Act as the operator until all jobs end: wait until the fleet is ready, start the queue, release held jobs,
+        and restore axes that jobs wait for."""
         await self._wait_until_ready(client)
-        with suppress(Refusal):
-            await client.release_jobs()
         until_ns = self._clock.now_ns() + END_TIMEOUT_NS
         while not self._all_finished(phase) and self._clock.now_ns() < until_ns:
-            await sleep_ns(self._clock, POLL_NS)
+            with suppress(Refusal):
+                await client.start_queue()
+                await client.release_jobs()
+                waiting = (await client.list_jobs(state="queued")).jobs
+                if any(mark in each.reason for each in waiting for mark in _WAITS_FOR_AXIS):
+                    await self._restore_axes(client)
+            await sleep_ns(self._clock, OPERATOR_PERIOD_NS)
         await sleep_ns(self._clock, NS_PER_S)
 
     def _all_finished(self, phase: CampaignPhase) -> bool:

@@ -8,7 +8,7 @@ from orchestrator.cli.axis_take import acquire, release
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.fleet import stop
 from orchestrator.cli.jog.command import jog
-from orchestrator.cli.one_step import run_single_step
+from orchestrator.cli.one_step import run_single_step, wait_option
 
 _AXES = click.argument("axes", nargs=-1, required=True)
 
@@ -76,26 +76,32 @@ def limits(axes: tuple[str, ...], connect: str, fleet: str | None, *, as_json: b
 
 @axis.command(epilog="Example: tutti axis enable gantry stage.u")
 @_AXES
+@wait_option
 @fleet_options
-def enable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
+def enable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool) -> None:
     """Switch the motors of AXES on (axes, groups or controllers)."""
-    run_single_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled")
+    run_single_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled", wait=wait)
 
 
 @axis.command(epilog="Example: tutti axis disable gantry")
 @_AXES
+@wait_option
 @fleet_options
-def disable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
+def disable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool) -> None:
     """Switch the motors of AXES off."""
-    run_single_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled")
+    run_single_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled", wait=wait)
 
 
 @axis.command(epilog="Example: tutti axis home          (the whole fleet, in its home_order)")
 @click.argument("axes", nargs=-1)
+@wait_option
 @fleet_options
-def home(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
-    """Home AXES, one after the other; without AXES, the whole fleet in its home_order."""
-    run_single_step(connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed")
+def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool) -> None:
+    """Home AXES, one after the other; without AXES, the whole fleet in its home_order.
+
+    Ctrl-C, a closed terminal, or the end of this process in any other way stops the search.
+    """
+    run_single_step(connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed", wait=wait)
 
 
 @axis.command(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
@@ -105,21 +111,27 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     "--speed", default=0.2, show_default=True, type=click.FloatRange(0.001, 1), help="Fraction of the limits."
 )
 @click.option("--line", is_flag=True, help="Along a straight path.")
+@wait_option
 @fleet_options
 def move(
-    targets: tuple[str, ...], speed: float, connect: str, fleet: str | None, *, relative: bool, line: bool
+    targets: tuple[str, ...], speed: float, connect: str, fleet: str | None, *, relative: bool, line: bool, wait: bool
 ) -> None:
-    """Move axes together to VALUE (with --relative: by VALUE), in the axis's unit or a given unit."""
+    """Move axes together to VALUE (with --relative: by VALUE), in the axis's unit or a given unit.
+
+    Ctrl-C, a closed terminal, or the end of this process in any other way stops the axes by their ramps. This is
+    software: it is no substitute for a wired emergency stop.
+    """
     wanted = _parse_targets(targets, "TARGETS")
     step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
-    run_single_step(connect, fleet, step, "there")
+    run_single_step(connect, fleet, step, "there", wait=wait)
 
 
 @axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')
 @click.argument("positions", nargs=-1, required=True, metavar="AXIS[=VALUE]...")
 @click.option("--clear", is_flag=True, help="Clear the offsets of the AXES: user positions become motor positions.")
+@wait_option
 @fleet_options
-def set_position(positions: tuple[str, ...], connect: str, fleet: str | None, *, clear: bool) -> None:
+def set_position(positions: tuple[str, ...], connect: str, fleet: str | None, *, clear: bool, wait: bool) -> None:
     """Set the current position of AXIS to VALUE. Nothing moves.
 
     This sets the user offset of the axis, for all users. Soft limits, which are motor positions, do not shift with
@@ -127,7 +139,7 @@ def set_position(positions: tuple[str, ...], connect: str, fleet: str | None, *,
     """
     axes: dict[str, str | float | None] = {}
     axes |= dict.fromkeys(positions) if clear else _parse_targets(positions, "POSITIONS")
-    run_single_step(connect, fleet, {"do": "set-position", "axes": axes}, "set")
+    run_single_step(connect, fleet, {"do": "set-position", "axes": axes}, "set", wait=wait)
 
 
 # Manual motions are stopped like all others: one stop for all.

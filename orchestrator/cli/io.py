@@ -3,7 +3,7 @@
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
-from orchestrator.cli.one_step import run_single_step
+from orchestrator.cli.one_step import run_single_step, wait_option
 
 
 @click.group(epilog="Example: tutti io set gantry.lamp on")
@@ -40,7 +40,9 @@ def list_points(connect: str, fleet: str | None, *, as_json: bool) -> None:
 @io.command("set", epilog="Example: tutti io set gantry.lamp off")
 @click.argument("output", metavar="CONTROLLER.OUTPUT")
 @click.argument("state", type=click.Choice(["on", "off"]))
+@wait_option
 @fleet_options
-def set_output(output: str, state: str, connect: str, fleet: str | None) -> None:
+def set_output(output: str, state: str, connect: str, fleet: str | None, *, wait: bool) -> None:
     """Switch a named output: on is active, whatever its polarity."""
-    run_single_step(connect, fleet, {"do": "output", "output": output, "value": state == "on"}, f"{output} is {state}")
+    step = {"do": "output", "output": output, "value": state == "on"}
+    run_single_step(connect, fleet, step, f"{output} is {state}", wait=wait)

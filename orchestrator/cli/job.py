@@ -5,7 +5,7 @@ from typing import Any, Unpack
 
 import click
 
-from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import (
     console,
     errors,
@@ -32,6 +32,7 @@ def job() -> None:
 @fleet_options
 @json_option
 @click.option("--wait", is_flag=True, help="Wait for the end and print the report; exit 1 unless the job is done.")
+@click.option("--cancel-on-interrupt", is_flag=True, help="With --wait: Ctrl-C cancels the job instead of leaving it.")
 @click.option("--dry-run", is_flag=True, help="Only report what each move would take from the current positions.")
 @click.option("--key", default=None, help="Client key: repeating a key returns the same job, never a second one.")
 @terms_options
@@ -43,10 +44,18 @@ def submit(
     *,
     as_json: bool,
     wait: bool,
+    cancel_on_interrupt: bool,
     dry_run: bool,
     **terms: Unpack[TermsOptions],
 ) -> None:
     """Submit the job in FILE. It begins when its axes are free, and no earlier job waits for them."""
+    from orchestrator.cli.base.foreground import (
+        controllers_of,
+        count_interrupts,
+        follow_unless_interrupted,
+        say,
+        stop_own_job,
+    )
     from orchestrator.cli.follow import follow_job
     from orchestrator.client import Tutti
     from orchestrator.model.files import load_job
@@ -65,7 +74,14 @@ def submit(
             return
         if entry.terms.at is not None and not as_json:
             print_accepted(entry)
-        report = await follow_job(tutti, entry.id, quiet=as_json)
+        with count_interrupts() as interrupts:
+            report = await follow_unless_interrupted(follow_job(tutti, entry.id, quiet=as_json), interrupts)
+            if report is None and cancel_on_interrupt:
+                await stop_own_job(tutti, entry.id, controllers_of(loaded), interrupts)
+        if report is None:
+            if not cancel_on_interrupt:
+                say(f"job {entry.id} continues; cancel it with: tutti job cancel {entry.id}")
+            raise SystemExit(INTERRUPTED)
         print_json(report.to_plain()) if as_json else console.print(make_report_tables(report))
         if report.state != "done":
             raise SystemExit(FAILED)

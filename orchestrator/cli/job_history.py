@@ -33,6 +33,7 @@ def list_jobs(
     """List the newest jobs. #: the place of a waiting job in the queue."""
     from orchestrator.client import Tutti
     from orchestrator.model.service import ListJobs
+    from orchestrator.monitor.queue_words import describe_queue
 
     async def show_jobs(tutti: Tutti) -> None:
         asked = ListJobs.model_validate({**tutti.request_fields(), "state": state})
@@ -41,6 +42,8 @@ def list_jobs(
             print_json([entry.to_plain() for entry in found.jobs])
             return
         print_jobs(found.jobs)
+        if found.stopped is not None:
+            console.print(describe_queue(found), style="bold yellow", highlight=False, markup=False)
         if found.total > len(found.jobs):
             console.print(f"{len(found.jobs)} of {found.total}; more with --limit", highlight=False)
 

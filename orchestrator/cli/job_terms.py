@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
@@ -29,6 +29,8 @@ class TermsOptions(TypedDict):
     at: datetime | None
     missed: str
     held: bool
+    now: bool
+    expires: float | None
 
 
 class DurationType(click.ParamType[float]):
@@ -75,7 +77,7 @@ class InstantType(click.ParamType[datetime]):
 
 
 def terms_options(command: F) -> F:
-    """Add the options `--priority`, `--repeat`, `--after`, `--at`, `--missed` and `--hold`."""
+    """Add the options `--priority`, `--repeat`, `--after`, `--at`, `--missed`, `--hold`, `--now` and `--expires`."""
     options = (
         click.option(
             "--priority", default=0, show_default=True, type=click.IntRange(-100, 100), help="Higher ones come first."
@@ -91,6 +93,10 @@ def terms_options(command: F) -> F:
             help="What to do if no coordinator leads at that time.",
         ),
         click.option("--hold", "held", is_flag=True, help="Hold it until `tutti job release`."),
+        click.option("--now", is_flag=True, help="Refuse it instead of letting it wait: for scripts."),
+        click.option(
+            "--expires", default=None, type=DurationType(), metavar="DURATION", help="Cancel it if it waits longer: 8h."
+        ),
     )
     for option in reversed(options):
         command = option(command)
@@ -101,8 +107,10 @@ def make_terms(options: TermsOptions) -> "QueueTerms":
     """Convert the options to the model of the service."""
     from orchestrator.model.queue import QueueTerms
 
-    at = options["at"]
-    return QueueTerms.model_validate({**options, "at": None if at is None else at.isoformat()})
+    at, expires = options["at"], options["expires"]
+    end = None if expires is None else datetime.now(UTC) + timedelta(seconds=expires)
+    times = {"at": None if at is None else at.isoformat(), "expires": None if end is None else end.isoformat()}
+    return QueueTerms.model_validate({**options, **times})
 
 
 def print_accepted(entry: "QueueEntry") -> None:
@@ -124,6 +132,8 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
         lines.append(f"at {local} ({terms.at}); {missed} if no coordinator leads then")
     if terms.after is not None:
         lines.append(f"after job {terms.after}")
+    if terms.expires is not None:
+        lines.append(f"cancelled if it has not begun at {terms.expires[:19]}Z")
     if terms.repeat > 1:
         lines.append(f"{terms.repeat} times")
     if terms.priority:

@@ -16,6 +16,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "estop": ("fleet", "Stop everything immediately, and latch."),
     "reset": ("fleet", "Release the e-stop latch and clear faults."),
     "submit": ("job", "Submit a job (same as `job submit`)."),
+    "queue": ("queue", "Start, stop and show the queue of jobs."),
     "job": ("job", "Submit, list, show, cancel jobs; read reports."),
     "axis": ("axis", "Manual operation: list, enable, home, jog, move."),
     "io": ("io", "Inputs and outputs by name."),

@@ -1,16 +1,34 @@
-"""Manual actions as jobs of one step, so that they are leased, checked, recorded and stopped like any other job."""
+"""Manual actions as jobs of one step, so that they are leased, checked, recorded and stopped like any other job.
 
-from typing import Any
+They end with the command: see `orchestrator.cli.base.foreground`.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, exit_with_error, with_fleet
 
+F = TypeVar("F", bound=Callable[..., Any])
 
-def run_single_step(connect: str, fleet: str | None, step: dict[str, Any], done: str) -> None:
-    """Submit a job of one step, wait for it, and print `done` or its reason. Exit 1 if it is not done."""
+
+def wait_option(command: F) -> F:
+    """Add the option `--wait`."""
+    return click.option(
+        "--wait", is_flag=True, help="Wait for axes that are in use, instead of being refused; shows what it waits for."
+    )(command)
+
+
+def run_single_step(connect: str, fleet: str | None, step: dict[str, Any], done: str, *, wait: bool = False) -> None:
+    """Submit a job of one step, wait for it, and print `done` or its reason. Exit 1 if it is not done.
+
+    wait: let it wait for axes that are in use. An interrupt stops what the step moves.
+    """
     from pydantic import ValidationError
 
-    from orchestrator.cli.follow import follow_job
+    from orchestrator.cli.base.foreground import run_attended
     from orchestrator.client import Tutti
     from orchestrator.model.job import Job
 
@@ -20,7 +38,8 @@ def run_single_step(connect: str, fleet: str | None, step: dict[str, Any], done:
         exit_with_error(str(error.errors()[0]["msg"]), BAD_INPUT)
 
     async def submit_step(tutti: Tutti) -> None:
-        report = await follow_job(tutti, await tutti.submit(job), quiet=not console.is_terminal)
+        job_of_user = job.model_copy(update={"actor": tutti.actor})
+        report = await run_attended(tutti, job_of_user, wait=wait, quiet=not console.is_terminal)
         if report.state != "done":
             exit_with_error(report.steps[-1].reason if report.steps else report.reason or report.state, FAILED)
         console.print(done)

@@ -5,10 +5,11 @@ from collections.abc import AsyncGenerator, Callable
 from typing import Any, Self
 
 from orchestrator.bus.base import BusSample
+from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import FleetConnection
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
-from orchestrator.model.messages import Reply
+from orchestrator.model.messages import Reply, Request
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
     FINISHED_STATES,
@@ -52,6 +53,18 @@ class JobRequests(FleetConnection):
         often it is submitted. terms: priority, repeats, predecessor and start time.
         """
         return self.job((await self.enqueue_job(job, client_key, terms)).id)
+
+    def attend(self) -> Attendance:
+        """A session for jobs that a person waits for: they end when its context does, or its process."""
+        return Attendance(self)
+
+    async def start_queue(self) -> None:
+        """Let the jobs of the queue begin again after a break or a stop. Raises `Refusal`."""
+        await self.request_service("start-queue", Request(**self.request_fields()), Reply)
+
+    async def stop_queue(self) -> None:
+        """Let no further job begin; running jobs continue. Raises `Refusal`."""
+        await self.request_service("stop-queue", Request(**self.request_fields()), Reply)
 
     def job(self, job_id: str) -> "SubmittedJob":
         """A job by its id, to follow it."""

@@ -88,6 +88,8 @@ class UserRequests:
             "resume": Verb(JobReference, Reply, self._resume_job),
             "prune": Verb(PruneJobs, JobsPruned, self._prune_jobs),
             "stop": Verb(StopFleet, Reply, self._stop_fleet),
+            "start-queue": Verb(Request, Reply, self._start_queue),
+            "stop-queue": Verb(Request, Reply, self._stop_queue),
             "acquire-axes": Verb(AcquireAxes, AxesAcquired, manual.acquire),
             "release-axes": Verb(ReleaseAxes, Reply, self._release_axes),
             "reload": Verb(ReloadFleet, FleetReloaded, self._reload_fleet),
@@ -130,7 +132,7 @@ class UserRequests:
         services = self._services
         values = (request.limit, request.state, request.name, request.since or "")
         records, total = await services.execute(services.journal.find_jobs, *values)
-        return QueueState(total=total, jobs=self._scheduler.make_entries(records))
+        return self._scheduler.make_queue_state(total, records)
 
     async def _show_job(self, request: JobReference) -> JobShown:
         journal, execute = self._services.journal, self._services.execute
@@ -180,6 +182,14 @@ class UserRequests:
     async def _stop_fleet(self, request: StopFleet) -> Reply:
         interrupt = JobInterrupted("aborted", f"stopped by {request.actor}", request.actor)
         await self._scheduler.stop_jobs(interrupt, request.mode)
+        return Reply()
+
+    async def _start_queue(self, request: Request) -> Reply:
+        await self._scheduler.gate.start_queue(request.actor)
+        return Reply()
+
+    async def _stop_queue(self, request: Request) -> Reply:
+        self._scheduler.gate.stop_queue(f"stopped by {request.actor}", request.actor)
         return Reply()
 
     # Axes and fleet

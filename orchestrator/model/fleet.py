@@ -350,6 +350,20 @@ class Permit(Model):
     settle: Duration = Field(default=0, ge=0, description="How long it must have held before anything moves.")
 
 
+class QueuePolicy(Model):
+    """What happens to waiting jobs after a break and after a failure.
+
+    A break is a restart of the fleet, an interrupted step, or a controller that was off, restarted or unreferenced.
+    """
+
+    on_restart: Literal["stop", "continue"] = Field(
+        default="stop", description="stop: after a break no waiting job begins until `tutti queue start`."
+    )
+    on_failure: Literal["hold", "continue"] = Field(
+        default="hold", description="hold: waiting jobs that need a controller of a failed job are held."
+    )
+
+
 class Fleet(Model):
     """All controllers that share one name space on the bus."""
 
@@ -360,6 +374,7 @@ class Fleet(Model):
     permits: dict[Id, Permit] = Field(default={}, description='Named conditions, such as "door-closed".')
     groups: dict[Id, list[str]] = Field(default={}, description="Named groups of axes, `controller.axis`.")
     home_order: list[str] = Field(default=[], description="Groups, controllers or axes, homed one after another.")
+    queue: QueuePolicy = QueuePolicy()
 
     @field_validator("controllers")
     @classmethod

@@ -281,10 +281,12 @@ class LeaseRequest(AxesRequest):
 
     What the holder moves when its lease ends is stopped. holder: of a job, its id. reason: why it is ended.
     acquisition: increases with each acquisition of axes, so that a late renewal does not revive a lease that has ended.
+    session: the session of a command that a person waits for; the lease ends when its signs of life are missing.
     """
 
     holder: str
     acquisition: Int53 = 0
+    session: str = ""
     reason: str = ""
     ttl_ms: int = Field(ge=0, le=60_000)
 

@@ -7,6 +7,8 @@ from pydantic import BeforeValidator, Field
 
 from orchestrator.model.base import Model
 
+SESSION_PATTERN = r"^[a-z0-9_-]{1,64}$"
+
 MAX_STEPS = 10_000  # of a job including all repeats
 
 
@@ -50,3 +52,19 @@ class QueueTerms(Model):
         default="skip", description="Whether to run or skip it if no leader was active at its time."
     )
     held: bool = Field(default=False, description="It waits until it is released.")
+    now: bool = Field(default=False, description="Refuse it instead of letting it wait.")
+    expires: Utc | None = Field(default=None, description="Cancel it if it has not begun at this time.")
+    session: str | None = Field(
+        default=None,
+        pattern=SESSION_PATTERN,
+        description="The session of the command that a person waits for. The job begins although the queue is "
+        "stopped, and ends when the session does.",
+    )
+
+
+class QueueStop(Model):
+    """Since when, why and by which request or event no job of the queue begins."""
+
+    reason: str
+    actor: str
+    utc: str

@@ -7,7 +7,7 @@ from pydantic import Field
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
-from orchestrator.model.queue import QueueTerms
+from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass
 
 JobState = Literal[
@@ -229,3 +229,5 @@ class QueueState(Model):
     schema_: Literal["tutti.queue/1"] = Field(default="tutti.queue/1", alias="schema")
     total: int = 0
     jobs: list[QueueEntry]
+    stopped: QueueStop | None = Field(default=None, description="No job of the queue begins: since when, and why.")
+    waiting: int = Field(default=0, description="Number of waiting jobs.")

@@ -31,6 +31,7 @@ EventKind = Literal[
     "estop",
     "reset",
     "raw",
+    "setting",
 ]
 
 

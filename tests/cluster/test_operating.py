@@ -9,6 +9,7 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
 from adapters.controller.store import AdapterMemory, VolatileStore
+from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.link.memory import MemoryLink
 from orchestrator.model.errors import Refusal
@@ -100,6 +101,7 @@ def test_state_of_the_motors_after_an_estop_and_after_a_stop() -> None:
         await asyncio.sleep(0.7)
         await client.stop()
         await client.wait_for_job(moving)
+        await client.start_queue()
         await asyncio.sleep(0.5)
         assert all(axis.enabled for axis in (await client.status())["gantry"].axes.values())
         again = await client.submit(job("[{do: move, to: {gantry.x: 390, gantry.y: 200}, speed: 0.2}]"))
@@ -146,7 +148,7 @@ def test_a_permit_must_have_settled() -> None:
         await door_is(fleet, False)
         refused = await refusal(fleet, job("[{do: move, to: {gantry.x: 5}}]"))
         assert refused.code == "permit"
-        assert "must settle for 3 s" in refused.text
+        assert "of 3 s): it has not settled yet" in refused.text
         await asyncio.sleep(3.0)
         assert (await outcome(fleet, job("[{do: move, to: {gantry.x: 5}}]"))).state == "done"
 
@@ -396,8 +398,14 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
 
 
 @pytest.mark.parametrize("native", [True, False])
-def test_an_axis_that_does_not_follow_stops_its_step(native: bool) -> None:
+def test_an_axis_that_does_not_follow_stops_its_step(native: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the controller's own supervision (ER, which switches the motor off), and by the adapter's polls alone."""
+
+    async def find_nothing(*_: object, **__: object) -> tuple[()]:
+        return ()
+
+    # A changed ER would be found, and no step begun.
+    monkeypatch.setattr(SMC4000Driver, "check_settings", find_nothing)
     fleet = changed(demo_fleet(), gantry={"axes": {"x": {"following_error": 1.5}}})
 
     async def main(virtual: VirtualFleet) -> None:

@@ -256,10 +256,15 @@ def test_after_a_stop_nothing_starts_by_itself() -> None:
         await client.stop()
         assert [(await client.wait_for_job(each)).state for each in (running, beside)] == ["aborted", "aborted"]
         await asyncio.sleep(2.0)
-        assert (await entry(client, queued)).reason == "held by anna"
-        assert (await outcome(fleet, STAGE)).state == "done"
-        await client.release_jobs(queued)
-        assert (await client.wait_for_job(queued)).state == "done"
+        later = await client.submit(STAGE)
+        await asyncio.sleep(20.0)
+        stopped = (await client.list_jobs()).stopped
+        assert stopped is not None
+        assert (stopped.reason, stopped.actor) == ("stopped by anna", "anna")
+        for each in (queued, later):
+            assert (await entry(client, each)).reason == "the queue is stopped (stopped by anna): `tutti queue start`"
+        await client.start_queue()
+        assert [(await client.wait_for_job(each)).state for each in (queued, later)] == ["done", "done"]
 
     run_fleet(main)
 
@@ -276,6 +281,6 @@ def test_after_an_estop_and_its_reset_nothing_continues_by_itself() -> None:
         report = await client.wait_for_job(waits)
         assert (report.state, report.reason) == ("aborted", "e-stop by anna: a test")
         assert len(report.steps) == 2
-        assert (await entry(client, queued)).held_by == "anna"
+        assert (await entry(client, queued)).reason.startswith("the queue is stopped (e-stop by anna: a test)")
 
     run_fleet(main)

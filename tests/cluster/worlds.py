@@ -1,5 +1,6 @@
 """Fleets and jobs that the cluster tests share."""
 
+import asyncio
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
@@ -7,13 +8,16 @@ from typing import Any, TypeVar
 from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.errors import Refusal
 from orchestrator.model.files import load_fleet, load_job, parse_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.messages import RefusalDetails
+from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobReport, LeaseState
 from orchestrator.runtime.virtual import VirtualFleet
 
+LONGEST_S = 600  # of fleet time: a job that takes longer waits for something that does not come
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 T = TypeVar("T")
 
@@ -95,17 +99,33 @@ def rested(fleet: VirtualFleet, controller: str, at_ns: int) -> bool:
 
 
 async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
-    """Run jobs one after the other; the report of the last one."""
+    """Run jobs one after the other, with an operator who starts the queue; the report of the last one."""
     client = fleet.make_client()
     report = None
     for each in jobs:
-        report = await client.wait_for_job(await client.submit(each))
+        await client.start_queue()
+        job_id = await client.submit(each)
+        try:
+            async with asyncio.timeout(LONGEST_S):
+                report = await client.wait_for_job(job_id)
+        except TimeoutError:
+            shown = (await client.show_job(job_id)).entry
+            raise AssertionError(f"not ended within {LONGEST_S} s: {shown}") from None
     assert report is not None
     return report
 
 
 async def refusal(fleet: VirtualFleet, *jobs: Job) -> RefusalDetails:
-    """The refusal that the last step of the last of `jobs` ended with."""
-    refused = (await outcome(fleet, *jobs)).steps[-1].refused
+    """The refusal of the last of `jobs`, or of its last step. It may not wait for the world."""
+    *before, last = jobs
+    if before:
+        await outcome(fleet, *before)
+    client = fleet.make_client()
+    await client.start_queue()
+    try:
+        report = await client.wait_for_job(await client.submit(last, terms=QueueTerms(now=True)))
+    except Refusal as error:
+        return RefusalDetails.of(error)
+    refused = report.steps[-1].refused
     assert refused is not None
     return refused

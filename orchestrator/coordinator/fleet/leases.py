@@ -3,29 +3,35 @@
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from typing import Any, NamedTuple
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, Priority
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.base import NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import LeaseReply, LeaseRequest
+from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import LeaseState
 
 ANSWER_S = 2.0
 TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
+SHOWN_FROM_NS = 10 * NS_PER_S  # the end of a lease that its client renews all the time says nothing
 
 
 class LeaseUser(NamedTuple):
-    """What acquires a lease: the holder's id, the user behind it, and the reason that others are shown."""
+    """What acquires a lease: the holder's id, the user behind it, and the reason that others are shown.
+
+    session: the session that the lease ends with; empty: none."""
 
     holder: str
     actor: str
     what: str
+    session: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +42,7 @@ class LeaseHold:
     brief: it ends soon; other requests wait for that instead of being refused.
     idle: the adapters do not have it: the axes are reserved for the holder, which may not move them.
     acquisition: increases with each acquisition.
+    session: the session that it ends with, enforced by the adapters; empty: none.
     """
 
     holder: str
@@ -46,6 +53,7 @@ class LeaseHold:
     brief: bool = False
     idle: bool = False
     acquisition: int = 0
+    session: str = ""
 
 
 class AxesInUse(Refusal):
@@ -111,6 +119,15 @@ class LeaseRegistry:
         wanted = set(axes)
         return next((held for held in self._held.values() if held.holder != holder and wanted & set(held.axes)), None)
 
+    def describe_use(self, held: LeaseHold) -> str:
+        """A description of a lease for others that need its axes: by which user, what for, until when."""
+        left_ns = 0 if held.until_ns is None else held.until_ns - self._fleet.clock.now_ns()
+        until = ""
+        if left_ns > SHOWN_FROM_NS:
+            end = parse_utc(self._fleet.clock.utc()) + timedelta(microseconds=left_ns / NS_PER_US)
+            until = f", until {format_utc(end)[:19]}Z"
+        return f"in use by {held.actor} ({held.what}{until})"
+
     def restore_reservation(self, held: LeaseHold) -> None:
         """Restore a reservation of an earlier coordinator, without the right to move."""
         self._held[held.holder] = replace(held, idle=True)
@@ -148,7 +165,7 @@ class LeaseRegistry:
             theirs = next(axis for axis in whole if axis in other.axes)
             raise AxesInUse(
                 "leased",
-                f"{theirs} is in use by {other.actor} ({other.what})",
+                f"{theirs} is {self.describe_use(other)}",
                 "wait for the end of that use, or contact its holder",
                 theirs.partition(".")[0],
             )
@@ -159,7 +176,9 @@ class LeaseRegistry:
         idle = idle or (before is not None and before.idle)
         self._takings += before is None
         taking = self._takings if before is None else before.acquisition
-        held = self._held[holder] = LeaseHold(*user, mine, until_ns, brief, idle, taking)
+        held = self._held[holder] = LeaseHold(
+            holder, user.actor, user.what, mine, until_ns, brief, idle, taking, user.session
+        )
         if before is None or set(mine) != set(before.axes):
             try:
                 if not idle:
@@ -223,6 +242,7 @@ class LeaseRegistry:
                 axes=names,
                 holder=held.holder,
                 acquisition=held.acquisition,
+                session=held.session,
                 ttl_ms=ttl_ms,
                 reason=reason,
             )

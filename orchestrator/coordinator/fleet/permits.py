@@ -3,9 +3,8 @@ motion."""
 
 from collections.abc import Callable, Iterable
 
-from orchestrator.clock.base import Clock
+from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.model.duration import format_ns
 from orchestrator.model.fleet import Permit
 from orchestrator.model.state import ControllerState
 
@@ -35,7 +34,8 @@ class PermitMonitor:
             since_ns = self._since_ns.get(name)
             held_ns = 0 if since_ns is None else self._clock.now_ns() - since_ns
             if held_ns < permit.settle:
-                return f"permit {name}: held for {format_ns(held_ns)}; it must settle for {format_ns(permit.settle)}"
+                settle_s = permit.settle / NS_PER_S
+                return f"permit {name} ({held_ns / NS_PER_S:.1f} of {settle_s:g} s): it has not settled yet"
         return None
 
     def watch_losses(self, axes: Iterable[str]) -> "PermitWatch":

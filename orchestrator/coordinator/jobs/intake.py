@@ -36,6 +36,8 @@ class JobIntake:
             return JobSubmitted(dry_run=await self._dry_run(request.job))
         _check_length(request.job, request.terms)
         await self._check_terms(request.terms, request.client_key)
+        if request.terms.now:
+            await self._require_free_way(request)
         return await self._accept_job(request.client_key, request.job, request.terms, None)
 
     async def _dry_run(self, job: Job) -> dict[str, Any]:
@@ -109,6 +111,15 @@ class JobIntake:
             await self._scheduler.enter_job(row, job)
         return JobSubmitted(job_id=job_id, entry=self._scheduler.make_entry(row))
 
+    async def _require_free_way(self, request: SubmitJob) -> None:
+        """Raise `Refusal` for a job that must begin at once, and would have to wait."""
+        services = self._services
+        if await services.execute(services.journal.has_client_key, request.client_key):
+            return
+        obstacle = self._scheduler.find_obstacle(request.job, request.terms)
+        if obstacle is not None:
+            raise Refusal(obstacle.code, obstacle.text, obstacle.remedy)
+
     async def _check_terms(self, terms: QueueTerms, client_key: str) -> None:
         """Raises `Refusal` for a start time in the past, and for a predecessor that cannot become done any more; a
         repeated request gets its earlier answer."""
@@ -122,6 +133,9 @@ class JobIntake:
                 f"start time {terms.at} is in the past; it is now {format_utc(now)}",
                 "give a later time, or set `missed: run`",
             )
+        if terms.expires is not None and parse_utc(terms.expires) <= now:
+            text = f"it expires at {terms.expires}, which is in the past; it is now {format_utc(now)}"
+            raise Refusal("past", text, "give a later time")
         if terms.after is not None:
             row = await services.execute(services.journal.load_record, terms.after)
             if row is None:

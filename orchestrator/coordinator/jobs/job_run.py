@@ -224,7 +224,8 @@ class JobRun:
             check_job(services.view.fleet, self.steps_to_run)
             axes = find_axes(services.view.fleet, self.steps_to_run)
             since_ns = services.clock.now_ns()
-            await services.leases.acquire(LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}"), axes)
+            user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")
+            await services.leases.acquire(user, axes)
             await self._wait_for_rest(since_ns)
             await self._enable_by_policy()
             for index in range(self.row.from_step, len(self._steps)):

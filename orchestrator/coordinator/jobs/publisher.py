@@ -1,13 +1,14 @@
 """Publication of the queue: lists of jobs, and what each one waits for."""
 
 import asyncio
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.jobs.job_run import JobRun, JobServices
 from orchestrator.coordinator.jobs.queue import WaitingJob, sort_waiting
 from orchestrator.coordinator.journal.journal import JobRecord
+from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import FINISHED_STATES, JobProgress, JobState, QueueEntry, QueueState
 
 MAX_PUBLISHED_JOBS = 200  # entries of the queue on the bus; those after them wait long anyway
@@ -18,8 +19,15 @@ MIN_INTERVAL_NS = 50 * NS_PER_MS  # minimum time between two publications of the
 class QueuePublisher:
     """Publishes the waiting and the running jobs."""
 
-    def __init__(self, services: JobServices, waiting: Mapping[str, WaitingJob], running: Mapping[str, JobRun]) -> None:
+    def __init__(
+        self,
+        services: JobServices,
+        waiting: Mapping[str, WaitingJob],
+        running: Mapping[str, JobRun],
+        stopped: Callable[[], QueueStop | None],
+    ) -> None:
         self._services = services
+        self._stopped = stopped
         self._waiting = waiting
         self._running = running
         self._places: Mapping[str, int] = {}
@@ -31,6 +39,12 @@ class QueuePublisher:
     def close(self) -> None:
         if self._announcing is not None:
             self._announcing.cancel()
+
+    def make_queue_state(self, total: int, rows: Iterable[JobRecord]) -> QueueState:
+        """A list of jobs with the state of the queue."""
+        return QueueState(
+            total=total, jobs=self.make_entries(rows), stopped=self._stopped(), waiting=len(self._waiting)
+        )
 
     def make_entries(self, rows: Iterable[JobRecord]) -> list[QueueEntry]:
         """List entries of jobs, with the reasons for waiting that only the current leader has."""
@@ -68,7 +82,7 @@ class QueuePublisher:
             rows = [run.row for run in self._running.values()]
             rows += [each.row for each in sort_waiting(self._waiting)[:MAX_PUBLISHED_JOBS]]
             total = len(self._running) + len(self._waiting)
-            state = QueueState(total=total, jobs=self.make_entries(rows[:MAX_PUBLISHED_JOBS]))
+            state = self.make_queue_state(total, rows[:MAX_PUBLISHED_JOBS])
             self._services.bus.put(self._services.keys.queue, state.to_json(), Priority.EVENT)
             await sleep_ns(self._services.clock, MIN_INTERVAL_NS)
 

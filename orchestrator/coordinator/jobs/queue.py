@@ -2,16 +2,17 @@
 
 The rule: **no job overtakes an earlier one that needs one of its controllers.** From the first in the queue to the
 last, a job begins when all controllers that it needs are free of running jobs and manual leases, and no earlier job
-waits for one of them. So jobs without a common controller run at the same time, and a job that needs many
-controllers is not starved by small ones: what becomes free is kept for it. Jobs that are held, not due, or waiting
-for the end of another job block no other job. Manual control has priority: a waiting job does not keep axes from an
-operator.
+waits for one of them. A job whose controllers are free may still have to wait for the world (an e-stop, a permit, a
+controller that is off); it keeps its place. So jobs without a common controller run at the same time, and a job that
+needs many controllers is not starved by small ones: what becomes free is kept for it. Jobs that are held, not due, or
+waiting for the end of another job block no other job. Manual control has priority: a waiting job does not keep axes
+from an operator.
 
 A controller is loaded with one step at a time, so jobs need whole controllers, also where axes can be leased
 separately.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from orchestrator.coordinator.journal.journal import JobRecord
@@ -28,9 +29,14 @@ class WaitingJob:
     pending: str | None = None
 
     @property
-    def sort_key(self) -> tuple[int, int]:
-        """Its place in the queue; the smallest is the first."""
-        return -self.row.priority, self.row.place
+    def sort_key(self) -> tuple[bool, int, int]:
+        """Its place in the queue; the smallest is the first. A job that a person waits for is before all others."""
+        return not self.is_attended, -self.row.priority, self.row.place
+
+    @property
+    def is_attended(self) -> bool:
+        """Whether it belongs to a command that a person waits for."""
+        return self.row.session is not None
 
     @property
     def blocking_reason(self) -> str:
@@ -49,21 +55,30 @@ def sort_waiting(waiting: Mapping[str, WaitingJob]) -> list[WaitingJob]:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """The jobs that may begin now, and what each of the others waits for."""
+    """The jobs that may begin now, and what each of the others waits for. waits_for_world: one waits for a condition
+    outside the queue, which must be looked at again."""
 
     ready_jobs: list[WaitingJob]
     reasons: dict[str, str]
+    waits_for_world: bool = False
 
 
-def choose_jobs(waiting: Iterable[tuple[WaitingJob, frozenset[str]]], busy: Mapping[str, str]) -> Schedule:
+def choose_jobs(
+    waiting: Iterable[tuple[WaitingJob, frozenset[str]]],
+    busy: Mapping[str, str],
+    find_condition: Callable[[WaitingJob], str] = lambda _: "",
+    stopped: str = "",
+) -> Schedule:
     """Choose the jobs of `waiting` that may begin now. waiting: in the queue's order, each with the controllers that
-    it needs. busy: by controller, its present user in words.
+    it needs. busy: by controller, its present user in words. find_condition: returns what a job on free controllers
+    still waits for; empty: nothing. stopped: why the queue is stopped; empty: it is not.
     """
     taken = dict(busy)
     begin: list[WaitingJob] = []
     reasons: dict[str, str] = {}
+    waits_for_world = False
     for each, needs in waiting:
-        why = each.blocking_reason
+        why = each.blocking_reason or ("" if each.is_attended else stopped)
         if why:
             reasons[each.row.id] = why
             continue
@@ -75,10 +90,16 @@ def choose_jobs(waiting: Iterable[tuple[WaitingJob, frozenset[str]]], busy: Mapp
             reasons[each.row.id] = f"waits for {first}: {taken[first]}"
             claim += " comes first"
         else:
-            begin.append(each)
+            condition = find_condition(each)
+            if condition:
+                reasons[each.row.id] = f"waits for: {condition}"
+                waits_for_world = True
+                claim += " comes first"
+            else:
+                begin.append(each)
         for controller in needs:
             taken.setdefault(controller, claim)
-    return Schedule(begin, reasons)
+    return Schedule(begin, reasons, waits_for_world)
 
 
 def expand_repeats(row: JobRecord, job: Job) -> list[Step]:

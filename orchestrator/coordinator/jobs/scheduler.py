@@ -1,35 +1,32 @@
 """The scheduler of waiting and running jobs. Each change of a job's state is in the journal before it is on the bus.
 
-`queue` decides which of the waiting jobs begin; `job_run` executes one.
+`queue` decides which of the waiting jobs begin, `conditions` what they wait for outside the queue, `queue_gate` whether
+any begins; `job_run` executes one.
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterable
-from datetime import timedelta
+from collections.abc import Callable, Coroutine, Iterable, Mapping
+from datetime import datetime, timedelta
 from typing import Any, NamedTuple, ParamSpec
 
 from pydantic import ValidationError
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.coordinator.jobs.attendance import SessionMonitor
+from orchestrator.coordinator.jobs.conditions import JobNeeds, Obstacle, WorldConditions, find_needs
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
 from orchestrator.coordinator.jobs.publisher import QueuePublisher, make_queued_progress
-from orchestrator.coordinator.jobs.queue import (
-    Schedule,
-    WaitingJob,
-    choose_jobs,
-    expand_repeats,
-    find_needed_controllers,
-    sort_waiting,
-)
+from orchestrator.coordinator.jobs.queue import Schedule, WaitingJob, choose_jobs, expand_repeats, sort_waiting
+from orchestrator.coordinator.jobs.queue_gate import QueueGate
 from orchestrator.coordinator.journal.journal import JobHasEnded, JobRecord, JournalError
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Job
 from orchestrator.model.messages import EstopMessage, StopMode
-from orchestrator.model.queue import parse_utc
-from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry
+from orchestrator.model.queue import QueueTerms, parse_utc
+from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry, QueueState
 
 P = ParamSpec("P")
 
@@ -38,6 +35,8 @@ MISSED_AFTER = timedelta(seconds=10)  # a coordinator that is back within this t
 SCHEDULE_DELAY_PER_JOB_NS = 20 * NS_PER_US  # per job
 CLOSE_S = 5.0  # for running jobs to stop, and for their ends to be recorded
 RETRY_NS = 5 * NS_PER_S  # before another try on a journal that could not be written
+CONDITION_POLL_NS = 100 * NS_PER_MS  # period of looking at the conditions of the jobs that wait for one
+SESSION_POLL_NS = 200 * NS_PER_MS  # period of looking for sessions that are over
 
 
 class JobEnd(NamedTuple):
@@ -54,9 +53,12 @@ class Scheduler:
     def __init__(self, services: JobServices) -> None:
         self._services = services
         self._waiting: dict[str, WaitingJob] = {}
-        self._needs: dict[str, frozenset[str]] = {}
+        self._needs: dict[str, JobNeeds] = {}
         self._running: dict[str, JobRun] = {}
-        self._publisher = QueuePublisher(services, self._waiting, self._running)
+        self.gate = QueueGate(services, self._count_unattended, self._queue_has_changed)
+        self._conditions = WorldConditions(services.fleet)
+        self._sessions = SessionMonitor(services)
+        self._publisher = QueuePublisher(services, self._waiting, self._running, lambda: self.gate.stopped)
         self._trouble = False
         self._wake = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -81,9 +83,12 @@ class Scheduler:
             await self._end_job(row, job, self._report_of(row, job), JobEnd("interrupted", reason, "coordinator"))
         for waiting in list(self._waiting.values()):
             await self._settle_follower(waiting)
+        await self.gate.start(interrupted=bool(left))
+        await self._sessions.start()
         self._declared.append(await services.bus.subscribe(services.keys.estop, self._receive_estop))
         self._spawn(self._schedule_jobs)
         self._spawn(self._watch_times)
+        self._spawn(self._watch_sessions)
         self.wake_up()
         self._publisher.schedule_publication()
 
@@ -91,6 +96,8 @@ class Scheduler:
         """End: running jobs are stopped and recorded as interrupted."""
         for declared in self._declared:
             await declared.undeclare()
+        await self._sessions.close()
+        self.gate.close()
         runs = list(self._running.values())
         await self.interrupt_jobs(JobInterrupted("interrupted", reason, "coordinator"))
         ends = [run.task for run in runs if run.task is not None]
@@ -131,12 +138,9 @@ class Scheduler:
         self.wake_up()
 
     async def stop_jobs(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
-        """Stop all running jobs, and hold all waiting ones: nothing begins by itself after a stop."""
-        queued = [each.row.id for each in self._waiting.values() if not each.row.held_by]
-        for job_id in queued:
-            self._mark_held(job_id, interrupt.actor)
+        """Stop all running jobs and the queue: nothing begins by itself after a stop."""
+        self.gate.stop_queue(interrupt.reason, interrupt.actor)
         await self.interrupt_jobs(interrupt, mode)
-        await self._record_hold(queued, interrupt.actor, f"held: {interrupt.reason}")
 
     async def interrupt_jobs(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
         """Stop and end all running jobs."""
@@ -147,9 +151,7 @@ class Scheduler:
         for job_id in job_ids:
             if job_id not in self._waiting:
                 raise await self._make_refusal(job_id, "not-queued", "pause it: `tutti job pause`")
-            if not self._waiting[job_id].row.held_by:
-                self._mark_held(job_id, actor)
-                await self._record_hold([job_id], actor, f"held by {actor}")
+            await self._hold_job(job_id, actor, f"held by {actor}")
 
     async def release_jobs(self, job_ids: Iterable[str], actor: str) -> None:
         """Release held jobs; without ids, all held jobs."""
@@ -231,30 +233,67 @@ class Scheduler:
             # A long queue is scheduled less often: a pass takes some microseconds per job.
             await sleep_ns(services.clock, len(self._waiting) * SCHEDULE_DELAY_PER_JOB_NS)
             choice = self._make_schedule()
+            if choice.waits_for_world:
+                services.clock.call_at_ns(services.clock.now_ns() + CONDITION_POLL_NS, self.wake_up)
             for each in choice.ready_jobs:
                 self._begin_job(each)
+            await self._cancel_impatient(choice.reasons)
             self._publisher.take_schedule(sort_waiting(self._waiting), choice.reasons)
             if choice.ready_jobs:
                 self._publisher.schedule_publication()
 
     def _make_schedule(self) -> Schedule:
+        queue = ((each, self._find_needs(each).controllers) for each in sort_waiting(self._waiting))
+        stopped = self.gate.stopped
+        why = "" if stopped is None else f"the queue is stopped ({stopped.reason}): `tutti queue start`"
+        return choose_jobs(queue, self._find_busy(), self._find_condition, why)
+
+    def _find_busy(self) -> dict[str, str]:
+        """The present user of each controller that is in use, in words. A lease that ends soon is waited for by the
+        job itself."""
         busy = {controller: run.description for run in self._running.values() for controller in run.needs}
         for held in self._services.leases.all_leases:
-            if held.holder not in self._running:
+            if held.holder not in self._running and not held.brief:
                 for controller in group_by_controller(held.axes):
-                    busy.setdefault(controller, f"in use by {held.actor} ({held.what})")
-        return choose_jobs(((each, self._find_needs(each)) for each in sort_waiting(self._waiting)), busy)
+                    busy.setdefault(controller, self._services.leases.describe_use(held))
+        return busy
 
-    def _find_needs(self, waiting: WaitingJob) -> frozenset[str]:
+    def _find_condition(self, waiting: WaitingJob) -> str:
+        obstacle = self._conditions.find_obstacle(self._find_needs(waiting))
+        return "" if obstacle is None else obstacle.text
+
+    def find_obstacle(self, job: Job, terms: QueueTerms) -> Obstacle | None:
+        """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`."""
+        needs = find_needs(self._services.view.fleet, list(job.steps))
+        stopped, attended = self.gate.stopped, terms.session is not None
+        if stopped is not None and not attended:
+            text = f"the queue is stopped since {stopped.utc}: {stopped.reason}"
+            return Obstacle("queue-stopped", text, "start it: `tutti queue start`")
+        busy = self._find_busy()
+        for controller in sorted(needs.controllers & busy.keys()):
+            return Obstacle("leased", f"{controller} is in use: {busy[controller]}", "wait for the end of that use")
+        for each in [] if attended else sort_waiting(self._waiting):
+            if not each.blocking_reason and needs.controllers & self._find_needs(each).controllers:
+                return Obstacle("queued", f"job {each.row.id} {each.row.name!r} comes first", "submit it without `now`")
+        return self._conditions.find_obstacle(needs)
+
+    async def _cancel_impatient(self, reasons: Mapping[str, str]) -> None:
+        """End the jobs that must begin at once or never, and that would have to wait."""
+        for waiting in [each for each in self._waiting.values() if each.row.now and each.row.id in reasons]:
+            if self._waiting.pop(waiting.row.id, None) is not None:
+                reason = f"not begun, because it must not wait: {reasons[waiting.row.id]}"
+                await self._cancel_waiting(waiting, reason, "coordinator")
+
+    def _find_needs(self, waiting: WaitingJob) -> JobNeeds:
         """Cached, because the queue may be long; names that the fleet file no longer has are refused at the start."""
         known = self._needs.get(waiting.row.id)
         if known is None:
             row, steps = waiting.row, waiting.job.steps
             try:
                 remaining = expand_repeats(row, waiting.job)[row.from_step :] if row.from_step else steps
-                known = find_needed_controllers(self._services.view.fleet, remaining)
+                known = find_needs(self._services.view.fleet, remaining)
             except UnknownName:
-                known = frozenset[str]()
+                known = JobNeeds(frozenset())
             self._needs[waiting.row.id] = known
         return known
 
@@ -267,7 +306,7 @@ class Scheduler:
         row = waiting.row
         del self._waiting[row.id]
         run = self._running[row.id] = JobRun(self._services, row, waiting.job, self._report_of(row, waiting.job))
-        run.needs = self._needs.pop(row.id)
+        run.needs = self._needs.pop(row.id).controllers
         run.task = asyncio.get_running_loop().create_task(run.run())
         self._spawn(self._finish_job, run, waiting)
 
@@ -283,6 +322,7 @@ class Scheduler:
             outcome = run.task.result()
         if outcome.begun:
             await self._record_end(run, outcome)
+            await self._protect_queue(run, outcome)
         else:
             self._waiting[run.row.id] = waiting
             self._trouble = self._trouble or outcome.trouble
@@ -307,6 +347,21 @@ class Scheduler:
             except JournalError as error:
                 self._services.log.warning(f"the end of a job cannot be recorded yet: {error}", job=run.row.id)
                 await sleep_ns(self._services.clock, RETRY_NS)
+
+    async def _protect_queue(self, run: JobRun, outcome: JobOutcome) -> None:
+        """Keep other jobs from the same end: a failure holds those that need its controllers, and a step that was
+        stopped stops the queue."""
+        if outcome.state == "aborted":
+            self.gate.note_break(f"job {run.row.id} was stopped: {outcome.reason}")
+        if outcome.state != "failed" or self._services.view.fleet.queue.on_failure != "hold":
+            return
+        affected = [
+            each.row.id
+            for each in sort_waiting(self._waiting)
+            if not each.is_attended and run.needs & self._find_needs(each).controllers
+        ]
+        for job_id in affected:
+            await self._hold_job(job_id, f"job {run.row.id}", f"held: job {run.row.id} has failed: {outcome.reason}")
 
     # Ends
 
@@ -391,28 +446,60 @@ class Scheduler:
     # Times
 
     async def _watch_times(self) -> None:
-        """Mark jobs as due when their start time has come; missed ones are run or skipped, as their terms say."""
+        """Mark jobs as due when their start time has come; missed ones are run or skipped, as their terms say. Cancel
+        those that have waited for longer than their terms allow."""
         services = self._services
         while not services.leadership.over:
             now = parse_utc(services.clock.utc())
             left = timedelta.max
             for each in list(self._waiting.values()):
-                if each.row.due or each.row.at_utc is None:
-                    continue
-                at = parse_utc(each.row.at_utc)
-                if at <= now:
-                    try:
-                        await self._mark_due(each, now - at)
-                    except JournalError as error:
-                        services.log.warning(f"job has to wait: {error}", job=each.row.id)
-                        left = min(left, timedelta(seconds=RETRY_NS / NS_PER_S))
-                else:
-                    left = min(left, at - now)
+                try:
+                    left = min(left, await self._check_times(each, now))
+                except JournalError as error:
+                    services.log.warning(f"job has to wait: {error}", job=each.row.id)
+                    left = min(left, timedelta(seconds=RETRY_NS / NS_PER_S))
             if left == timedelta.max:
                 await self._timed.wait()
                 self._timed.clear()
             else:
                 await sleep_ns(services.clock, min(CLOCK_POLL_NS, round(left / timedelta(microseconds=1)) * NS_PER_US))
+
+    async def _check_times(self, waiting: WaitingJob, now: datetime) -> timedelta:
+        """Act on the start time and the expiry of a job; return how long neither needs attention."""
+        row, left = waiting.row, timedelta.max
+        if row.expires_utc is not None:
+            left = parse_utc(row.expires_utc) - now
+            if left <= timedelta(0):
+                reason = f"expired at {row.expires_utc}; last state: {self._publisher.make_entry(row).reason}"
+                if self._waiting.pop(row.id, None) is not None:
+                    await self._cancel_waiting(waiting, reason, "coordinator")
+                return timedelta.max
+        if row.due or row.at_utc is None:
+            return left
+        at = parse_utc(row.at_utc)
+        if at > now:
+            return min(left, at - now)
+        await self._mark_due(waiting, now - at)
+        return left
+
+    async def _watch_sessions(self) -> None:
+        """End the jobs of commands that have ended: of their processes, or the connections to them."""
+        services = self._services
+        while not services.leadership.over:
+            await sleep_ns(services.clock, SESSION_POLL_NS)
+            rows = [run.row for run in self._running.values()] + [each.row for each in self._waiting.values()]
+            absent = self._sessions.find_absent(row.session for row in rows if row.session is not None)
+            for row in rows if absent else ():
+                if row.session in absent:
+                    self._spawn(self._end_unattended, row)
+
+    async def _end_unattended(self, row: JobRecord) -> None:
+        reason = f"the command of {row.actor} that waited for it has ended"
+        run, waiting = self._running.get(row.id), self._waiting.pop(row.id, None)
+        if run is not None:
+            await run.interrupt_job(JobInterrupted("cancelled", reason, "coordinator"))
+        elif waiting is not None:
+            await self._cancel_waiting(waiting, reason, "coordinator")
 
     async def _mark_due(self, waiting: WaitingJob, late: timedelta) -> None:
         services, row = self._services, waiting.row
@@ -432,17 +519,23 @@ class Scheduler:
 
     # Holding
 
-    def _mark_held(self, job_id: str, actor: str) -> None:
-        waiting = self._waiting[job_id]
-        waiting.row = waiting.row._replace(held_by=actor)
+    async def _hold_job(self, job_id: str, held_by: str, reason: str) -> None:
+        """Hold a waiting job now, and record it. Raises `JournalError`. Does nothing to a held job."""
+        services, waiting = self._services, self._waiting.get(job_id)
+        if waiting is None or waiting.row.held_by:
+            return
+        waiting.row = waiting.row._replace(held_by=held_by)
+        change = services.make_transition("queued", reason, held_by)
+        await services.execute(services.journal.hold_jobs, [job_id], held_by, change)
+        self.wake_up()
 
-    async def _record_hold(self, job_ids: list[str], actor: str, reason: str) -> None:
-        services = self._services
-        if job_ids:
-            await services.execute(
-                services.journal.hold_jobs, job_ids, actor, services.make_transition("queued", reason, actor)
-            )
-            self.wake_up()
+    def _count_unattended(self) -> int:
+        """The number of waiting jobs that would begin by themselves."""
+        return sum(not each.is_attended for each in self._waiting.values())
+
+    def _queue_has_changed(self) -> None:
+        self.wake_up()
+        self._publisher.schedule_publication()
 
     def _receive_estop(self, sample: BusSample) -> None:
         """After an e-stop nothing begins by itself when it is reset: neither jobs nor steps."""
@@ -454,14 +547,12 @@ class Scheduler:
         reason = f"e-stop by {actor}{why}"
         for run in self._running.values():
             run.abandon(JobInterrupted("aborted", reason, actor))
-        queued = [each.row.id for each in self._waiting.values() if not each.row.held_by]
-        for job_id in queued:
-            self._mark_held(job_id, actor)
-        self._spawn(self._record_hold, queued, actor, f"held: {reason}")
+        self._conditions.note_estop(reason)
+        self.gate.stop_queue(reason, actor)
 
-    def make_entries(self, rows: Iterable[JobRecord]) -> list[QueueEntry]:
-        """Jobs as a list shows them."""
-        return self._publisher.make_entries(rows)
+    def make_queue_state(self, total: int, rows: Iterable[JobRecord]) -> QueueState:
+        """Jobs as a list shows them, with the state of the queue."""
+        return self._publisher.make_queue_state(total, rows)
 
     def make_entry(self, row: JobRecord) -> QueueEntry:
         """A job as a list shows it."""

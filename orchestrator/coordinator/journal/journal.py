@@ -3,6 +3,7 @@
 `Journal` is synchronous; the caller chooses where it runs (`orchestrator.clock.executor`).
 """
 
+import json
 import sqlite3
 import weakref
 from collections.abc import Iterable, Mapping
@@ -15,7 +16,7 @@ from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.job import Job
-from orchestrator.model.queue import QueueTerms
+from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 
 T = TypeVar("T")
@@ -63,6 +64,9 @@ class JobRecord(NamedTuple):
     held_by: str
     origin: str | None
     from_step: int
+    expires_utc: str | None = None
+    now: bool = False
+    session: str | None = None
 
     @property
     def terms(self) -> QueueTerms:
@@ -73,12 +77,15 @@ class JobRecord(NamedTuple):
             at=self.at_utc,
             missed=self.missed,
             held=bool(self.held_by),
+            now=bool(self.now),
+            expires=self.expires_utc,
+            session=self.session,
         )
 
 
 _COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
-    " origin, from_step"
+    " origin, from_step, expires_utc, now, session"
 )
 _UNFINISHED_STATES = tuple(sorted(set(get_args(JobState)) - FINISHED_STATES))
 
@@ -182,6 +189,27 @@ class Journal:
             self._write_meta("origin_host_ns", str(now_ns))
         return scale_id, now_ns
 
+    # The queue as a whole
+
+    def load_queue_stop(self) -> QueueStop | None:
+        """Why no job of the queue begins; None: jobs begin."""
+        rows = self._select_rows("SELECT value FROM meta WHERE key = 'queue_stop' AND value != ''")
+        return QueueStop.model_validate_json(rows[0][0]) if rows else None
+
+    def store_queue_stop(self, stop: QueueStop | None) -> None:
+        """Record that the queue is stopped, or started (None)."""
+        with self._transaction():
+            self._write_meta("queue_stop", "" if stop is None else stop.model_dump_json())
+
+    def load_instances(self) -> dict[str, str]:
+        """The adapter instance of each controller, as the last leader saw them."""
+        rows = self._select_rows("SELECT value FROM meta WHERE key = 'instances'")
+        return json.loads(rows[0][0]) if rows else {}
+
+    def store_instances(self, instances: Mapping[str, str]) -> None:
+        with self._transaction():
+            self._write_meta("instances", json.dumps(dict(instances)))
+
     # Jobs
 
     def accept_job(
@@ -216,6 +244,9 @@ class Journal:
                 "held_by": job.actor if terms.held else "",
                 "origin": again.origin if again else None,
                 "from_step": again.from_step if again else 0,
+                "expires_utc": terms.expires,
+                "now": int(terms.now),
+                "session": terms.session,
             }
             marks = ", ".join("?" * len(values))
             made = self._db.execute(f"INSERT INTO jobs ({', '.join(values)}) VALUES ({marks})", (*values.values(),))

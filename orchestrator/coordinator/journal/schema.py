@@ -1,6 +1,6 @@
 """The tables of the journal, and the migrations from older versions."""
 
-VERSION = 4
+VERSION = 5
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -63,5 +63,10 @@ UPDATE reports SET body = replace(replace(replace(replace(replace(replace(body,
   '"name":"slip"', '"name":"tick-residual"'),
   '"code":"held"', '"code":"feed-hold"'),
   '"code":"deposed"', '"code":"leadership-lost"');
+""",
+    4: """
+ALTER TABLE jobs ADD COLUMN expires_utc TEXT;
+ALTER TABLE jobs ADD COLUMN now INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN session TEXT;
 """,
 }

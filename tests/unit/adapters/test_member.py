@@ -45,6 +45,10 @@ class Scripted:
     def clock_mapping(self) -> None:
         return None
 
+    async def check_settings(self, *, everything: bool) -> tuple[()]:
+        assert everything
+        return ()
+
     def lower_profiles(self, *_: object) -> Lowered:
         return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, (), can_advance=self.sooner)
 
@@ -103,6 +107,7 @@ class Desk:
                 scale=lambda: FleetScale("s", 0),
                 emit=self._emit,
                 settle=self._settle,
+                note_differences=lambda _: None,
                 spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),
             ),
             lowering_lock=asyncio.Lock(),

@@ -239,7 +239,7 @@ def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
         _status=condition,
         _participant=SimpleNamespace(armed_step=None, drop_step=nothing, **{each: each == member for each in parts}),
         _jogging=SimpleNamespace(drop_all=nothing),
-        _publisher=SimpleNamespace(emit_event=nothing),
+        _publisher=SimpleNamespace(emit_event=nothing, publish_state=lambda: None),
         _log=SimpleNamespace(warning=nothing),
         _stop_pending=False,
     )

@@ -1,0 +1,115 @@
+"""Detection of what nothing of this adapter has ordered: counts that jump, axes that move, settings that change.
+
+A second master, or a person at the controller, may change anything. A move that rests on what was true before would go
+somewhere else.
+"""
+
+from collections.abc import Callable, Sequence
+
+from adapters.contract import AxisReading, ControllerReading, Driver, SettingDifference
+from adapters.controller.status import ControllerStatus
+from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.model.fleet import Axis
+from orchestrator.model.state import EventKind
+
+CHECK_PERIOD_NS = NS_PER_S
+JUMP_COUNTS = 2  # a larger change of the commanded position is not rounding
+DEADBAND_COUNTS = 10  # an axis at rest whose encoder moves by less does not move
+
+
+class Surveillance:
+    """Compares one controller with what this adapter has ordered.
+
+    emit: publishes an event. is_busy: whether a step, a jog or a search for the reference is under way.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        clock: Clock,
+        status: ControllerStatus,
+        emit: Callable[[EventKind, str], None],
+        is_busy: Callable[[], bool],
+    ) -> None:
+        self._driver = driver
+        self._clock = clock
+        self._status = status
+        self._emit = emit
+        self._is_busy = is_busy
+        self._was_busy = True
+        self._checked_ns = 0
+        self._outside: dict[str, AxisReading] = {}
+        """Axes outside the step under way, as they were when it began to move."""
+
+    # Positions
+
+    def find_jumps(self, before: ControllerReading | None, reading: ControllerReading) -> list[str]:
+        """Drop the reference of axes whose count has changed at rest without an order; return these axes."""
+        busy, was_busy = self._is_busy(), self._was_busy
+        self._was_busy = busy
+        if before is None or busy or was_busy or self._status.ordered_ns >= before.at_ns:
+            return []
+        jumped: list[str] = []
+        for name, now in reading.axes.items():
+            old, axis = before.axes[name], self._status.config.axes[name]
+            by = now.commanded_counts - old.commanded_counts
+            at_rest = not (now.moving or old.moving) and now.enabled and old.enabled
+            if at_rest and abs(by) > JUMP_COUNTS and self._status.referenced[name]:
+                self._status.referenced[name] = False
+                jumped.append(name)
+                text = (
+                    f"axis {name}: its position has changed by {axis.to_unit(by):g} {axis.unit} at rest, without an "
+                    "order: another client has set it, or moved it; it must be homed again"
+                )
+                self._emit("unreferenced", text)
+        return jumped
+
+    def find_outside_motion(self, moved: Sequence[str], reading: ControllerReading) -> str | None:
+        """Return which axis moves although the step under way does not move it, in words. moved: the step's axes; none:
+        no step is under way."""
+        if not moved:
+            self._outside = {}
+            return None
+        if not self._outside:
+            self._outside = {name: axis for name, axis in reading.axes.items() if name not in moved}
+        for name, began in self._outside.items():
+            now, axis = reading.axes[name], self._status.config.axes[name]
+            if not (now.enabled and began.enabled):
+                continue
+            commanded = abs(now.commanded_counts - began.commanded_counts) > JUMP_COUNTS
+            if commanded or abs(now.actual_counts - began.actual_counts) > _deadband_counts(axis):
+                by = axis.to_unit(now.actual_counts - began.actual_counts)
+                return f"axis {name} has moved by {by:g} {axis.unit}, although this step does not move it"
+        return None
+
+    # Settings
+
+    async def check_next_settings(self) -> None:
+        """Compare the next part of the settings, from time to time, while the controller is at rest."""
+        now_ns = self._clock.now_ns()
+        if self._is_busy() or now_ns - self._checked_ns < CHECK_PERIOD_NS:
+            return
+        self._checked_ns = now_ns
+        self.note_differences(await self._driver.check_settings(everything=False))
+
+    def note_differences(self, found: Sequence[SettingDifference]) -> None:
+        """Keep the controller from moving while a setting differs; report each once."""
+        for each in found:
+            if each.item in self._status.differences:
+                continue
+            self._status.differences[each.item] = each
+            self._emit("setting", each.to_fault().text)
+            lost = [name for name in self._status.config.axes if each.axis in (None, name)]
+            if each.moves_reference:
+                self._status.referenced.update(dict.fromkeys(lost, False))
+                self._emit("unreferenced", f"{', '.join(lost)}: {each.item} has changed; home again")
+
+    async def recheck_settings(self) -> None:
+        """Compare all settings after a reset, and forget the differences that are gone."""
+        self._status.differences.clear()
+        self.note_differences(await self._driver.check_settings(everything=True))
+
+
+def _deadband_counts(axis: Axis) -> float:
+    window = 0.0 if axis.in_position_window is None else axis.in_position_window * abs(float(axis.scale))
+    return max(DEADBAND_COUNTS, window)

@@ -1,0 +1,194 @@
+"""Foreground commands: what such a command has begun ends with it.
+
+The first interrupt (Ctrl-C, a closed terminal, SIGTERM) stops the job and reports; a second one leaves at once and says
+what still moves. When the process itself is gone, its session ends, and the fleet stops the job.
+"""
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import Coroutine, Generator
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from orchestrator.cli.base.codes import FAILED, INTERRUPTED
+from orchestrator.cli.base.common import errors
+
+if TYPE_CHECKING:
+    from orchestrator.client import Tutti
+    from orchestrator.model.job import Job
+    from orchestrator.model.report import JobReport
+
+T = TypeVar("T")
+
+STOP_S = 3.0  # for the stop to be accepted, beyond which it counts as not sent
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Interrupts:
+    """Counts interrupts of this process while its context lasts."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._changed = asyncio.Event()
+
+    async def wait_for_next(self, seen: int = 0) -> None:
+        """Wait until there have been more than `seen`."""
+        while self.count <= seen:
+            self._changed.clear()
+            await self._changed.wait()
+
+    def note_interrupt(self) -> None:
+        self.count += 1
+        self._changed.set()
+
+
+@contextlib.contextmanager
+def count_interrupts() -> Generator[Interrupts]:
+    """Count interrupts instead of ending at the first."""
+    loop, found = asyncio.get_running_loop(), Interrupts()
+    for number in SIGNALS:
+        loop.add_signal_handler(number, found.note_interrupt)
+    try:
+        yield found
+    finally:
+        for number in SIGNALS:
+            loop.remove_signal_handler(number)
+
+
+async def run_attended(tutti: "Tutti", job: "Job", *, wait: bool, quiet: bool) -> "JobReport":
+    """Run a job that ends with this command, and return its report. wait: let it wait for other holders.
+
+    Raises `Refusal` at once when it cannot begin and `wait` is not set; ends the process after an interrupt.
+    """
+    from orchestrator.cli.follow import follow_job
+    from orchestrator.model.queue import QueueTerms
+
+    async with tutti.attend() as attendance:
+        terms = QueueTerms(session=attendance.session, now=not wait)
+        with count_interrupts() as interrupts:
+            # The answer is waited for in any case: a job whose id is unknown cannot be cancelled.
+            entry = await tutti.enqueue_job(job, None, terms)
+            report = await follow_unless_interrupted(follow_job(tutti, entry.id, quiet=quiet), interrupts)
+            if report is not None:
+                return report
+            await stop_own_job(tutti, entry.id, controllers_of(job), interrupts)
+    raise SystemExit(INTERRUPTED)
+
+
+async def follow_unless_interrupted(following: Coroutine[Any, Any, T], interrupts: Interrupts) -> T | None:
+    """The result of `following`; None after an interrupt."""
+    follow = asyncio.ensure_future(following)
+    interrupt = asyncio.ensure_future(interrupts.wait_for_next())
+    try:
+        await asyncio.wait([follow, interrupt], return_when=asyncio.FIRST_COMPLETED)
+        return follow.result() if follow.done() else None
+    finally:
+        for task in (follow, interrupt):
+            task.cancel()
+        # The live screen is taken down before anything else is printed.
+        await asyncio.gather(follow, interrupt, return_exceptions=True)
+
+
+async def stop_own_job(tutti: "Tutti", job_id: str, controllers: list[str], interrupts: Interrupts) -> None:
+    """Stop a job and report where its axes have come to rest. Ends the process at a further interrupt, and when no stop
+    could be sent."""
+    say("stopping …")
+    seen = interrupts.count
+    stop = asyncio.ensure_future(_stop_and_wait(tutti, job_id, controllers))
+    again = asyncio.ensure_future(interrupts.wait_for_next(seen))
+    await asyncio.wait([stop, again], return_when=asyncio.FIRST_COMPLETED)
+    if not stop.done():
+        stop.cancel()
+        say(f"left before the stop was complete: {await _describe_motion(tutti, controllers)}")
+        raise SystemExit(INTERRUPTED)
+    again.cancel()
+    stop.result()
+
+
+async def _stop_and_wait(tutti: "Tutti", job_id: str, controllers: list[str]) -> None:
+    from orchestrator.bus.base import BusError
+    from orchestrator.model.errors import Refusal
+
+    try:
+        async with asyncio.timeout(STOP_S):
+            await tutti.cancel_job(job_id)
+    except (Refusal, BusError, TimeoutError) as error:
+        if not (isinstance(error, Refusal) and error.code == "ended"):
+            await _stop_directly(tutti, controllers, str(error))
+            return
+    report = await tutti.wait_for_job(job_id)
+    where = await _describe_positions(tutti, controllers)
+    say(f"stopped{where}" if report.state != "done" else f"done before the stop{where}")
+
+
+async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) -> None:
+    """Stop the controllers themselves, because the coordinator has not stopped the job."""
+    from orchestrator.bus.base import BusError
+    from orchestrator.model.errors import Refusal
+    from orchestrator.model.messages import Reply, StopRequest
+
+    failed: list[str] = []
+    for controller in controllers:
+        request = StopRequest(**tutti.request_fields(), reason=f"stopped by {tutti.actor}")
+        try:
+            async with asyncio.timeout(STOP_S):
+                await tutti.request_controller(controller, "stop", request, Reply)
+        except (Refusal, BusError, TimeoutError) as error:
+            failed.append(f"{controller}: {error or 'no answer'}")
+    if failed or not controllers:
+        say(f"NOT STOPPED ({reason}): {'; '.join(failed)}")
+        say("use the e-stop: `tutti estop`, or the wired one")
+        raise SystemExit(FAILED)
+    say(f"stopped: {', '.join(controllers)}; the coordinator has not confirmed the end of the job ({reason})")
+
+
+async def _describe_positions(tutti: "Tutti", controllers: list[str]) -> str:
+    """Where the axes of `controllers` are, in words, after a colon; empty if that is not known."""
+    shown: list[str] = []
+    for name, state in (await tutti.status()).items():
+        if name in controllers and state.mode != "offline":
+            shown += [f"{name}.{axis} {now.position:.3f} {now.unit}" for axis, now in state.axes.items()]
+    return f": {', '.join(shown)}" if shown else ""
+
+
+async def _describe_motion(tutti: "Tutti", controllers: list[str]) -> str:
+    """What still moves, in words."""
+    from orchestrator.bus.base import BusError
+
+    try:
+        states = await tutti.status(0.5)
+    except BusError:
+        return "whether anything moves is not known"
+    moving = [
+        f"{name}.{axis}"
+        for name, state in states.items()
+        for axis, now in state.axes.items()
+        if name in controllers and (now.moving or now.homing)
+    ]
+    return f"{', '.join(moving)} still moves" if moving else "nothing moves"
+
+
+def say(text: str) -> None:
+    """Print a line on standard error; a terminal that is gone does not prevent what comes after it."""
+    with contextlib.suppress(OSError):
+        errors.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def controllers_of(job: "Job") -> list[str]:
+    """Controllers named in the first step of a manual job; a group or the whole fleet has none here."""
+    from orchestrator.model.job import Disable, Enable, Home, Move, SetOutput, SetPosition
+
+    names: list[str] = []
+    for step in job.steps:
+        match step:
+            case Move():
+                names += [*step.to, *step.by]
+            case Home() | Enable() | Disable():
+                names += step.axes or []
+            case SetPosition():
+                names += step.axes
+            case SetOutput():
+                names.append(step.output)
+            case _:
+                pass
+    return list(dict.fromkeys(name.partition(".")[0] for name in names))

@@ -1,0 +1,126 @@
+"""Conditions that the world decides before a job begins: e-stop, permits, controllers, references, motors.
+
+The world makes a job wait; only its own file and the fleet file make it fail.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.jobs.queue import find_axes, find_needed_controllers
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Enable, Home, Move, Step
+from orchestrator.model.state import ControllerState
+
+ESTOP_VISIBLE_NS = NS_PER_S  # after an e-stop; by then every adapter has published its latch
+_SAFE = "make the machine safe, then `tutti reset`"
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """What keeps a job from beginning now. code: for programs. remedy: what a person can do about it."""
+
+    code: str
+    text: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class JobNeeds:
+    """What a job needs before its first step.
+
+    controllers: those that no other job may use. moved: axes that it moves. enabled_before, referenced_before: axes
+    that must be enabled, or referenced, before it begins, because no step of the job does that first. moves: it moves
+    something, or switches a motor on.
+    """
+
+    controllers: frozenset[str]
+    moved: tuple[str, ...] = ()
+    enabled_before: frozenset[str] = frozenset()
+    referenced_before: frozenset[str] = frozenset()
+    moves: bool = False
+
+
+def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
+    """What `steps` need before the first of them. Raises `UnknownName`."""
+    enabled, referenced = set[str](), set[str]()
+    enabled_before, referenced_before = set[str](), set[str]()
+    for step in steps:
+        if isinstance(step, Enable):
+            enabled |= set(find_axes(fleet, [step]))
+        elif isinstance(step, Move | Home):
+            axes = set(find_axes(fleet, [step]))
+            manual = {axis for axis in axes if fleet.axis(axis).enable == "manual"}
+            enabled_before |= manual - enabled
+            if isinstance(step, Home):
+                referenced |= axes
+            else:
+                referenced_before |= axes - referenced
+    moving = [step for step in steps if isinstance(step, Move | Home)]
+    return JobNeeds(
+        find_needed_controllers(fleet, steps),
+        tuple(find_axes(fleet, moving)),
+        frozenset(enabled_before),
+        frozenset(referenced_before),
+        any(isinstance(step, Move | Home | Enable) for step in steps),
+    )
+
+
+class WorldConditions:
+    """Finds what the world must change before a job can begin."""
+
+    def __init__(self, fleet: FleetAccess) -> None:
+        self._view = fleet.view
+        self._permits = fleet.permits
+        self._clock = fleet.clock
+        self._estop: tuple[int, str] | None = None
+
+    def note_estop(self, reason: str) -> None:
+        """An e-stop was received: adapters publish that they have latched it a moment later."""
+        self._estop = self._clock.now_ns() + ESTOP_VISIBLE_NS, reason
+
+    def find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
+        """The first condition that does not hold; None: the job can begin."""
+        if needs.moves and self._estop is not None and self._clock.now_ns() < self._estop[0]:
+            return Obstacle("estop-latched", self._estop[1], _SAFE)
+        for controller in sorted(needs.controllers):
+            found = self._find_controller_obstacle(controller, moves=needs.moves)
+            if found is not None:
+                return found
+        missing = self._permits.find_missing(needs.moved)
+        if missing is not None:
+            return Obstacle("permit", missing, "satisfy the permit")
+        return self._find_axis_obstacle(needs.enabled_before, needs.referenced_before)
+
+    def _find_controller_obstacle(self, controller: str, *, moves: bool) -> Obstacle | None:
+        state = self._view.last_state(controller)
+        if state is None or self._view.is_silent(controller):
+            return Obstacle("absent", f"{controller}: its adapter does not answer", "is its adapter host running?")
+        if moves and state.estop is not None:
+            reason = f": {state.estop.reason}" if state.estop.reason else ""
+            text = f"e-stop by {state.estop.actor}{reason}"
+            return Obstacle("estop-latched", text, _SAFE)
+        if state.mode == "offline":
+            return Obstacle("offline", f"{controller} is offline{_first_fault(state)}", "check power and cable")
+        if moves and state.faults:
+            first = state.faults[0]
+            return Obstacle("fault", f"{controller}: {first.text}", first.remedy)
+        return None
+
+    def _find_axis_obstacle(self, enabled: Iterable[str], referenced: Iterable[str]) -> Obstacle | None:
+        for axis in sorted(enabled):
+            controller, _, name = axis.partition(".")
+            state = self._view.last_state(controller)
+            if state is None or not state.axes[name].enabled:
+                return Obstacle("not-enabled", f"{axis} is not enabled", f"enable it: `tutti axis enable {axis}`")
+        for axis in sorted(referenced):
+            controller, _, name = axis.partition(".")
+            state = self._view.last_state(controller)
+            if state is None or not state.axes[name].referenced:
+                return Obstacle("not-referenced", f"{axis} is not referenced", f"home it: `tutti axis home {axis}`")
+        return None
+
+
+def _first_fault(state: ControllerState) -> str:
+    return f" ({state.faults[0].text})" if state.faults else ""

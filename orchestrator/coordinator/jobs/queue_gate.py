@@ -1,0 +1,122 @@
+"""The queue as a whole: stopped or started. While it is stopped no waiting job begins.
+
+Nothing begins by itself after a break: a restart of the fleet, an interrupted step, a controller that was off,
+restarted or unreferenced meanwhile. A break stops the queue if jobs wait; a stop or an e-stop always does. Only
+`tutti queue start` starts it. Another leader is no break if the controllers did not notice the change.
+"""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.journal.journal import JournalError
+from orchestrator.model.queue import QueueStop
+from orchestrator.model.state import ControllerState
+
+COORDINATOR = "coordinator"
+
+
+class QueueGate:
+    """Whether the queue is stopped, in the journal, and the detection of breaks.
+
+    count_waiting: returns the number of jobs that would begin by themselves. on_change: called when the queue has been
+    stopped or started.
+    """
+
+    def __init__(self, services: JobServices, count_waiting: Callable[[], int], on_change: Callable[[], None]) -> None:
+        self.stopped: QueueStop | None = None
+        self._services = services
+        self._count_waiting = count_waiting
+        self._on_change = on_change
+        self._instances: dict[str, str] = {}
+        self._offline: set[str] = set()
+        self._referenced: dict[str, set[str]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._remove_listener: Callable[[], None] = lambda: None
+
+    async def start(self, *, interrupted: bool) -> None:
+        """Load the state of the queue, and begin to detect breaks. interrupted: the last leader left a job running.
+
+        Raises `JournalError`.
+        """
+        journal, execute = self._services.journal, self._services.execute
+        self.stopped = await execute(journal.load_queue_stop)
+        self._instances = await execute(journal.load_instances)
+        if interrupted:
+            self.note_break("a job was interrupted when the coordinator ended")
+        view = self._services.view
+        self._remove_listener = view.add_state_listener(self._check_state)
+        for controller in view.fleet.controllers:
+            state = view.last_state(controller)
+            if state is not None:
+                self._check_state(state)
+
+    def close(self) -> None:
+        self._remove_listener()
+        for task in self._tasks:
+            task.cancel()
+
+    def note_break(self, reason: str) -> None:
+        """Stop the queue because of a break, if jobs wait and the fleet file does not let the queue continue."""
+        if self._services.view.fleet.queue.on_restart == "stop" and self._count_waiting():
+            self.stop_queue(reason, COORDINATOR)
+
+    def stop_queue(self, reason: str, actor: str) -> None:
+        """Stop the queue now, and record it. The first reason stays."""
+        if self.stopped is not None:
+            return
+        self.stopped = QueueStop(reason=reason, actor=actor, utc=self._services.clock.utc())
+        self._services.log.warning(f"the queue is stopped: {reason}")
+        self._spawn(self._store(self.stopped))
+        self._on_change()
+
+    async def start_queue(self, actor: str) -> None:
+        """Start the queue. Raises `JournalError`; then it stays stopped."""
+        await self._services.execute(self._services.journal.store_queue_stop, None)
+        if self.stopped is not None:
+            self.stopped = None
+            self._services.log.info(f"the queue is started by {actor}")
+        self._on_change()
+
+    # Breaks
+
+    def _check_state(self, state: ControllerState) -> None:
+        """Compare the state of a controller with the one before: has it been off, restarted or unreferenced?"""
+        name = state.controller
+        if self._instances.get(name) != state.instance:
+            self._instances[name] = state.instance
+            self._offline.discard(name)
+            self._referenced.pop(name, None)
+            self._spawn(self._store_instances())
+            self.note_break(f"restart: the adapter of {name} has started again")
+        if state.mode == "offline":
+            # An adapter that has just started is offline until it has reached its controller.
+            if name in self._referenced:
+                self.note_break(f"{name} is offline")
+            self._referenced.pop(name, None)
+            return
+        # A search for the reference is an order, not a loss.
+        known = {axis for axis, now in state.axes.items() if now.referenced and not now.homing}
+        searching = {axis for axis, now in state.axes.items() if now.homing}
+        lost = self._referenced.get(name, set()) - known - searching
+        self._referenced[name] = known
+        if lost:
+            self.note_break(f"{name}.{min(lost)} is no longer referenced")
+
+    async def _store(self, stop: QueueStop) -> None:
+        await self._services.execute(self._services.journal.store_queue_stop, stop)
+
+    async def _store_instances(self) -> None:
+        await self._services.execute(self._services.journal.store_instances, dict(self._instances))
+
+    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        async def record() -> None:
+            try:
+                await coroutine
+            except JournalError as error:
+                self._services.log.warning(f"the state of the queue is not recorded: {error}")
+
+        task = asyncio.get_running_loop().create_task(record())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
