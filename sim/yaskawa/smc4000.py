@@ -23,6 +23,10 @@ LOCK_ALL = 2
 """Level of LC at which only LC itself is accepted (L6735); TC still reports why (L6798)."""
 
 
+_ABSENT = frozenset(("AF", "GN", "ZR"))
+"""Op-codes of the family that its manual has no page of, though examples name them (L1229, L12527)."""
+
+
 def _is_locked(level: int, op: str, lock: str, text: str) -> bool:
     return str(level) in lock or (level == LOCK_ALL and op not in ("LC", "TC"))
 
@@ -31,8 +35,8 @@ MODEL = ControllerModel(
     name="smc4000",
     revision="SMC4040 Rev 1.0a",
     ports=("tcp", "udp", "serial"),
-    commands=COMMANDS,
-    operands=OPERANDS,
+    commands={op: command for op, command in COMMANDS.items() if op not in _ABSENT},
+    operands={op: operand for op, operand in OPERANDS.items() if op not in _ABSENT},
     parameters=parameters.SMC4000,
     functions=frozenset(FUNCTIONS),
     texts=errors.SMC4000,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from adapters.contract import NULL_LOG, ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.common.handles import HandleCleaner
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
@@ -21,7 +22,14 @@ from adapters.yaskawa.common.program import (
     program_lines,
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord, RecordFormat
-from adapters.yaskawa.common.session import REVISION, CommandSession, SmcCommandRefused, parse_numbers, print_command
+from adapters.yaskawa.common.session import (
+    REVISION,
+    CommandSession,
+    SmcCommandRefused,
+    parse_numbers,
+    print_command,
+    session_tag,
+)
 from adapters.yaskawa.common.stops import SharedStops, StopHandle
 from adapters.yaskawa.common.ticks import SampleClock
 from orchestrator.clock.base import NS_PER_US, Clock, sleep_ns
@@ -78,11 +86,13 @@ class SmcDevice:
         self._axes_needed = axes_needed
         self._connection: SmcConnection | None = None
         self._format: RecordFormat | None = None
+        self._resident_program: tuple[str, ...] = ()
         self.gate = GateTiming.for_options(options, self.BESIDE)
         # It outlives the links: only then a power cycle differs from a broken cable.
         late_ns = (options.decode_us - options.decode_min_us) * NS_PER_US
         self.samples = SampleClock(options.tick_ns, late_ns)
         self._restarted = False
+        self._handles = HandleCleaner()
         self._reconnect_required = False
         # Number of stops of each axis: a command that was under way at a stop must not begin a motion after it.
         self._stop_counts = [0] * len(AXIS_LETTERS)
@@ -101,15 +111,18 @@ class SmcDevice:
         self._reconnect_required = False
         link = await self._open_link()
         self.log.info("link opened", place=link.endpoint)
-        session = CommandSession(link, self._options.timeout_s)
+        session = CommandSession(link, self._options.timeout_s, session_tag(self._clock.now_ns()))
         session.log = self.log
         # Until there is a second handle, the one port carries stops too, bypassing other traffic.
         connection = self._connection = SmcConnection(link, session, SharedStops(session))
         if self._shared:
             await session.send_command("EO 0")  # it may echo (L4833)
         else:
+            self._handles.log = self.log
+            await self._handles.close_stale_handles(session)
             stops = StopHandle(await self._open_link(), self._options.timeout_s)
             self._connection = replace(connection, stops=stops)
+            await self._handles.note_second_handle(session)
         # Messages of programs go to the serial port, not between the replies (L3556).
         await session.send_command("CFS")
         revision = " ".join(await session.query_all(REVISION))
@@ -121,7 +134,7 @@ class SmcDevice:
                 f"{self._format.axes} axes",
                 "correct `motors` in the fleet file, or the address of the controller",
             )
-        await self._install_program()
+        await self.install_program()
         (serial,), _ = await session.read_numbers("_BN")
         await self._read_time()
         model, _, firmware = revision.partition(" ")
@@ -140,8 +153,10 @@ class SmcDevice:
                 link.write(self._goodbye)
         await link.close()
 
-    async def _install_program(self) -> None:
+    async def install_program(self) -> None:
+        """Install the resident program if the controller does not have it. Raises `ControllerFault`."""
         session, wanted = self.session, program_lines(self.record_format.axes, self.gate)
+        self._resident_program = wanted
         present = [line.rstrip() for line in await session.query_all("UL")]
         if present == list(wanted):
             # The adapter's own program may still wait for a start that will never be released, or play a contour to its
@@ -170,6 +185,15 @@ class SmcDevice:
         for name in VARIABLES:
             await session.send_command(f"{name}=0")
         await arrays.free_arrays(session)
+
+    @property
+    def resident_program(self) -> tuple[str, ...]:
+        """The lines of the resident program; none before it was installed."""
+        return self._resident_program
+
+    async def list_program_lines(self, first: int, last: int) -> list[str]:
+        """Return lines of the program by their numbers (LS, L7093), as far as it has them."""
+        return [line.partition(" ")[2].rstrip() for line in await self.session.query_all(f"LS {first},{last}")]
 
     async def unload_program(self) -> None:
         """Halt the resident program and leave contour mode: nothing starts, now or later."""

@@ -1,9 +1,10 @@
 """Driver code common to both models, over a device that each model provides."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from typing import Generic, Literal, TypeVar
 
-from adapters.contract import ControllerIdentity, DriverSetup, JogMove
+from adapters.contract import ControllerIdentity, DriverSetup, JogMove, SettingDifference
 from adapters.toolkit.connection import MoverDriver
 from adapters.yaskawa.common import homing
 from adapters.yaskawa.common.device import SmcDevice
@@ -12,6 +13,7 @@ from adapters.yaskawa.common.jogging import YaskawaJogging
 from adapters.yaskawa.common.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
 from adapters.yaskawa.common.settings import load_soft_limits
 from adapters.yaskawa.common.start import SampleStart
+from adapters.yaskawa.common.watch import SettingsWatch
 from adapters.yaskawa.common.words import STOP_CODES
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -31,8 +33,11 @@ _Device = TypeVar("_Device", bound=SmcDevice)
 class YaskawaDriver(MoverDriver, Generic[_Device]):
     """One controller of either model.
 
-    motors: motor index by axis. not_by_raw: beginnings of commands that are not answered by a line.
+    motors: motor index by axis. watch: its settings.
     """
+
+    NOT_BY_RAW: Sequence[str]
+    """Beginnings of commands that are not answered by a line."""
 
     def __init__(
         self,
@@ -40,7 +45,7 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
         motors: Mapping[str, int],
         device: _Device,
         start: SampleStart,
-        not_by_raw: Sequence[str],
+        watch: SettingsWatch,
     ) -> None:
         super().__init__(setup)
         self._config = setup.config
@@ -49,9 +54,9 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
         self._device = device
         device.log = setup.log
         self._start = start
+        self._watch = watch
         self._jogging = YaskawaJogging(device, setup.clock, motors)
         self._steppers: set[str] = set()
-        self._not_by_raw = not_by_raw
 
     async def connect(self) -> ControllerIdentity:
         self._start.drop_move()
@@ -62,6 +67,13 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
     async def close(self) -> None:
         self._log.info("link closed")
         await self._device.close()
+
+    # Settings
+
+    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
+        # Before a step in one turn: on a chain, the polls of the other controllers would come in between.
+        async with self._device.exclusive_turn() if everything else nullcontext():
+            return await self._watch.find_differences(everything=everything)
 
     # Polling
 
@@ -123,7 +135,7 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
         self._device.stop_axes(self._motors[axis] for axis in axes)
 
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        await load_soft_limits(self._device, self._motors, limits)
+        await load_soft_limits(self._device, self._motors, limits, self._watch)
 
     async def set_output(self, number: int, *, on: bool) -> None:
         await self._device.session.send_command(f"{'SB' if on else 'CB'}{number}")
@@ -133,6 +145,7 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
         # fault.
         cleared = await self._device.session.query_lines("TC")
         self._log.info("error code cleared", code=cleared.lines[0])
+        await self._watch.restore_values()
 
     async def send_raw(self, command: str) -> str:
-        return await send_raw(command, self._device.session.query_all, self._not_by_raw)
+        return await send_raw(command, self._device.session.query_all, self.NOT_BY_RAW)

@@ -45,6 +45,8 @@ async def home_axes(
     try:
         failed = await _begin_homing(device, axes, since, searching)
         while searching:
+            # A search begins at a sample after BG: until then the axis rests with the stop code of an earlier search.
+            await sleep_ns(clock, POLL_NS)
             record = await device.read_record()
             for each in [each for each in searching if not record.axes[each[1]].is_moving]:
                 searching.remove(each)
@@ -53,8 +55,6 @@ async def home_axes(
                     found(each[0])
                 else:
                     failed[each[0]] = error
-            if searching:
-                await sleep_ns(clock, POLL_NS)
     except BaseException:
         # After a cancellation the searching axes would continue without supervision.
         with suppress(LinkClosed):

@@ -16,11 +16,15 @@ from typing import TypeVar
 from adapters.contract import NULL_LOG
 from adapters.yaskawa.common.dialect import MAX_LINE
 from adapters.yaskawa.common.words import REMEDIES
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import Link
 from orchestrator.model.errors import ControllerFault, Refusal
 
 MAX_PACKET = 470  # bytes (L1735)
 OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX{F10.0},",",')
+TAG_CHARACTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+# Settings with a fractional part
+FRACTIONS = ("_IT", "_MT", "_PF", "_GR", "_KP", "_KI", "_KD", "_KS", "_FA", "_OF", "_TL", "_TK", "_IL", "_PL", "_NF")
 DOWNLOAD_REFUSED_S = 0.25  # the latest time of a refusal of a download
 PACKET_PAUSE_S = 0.02  # a download is not acknowledged packet by packet
 END_OF_DATA = "\x1a"  # control Z, of programs and arrays (L4134, L8552, L9116)
@@ -59,8 +63,10 @@ class _Parsed:
 class CommandSession:
     """Exchanges over one link, one at a time."""
 
-    def __init__(self, link: Link, timeout_s: float) -> None:
+    def __init__(self, link: Link, timeout_s: float, tag: str = "") -> None:
+        """tag: of the markers, see `session_tag`."""
         self.log = NULL_LOG
+        self._tag = tag
         self._link = link
         self._timeout_s = timeout_s
         self._buffer = bytearray()
@@ -103,6 +109,27 @@ class CommandSession:
             self.unsolicited.extend(lines[:-1])
             found += parse_numbers("".join(lines[-1:]), len(part), command)
         return found
+
+    async def read_many(self, operands: Sequence[str]) -> list[float]:
+        """Return the values of any number of operands, as `read_numbers` does, with as few packets as possible. Raises
+        `SmcCommandRefused`."""
+        parts = pack_operands(operands)
+        messages = [print_command(part) for part in parts]
+        answered, _ = await self._send_packets(messages)
+        found: list[float] = []
+        for part, command, lines in zip(parts, messages, answered, strict=True):
+            self.unsolicited.extend(lines[:-1])
+            found += parse_numbers("".join(lines[-1:]), len(part), command)
+        return found
+
+    async def sums_to_zero(self, terms: Sequence[str]) -> bool:
+        """Return whether all of these terms, none of which is negative, are 0: by their sum, a single number on the
+        wire."""
+        for part in pack_texts(terms, lambda part: len(print_command([_sum_expression(part)]))):
+            (total,), _ = await self.read_numbers(_sum_expression(part))
+            if total:
+                return False
+        return True
 
     async def _send_packets(
         self, commands: Iterable[str], before_send: Callable[[], None] | None = None
@@ -161,10 +188,12 @@ class CommandSession:
             return CommandReply(parsed.lines[split:], b"", sent_ns, self._at_ns)
 
     async def query_all(self, command: str) -> list[str]:
-        """Send a command whose reply has any number of data lines."""
+        """Send a command whose reply has any number of data lines. On a serial port, where a listing takes seconds,
+        only silence is a timeout."""
         async with self._turn:
             await self._resynchronise()
-            parsed, _ = await self._run_exchange(command, lambda: parse_reply(self._buffer))
+            by_silence = bool(self._link.char_ns)
+            parsed, _ = await self._run_exchange(command, lambda: parse_reply(self._buffer), by_silence=by_silence)
             if parsed.refused:
                 raise await self._read_refusal(command)
             self._in_step = True
@@ -237,12 +266,14 @@ class CommandSession:
                 data = line.encode("ascii") + b"\r"
                 if len(packet) + len(data) > MAX_PACKET:
                     self._link.write(packet)
-                    if await self._anything_within(PACKET_PAUSE_S):
+                    # On a serial port the packets must not pile up: they would delay everything else by seconds.
+                    if await self._anything_within(PACKET_PAUSE_S + self._wire_s(packet)):
                         self._link.write(b"\x1a")
                         raise await self._read_refusal("DL")
                     packet = b""
                 packet += data
             self._link.write(packet)
+            await self._anything_within(self._wire_s(packet))
             parsed, _ = await self._run_exchange("\x1a", lambda: parse_reply(self._buffer))
             if parsed.refused:
                 raise await self._read_refusal("DL")
@@ -286,6 +317,10 @@ class CommandSession:
             self._in_step = True
             return [int(value) for value in parse_numbers(body, last - first + 1, command)]
 
+    def _wire_s(self, data: bytes) -> float:
+        """Return how long data is on the wire of a serial port, s."""
+        return len(data) * self._link.char_ns / NS_PER_S
+
     async def _anything_within(self, seconds: float) -> bool:
         try:
             async with asyncio.timeout(seconds):
@@ -295,11 +330,12 @@ class CommandSession:
         return True
 
     async def _run_exchange(
-        self, command: str, whole: Callable[[], T | None], *, terminated: bool = False
+        self, command: str, whole: Callable[[], T | None], *, terminated: bool = False, by_silence: bool = False
     ) -> tuple[T, int]:
         """Write a command and read until `whole` finds its complete reply; return it with the instant of writing.
 
-        terminated: the command includes its terminator, and needs no carriage return.
+        terminated: the command includes its terminator, and needs no carriage return. by_silence: the timeout begins
+        again with each piece of the reply.
         """
         self._in_step = False
         if self._buffer:
@@ -310,11 +346,13 @@ class CommandSession:
             data += b"\r"
         sent_ns = self._link.write(data)
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with asyncio.timeout(self._timeout_s + self._wire_s(data)) as limit:
                 while True:
                     received = await self._link.read()
                     self._buffer += received.data
                     self._at_ns = received.at_ns
+                    if by_silence:
+                        limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
                     reply = whole()
                     if reply is not None:
                         if isinstance(reply, _Parsed):
@@ -345,7 +383,7 @@ class CommandSession:
             return
         self._written_at_once = False
         self._markers += 1
-        marker = f"<{self._markers}>"
+        marker = f"<{self._tag}{self._markers}>"
         end = marker.encode() + b"\r\n:"
 
         def find_marker() -> bool | None:
@@ -381,6 +419,13 @@ class CommandSession:
         return parse_numbers(answer.lines[0], len(operands), command), answer
 
 
+def session_tag(now_ns: int) -> str:
+    """Return two characters that distinguish the markers of a session from those of the last one on the same port: a
+    trippoint of a former client may delay its answers until this session reads (L1696)."""
+    number = now_ns // NS_PER_MS % len(TAG_CHARACTERS) ** 2
+    return TAG_CHARACTERS[number // len(TAG_CHARACTERS)] + TAG_CHARACTERS[number % len(TAG_CHARACTERS)]
+
+
 def print_command(operands: Sequence[str]) -> str:
     """Return the command that prints the operands: with an explicit format (L7558), because a user may have set any;
     with commas between the values, because the sign column alone may not separate them."""
@@ -389,7 +434,27 @@ def print_command(operands: Sequence[str]) -> str:
 
 def _operand_decimals(operand: str) -> int:
     """Return the decimals of an operand: only a few settings have a fractional part."""
-    return 4 if operand[:3] in ("_IT", "_MT", "_PF") else 0
+    return 4 if operand[:3] in FRACTIONS else 0
+
+
+def _sum_expression(terms: Sequence[str]) -> str:
+    """Return the sum of `terms` in units of 1/65536, the smallest difference that two numbers can have (L15710)."""
+    return f"({'+'.join(terms)})*65536"
+
+
+def pack_operands(operands: Sequence[str]) -> list[list[str]]:
+    """Split operands into lines of `print_command`."""
+    return pack_texts(operands, lambda part: len(print_command(part)))
+
+
+def pack_texts(texts: Sequence[str], length: Callable[[Sequence[str]], int]) -> list[list[str]]:
+    """Split texts into as few lines as possible. length: of the command that contains them, characters."""
+    lines: list[list[str]] = []
+    for text in texts:
+        if not lines or length([*lines[-1], text]) > MAX_LINE:
+            lines.append([])
+        lines[-1].append(text)
+    return lines
 
 
 def parse_numbers(line: str, count: int, command: str) -> list[float]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.record import AXIS_LETTERS
+from adapters.yaskawa.common.watch import SettingsWatch
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
 
@@ -28,13 +29,22 @@ async def configure_controller(
 
 
 async def load_soft_limits(
-    device: SmcDevice, motors: Mapping[str, int], limits: Mapping[str, tuple[int, int] | None]
+    device: SmcDevice,
+    motors: Mapping[str, int],
+    limits: Mapping[str, tuple[int, int] | None],
+    watch: SettingsWatch,
 ) -> None:
-    """Load BL and FL of axes, (low, high) in counts; None switches them off. Raises `ControllerFault`
-    (`config-mismatch`)."""
+    """Load BL and FL of axes, (low, high) in counts; None switches them off. They are the expected values from then on.
+    Raises `ControllerFault` (`config-mismatch`)."""
     for name, ends in limits.items():
         low, high = ends or NO_LIMITS
-        await _load_registers(device, name, motors[name], {"BL": low, "FL": high})
+        wanted = {"BL": low, "FL": high}
+        operands = {command: f"_{command}{AXIS_LETTERS[motors[name]]}" for command in wanted}
+        for operand in operands.values():
+            watch.expect_value(operand, None)
+        await _load_registers(device, name, motors[name], wanted)
+        for command, value in wanted.items():
+            watch.expect_value(operands[command], value)
 
 
 async def _configure_axis(

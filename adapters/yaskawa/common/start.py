@@ -77,7 +77,7 @@ class SampleStart:
         phase = ticks + first - mapping.to_ticks(t0_ns)
         # A watchdog left from an earlier step would fire when this one starts, and a second thread of it cannot be
         # started (L10305).
-        shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{WATCHDOG_THREAD}")
+        shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
         gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog_command(ticks))
         if isinstance(lowered.load, ContourLoad):
             await arrays.load_arrays(session, lowered.load.array_contents(phase, mapping.tick_ns), lowered.load.packets)

@@ -94,7 +94,7 @@ class SerialDevice(SmcDevice):
     async def connect(self) -> ControllerIdentity:
         await self.close()
         options = self._serial_options
-        link = await self._line.attach_controller(self._unit, self._open_link)
+        link = await self._line.attach_controller(self._unit, self._open_link, self._clock.now_ns())
         self._last_positions = None
         session = self._polled_session = PolledSession(
             self._line,
@@ -114,7 +114,7 @@ class SerialDevice(SmcDevice):
                 f"the fleet file uses motor {letter}; the controller has {present} axes",
                 "correct `motors`, or `address` of the link, in the fleet file",
             )
-        await self._install_own_program()
+        await self.install_program()
         (serial,), _ = await session.read_numbers("_BN")
         await self._read_time()
         model, _, firmware = revision.partition(" ")
@@ -124,11 +124,12 @@ class SerialDevice(SmcDevice):
         self._polled_session = None
         await self._line.detach_controller(self._unit)
 
-    async def _install_own_program(self) -> None:
+    async def install_program(self) -> None:
         session, chained = self.session, self._unit is not None
         wanted = smc2000_program.program_lines(
             self._axes, chained=chained, inputs=self._inputs, outputs=self._outputs, gate=self.gate
         )
+        self._resident_program = wanted
         await self._unload_own_program()
         if not await self._holds_program(wanted):
             await self._require_no_other_program()
@@ -172,6 +173,10 @@ class SerialDevice(SmcDevice):
                 return False
             at += len(part)
         return not await self._list_lines(at, at)
+
+    async def list_program_lines(self, first: int, last: int) -> list[str]:
+        characters = sum(len(line) + AROUND_LISTED for line in self._resident_program[first : last + 1])
+        return await self._list_lines(first, last, characters)
 
     async def _list_lines(self, first: int, last: int, characters: int = 0) -> list[str]:
         """Return lines of the program by their numbers (LS, L10135); none where it has none, or does not list them."""
@@ -300,7 +305,7 @@ class SerialDevice(SmcDevice):
         if it is alone on its line."""
         if self._unit is None:
             return False
-        link = await self._line.attach_controller(self._unit, self._open_link)
+        link = await self._line.attach_controller(self._unit, self._open_link, self._clock.now_ns())
         self.log.info("stopping the controller before it is connected", place=link.endpoint, address=self._unit)
         try:
             self._line.write_at_once(link, self._unit, stop_commands(abort=False), unknown=True)

@@ -23,6 +23,7 @@ from adapters.yaskawa.common.lowering import (
 from adapters.yaskawa.common.model import SMC2000
 from adapters.yaskawa.common.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from adapters.yaskawa.common.settings import configure_controller
+from adapters.yaskawa.common.watch import SMC2000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.smc2000 import program as smc2000_program
 from adapters.yaskawa.smc2000.device import LineAddress, PolledPoints, SerialDevice, stop_commands
 from adapters.yaskawa.smc2000.line import SHARED, SharedSerialLine
@@ -49,11 +50,13 @@ STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
 EXCHANGE_CHARACTERS = 36
 POLL_CHARACTERS = 24, 24  # of a poll's line, plus a number for each axis
 ARM_EXCHANGES = 9
+# Of the check of the settings before a step: characters of one line and its answer, and how many axes it covers.
+SETTINGS_CHARACTERS = 95
+SETTINGS_AXES = 2
 DISARM_EXCHANGES = 8  # exchanges that must fit in before the start: commit, release, and the withdrawal of both
 AFTER_START_NS = 3 * NS_PER_MS  # for the program to record its start
 NAMES = (LETTERS, SECOND_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D), E, F, G, H"
-NOT_BY_RAW = ("DL", "QD", "IN")  # after these the controller accepts no commands
 
 
 def _word_count(points: Mapping[str, DigitalInput] | Mapping[str, DigitalOutput], size: int) -> int:
@@ -63,6 +66,9 @@ def _word_count(points: Mapping[str, DigitalInput] | Mapping[str, DigitalOutput]
 
 class SMC2000Driver(YaskawaDriver[SerialDevice]):
     """One SMC-2000, alone on its port or in a daisy chain."""
+
+    # After the first ones the controller accepts no commands; the others select controllers of a chain.
+    NOT_BY_RAW = ("DL", "QD", "IN", "%", "!")
 
     def __init__(self, setup: DriverSetup) -> None:
         link = setup.config.link
@@ -85,7 +91,8 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             options,
             PolledPoints(sorted(motors.values()), inputs, outputs),
         )
-        super().__init__(setup, motors, device, SerialStart(device, setup.clock, options), (*NOT_BY_RAW, "%", "!"))
+        watch = SettingsWatch(device, motors, SMC2000_WATCHED, slow=True)
+        super().__init__(setup, motors, device, SerialStart(device, setup.clock, options), watch)
         # The time that the shared lowering assumes for a command of a stop.
         wire_us = EXCHANGE_CHARACTERS * self._char_ns // NS_PER_US
         self._slow_exchange_ns = options.model_copy(
@@ -97,9 +104,11 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
     # Connection
 
     async def configure(self) -> None:
+        await require_uncoupled(self._device, self._motors, gantry=lambda letter: "")
         await configure_controller(self._device, self._config, self._options, self._motors)
         types, _ = await self._device.session.read_numbers(*(f"_MT{LETTERS[index]}" for index in self._motors.values()))
         self._steppers = {name for name, kind in zip(self._motors, types, strict=True) if abs(kind) >= STEPPER_TYPE}
+        await self._watch.learn_values()
 
     @property
     def _exchange_ns(self) -> int:
@@ -112,7 +121,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         exchange_ns = self._exchange_ns
         ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
         costs = StepCosts(
-            arm_ns=ARM_EXCHANGES * exchange_ns,
+            arm_ns=ARM_EXCHANGES * exchange_ns + self._settings_ns(),
             interleaved=True,
             # A release must reach the gate before it is decided.
             disarm_ns=round(self._device.gate.decided_before * self._options.tick_ns) + DISARM_EXCHANGES * exchange_ns,
@@ -120,6 +129,13 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         )
         orders = (2, 3) if self._contoured else (2,)
         return DriverCapabilities(start_classes=START_CLASSES, orders=orders, independent_axes=False, costs=costs)
+
+    def _settings_ns(self) -> int:
+        """Return how long the check of the settings before a step takes: its lines, and leaving contour mode."""
+        lines = -(-len(self._motors) // SETTINGS_AXES)
+        more_ns = max(SETTINGS_CHARACTERS - EXCHANGE_CHARACTERS, 0) * self._char_ns
+        # Lines of other controllers of a chain are no longer than that.
+        return (lines + 1) * self._exchange_ns + lines * more_ns * len(self._serial_line.units)
 
     # Polling
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
 
+from adapters.yaskawa.common.session import session_tag
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 
 SHARED = "yaskawa serial line"
@@ -75,12 +76,14 @@ class SharedSerialLine:
         self._link: Link | None = None
         self._users: set[int | None] = set()
         self._markers = 0
+        self._tag = ""
 
-    async def attach_controller(self, unit: int | None, open_link: OpenLink) -> Link:
+    async def attach_controller(self, unit: int | None, open_link: OpenLink, now_ns: int) -> Link:
         """Return the open port; open it if it is not open yet. Raises `LinkRefused`."""
         async with self._opening:
             if self._link is None:
                 self._link = await open_link()
+                self._tag = session_tag(now_ns)
                 self.selected, self.in_step, self.ahead, self.loading, self.answered = None, False, None, False, False
             self._users.add(unit)
             return self._link
@@ -105,7 +108,7 @@ class SharedSerialLine:
     def next_marker(self) -> str:
         """Return a text that no earlier reply can contain."""
         self._markers += 1
-        return f"<{self._markers}>"
+        return f"<{self._tag}{self._markers}>"
 
     def write_at_once(self, link: Link, unit: int | None, commands: Iterable[str], *, unknown: bool = False) -> None:
         """Write commands to a controller at once, bypassing everything that is under way. Raises `LinkClosed`.

@@ -15,7 +15,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from adapters.yaskawa.common.dialect import MAX_LINE
-from adapters.yaskawa.common.session import CommandReply, CommandSession, SmcCommandRefused, parse_numbers
+from adapters.yaskawa.common.session import (
+    FRACTIONS,
+    CommandReply,
+    CommandSession,
+    SmcCommandRefused,
+    pack_texts,
+    parse_numbers,
+)
 from adapters.yaskawa.smc2000.line import LineTurn, SharedSerialLine, address_command
 from adapters.yaskawa.smc2000.replies import SerialReply, parse_serial_reply
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
@@ -37,6 +44,7 @@ _REFUSED_NS = 30 * NS_PER_MS  # beyond the transmission time: the latest time of
 _MARK = 0x80
 _END_OF_DATA = "\x1a"
 _PART_CHARACTERS = 240  # of a program per turn: other controllers of a chain wait an eighth of a second for their turn
+_FRACTIONS = tuple(operand for operand in FRACTIONS if operand != "_PF")
 _OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX,",",')
 _ELEMENTS_OF_LINE = 10  # at most 70 characters
 
@@ -127,10 +135,15 @@ class SerialCommandSession(CommandSession):
 
     async def read_numbers(self, *operands: str) -> tuple[list[float], CommandReply]:
         """Return the values of operands, read in one command, in the whole numbers that VF gives (L4936)."""
-        shown = (f"{operand}{{F2.4}}" if operand[:3] in ("_IT", "_MT") else operand for operand in operands)
-        command = "MG " + ',",",'.join(shown)
+        command = _print_command(operands)
         answer = await self.query_lines(command)
         return parse_numbers(answer.lines[0], len(operands), command), answer
+
+    async def read_many(self, operands: Sequence[str]) -> list[float]:
+        found: list[float] = []
+        for part in pack_texts(operands, lambda part: len(_print_command(part))):
+            found += (await self.read_numbers(*part))[0]
+        return found
 
     def write_at_once(self, *commands: str) -> None:
         self._own_stops += 1
@@ -467,6 +480,11 @@ class SerialCommandSession(CommandSession):
         else:
             remedy += " A controller that is off disconnects all controllers that follow it in the chain."
         return ControllerFault("no-answer", f"{self._link.endpoint}: {got} came{origin} after {command!r}", remedy)
+
+
+def _print_command(operands: Sequence[str]) -> str:
+    shown = (f"{operand}{{F4.4}}" if operand[:3] in _FRACTIONS else operand for operand in operands)
+    return "MG " + ',",",'.join(shown)
 
 
 def _element_lines(values: Sequence[int]) -> Iterable[str]:

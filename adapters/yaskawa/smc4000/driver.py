@@ -20,9 +20,11 @@ from adapters.yaskawa.common.record import (
     VELOCITY_SCALE,
     AxisRecord,
 )
+from adapters.yaskawa.common.session import pack_operands
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
-from orchestrator.clock.base import NS_PER_S
+from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
+from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller, SerialLink, UdpLink
@@ -39,13 +41,16 @@ ARM_EXCHANGES = 14
 DISARM_EXCHANGES = 5
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D)"
-NOT_BY_RAW = ("DL", "ED", "QD", "IN")  # after these the controller accepts no commands
+LEAVE_EXCHANGES = 2  # contour mode is left before a step; a refusal is queried
 
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
 
 
 class SMC4000Driver(YaskawaDriver[SmcDevice]):
     """One SMC-4000."""
+
+    # After the first ones the controller accepts no commands; QR is answered by a record.
+    NOT_BY_RAW = ("DL", "ED", "QD", "IN", "QR")
 
     def __init__(self, setup: DriverSetup) -> None:
         options = YaskawaOptions.model_validate(setup.options.model_dump())
@@ -56,7 +61,10 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
         handles = HandleTraits(goodbye, shared=isinstance(setup.config.link, SerialLink))
         device = SmcDevice(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
-        super().__init__(setup, motors, device, SampleStart(device, setup.clock, options), (*NOT_BY_RAW, "QR"))
+        serial = isinstance(setup.config.link, SerialLink)
+        watch = SettingsWatch(device, motors, SMC4000_WATCHED, slow=serial)
+        super().__init__(setup, motors, device, SampleStart(device, setup.clock, options), watch)
+        self._serial = serial
         self._options = options
         # The level of the limit bits at rest: it depends on the configuration of the switches (L10906-10939).
         self._open_switches: dict[str, int] = {}
@@ -65,6 +73,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
     # Connection
 
     async def configure(self) -> None:
+        await require_uncoupled(self._device, self._motors, gantry=lambda letter: f"_GM{letter}")
         await configure_controller(self._device, self._config, self._options, self._motors)
         record = await self._device.read_record()
         for name, index in self._motors.items():
@@ -74,6 +83,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             pressed = (0 if forward_free else FORWARD_SWITCH) | (0 if reverse_free else REVERSE_SWITCH)
             self._open_switches[name] = (switches ^ pressed) & (FORWARD_SWITCH | REVERSE_SWITCH)
             (self._steppers.add if abs(motor_type) >= STEPPER_TYPE else self._steppers.discard)(name)
+        await self._watch.learn_values()
 
     @property
     def capabilities(self) -> DriverCapabilities:
@@ -84,12 +94,21 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         release_ns = round(self._device.gate.release_before * self._options.tick_ns)
         ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
         costs = StepCosts(
-            arm_ns=ARM_EXCHANGES * exchange_ns,
+            arm_ns=ARM_EXCHANGES * exchange_ns + self._settings_ns(),
             # A release must be sent before the gate is decided; a program that passed it can be halted up to the start.
             disarm_ns=max(release_ns, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
         return DriverCapabilities(start_classes=START_CLASSES, orders=(2, 3), independent_axes=False, costs=costs)
+
+    def _settings_ns(self) -> int:
+        """Return how long the check of the settings before a step takes."""
+        options, operands = self._options, self._watch.arm_operands
+        lines = len(pack_operands(operands))
+        # On the serial port the round trip contains the characters of one line; otherwise it is that of a packet.
+        trips = 2 * lines if self._serial else -(-len(operands) // SETTINGS_AT_ONCE)
+        leaving_ns = LEAVE_EXCHANGES * options.exchange_ns
+        return leaving_ns + (lines * options.decode_us + trips * options.round_trip_us) * NS_PER_US
 
     # Polling
 

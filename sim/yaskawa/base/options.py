@@ -43,7 +43,7 @@ class FamilyOptions(BaseModel):
     """D35: `ST` without letters from a port halts all threads."""
     av_absolute: bool = False
     """D74: AV counts from the start of the sequence."""
-    zero_segments: bool = False
+    zero_segments: bool = True
     """A segment without length is accepted and skipped; otherwise refused with 30 (SMC-2000: D25)."""
     burn_takes_time: bool = False
     """D56: BN, BP and BV take their documented times before they are answered."""

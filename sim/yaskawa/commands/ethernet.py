@@ -259,7 +259,8 @@ def _compile_tell_handles(text: str) -> Runner:
             port = machine.ports.handles.get(name)
             peer = machine.ports.outgoing.get(name)
             if port is not None:
-                lines.append(f"IH{name} {port.kind.upper()} PORT 23 TO IP ADDRESS 0,0,0,0 PORT 0")
+                host, number = port.host
+                lines.append(f"IH{name} {port.kind.upper()} PORT 23 TO IP ADDRESS {address_text(host)} PORT {number}")
             elif peer is not None:
                 kind = "UDP" if peer.kind == UDP else "TCP"
                 lines.append(f"IH{name} {kind} PORT 0 TO IP ADDRESS {address_text(peer.address)} PORT {peer.number}")

@@ -76,7 +76,7 @@ def _check_begin(c: CommandContext, axis: ServoAxis, now: int) -> None:
     elif axis.armed == "PR":
         distance = axis.registers["PR"]
     else:
-        distance = axis.registers["PA"] - fixed.from_integer(fixed.round_half_up(axis.path.position(now)))
+        distance = axis.registers["PA"] - fixed.from_integer(fixed.round_half_up(axis.command_at(now)))
     if distance and motion.limits.is_blocked(axis, forward=distance > 0, now=now):
         raise CommandError(22)
 

@@ -340,7 +340,7 @@ def _compile_handle(suffix: str) -> Evaluator:
         if item == 4:
             return fixed.from_integer(peer.send_state if peer is not None else 0)
         if port is not None:
-            return fixed.from_integer((0, 0, 2 if port.kind == "tcp" else 1, 0)[item])
+            return fixed.from_integer((*port.host, 2 if port.kind == "tcp" else 1, 0)[item])
         if peer is not None:
             return fixed.from_integer((peer.address, peer.number, peer.handle_state, peer.is_unresolved)[item])
         return fixed.from_integer((-1, 0, 0, 0)[item])

@@ -135,6 +135,11 @@ class CommandOrigin(EditorPort, Protocol):
     @property
     def kind(self) -> str: ...
 
+    @property
+    def host(self) -> tuple[int, int]:
+        """Address and port of the host at its other end; zeros on a serial port."""
+        ...
+
     download: Callable[[str], None] | None
     """Receives the whole text of a download at its end."""
     editor: ProgramEditor | None

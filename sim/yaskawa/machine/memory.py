@@ -46,7 +46,7 @@ class BurnedMemory:
         self._scalars: dict[str, object] = {}
         self._systems: dict[str, tuple[float, float, float, float]] = {}
         self._motors: dict[str, bool] = {}
-        self._gears: dict[str, tuple[str, bool]] = {}
+        self._masters: dict[str, str] = {}
         self._polarity: list[int] | None = None
         self._outputs = 0
         self._trace = False
@@ -58,7 +58,7 @@ class BurnedMemory:
         for axis in machine.motion.all_axes():
             self._registers[axis.name] = {name: axis.registers[name] for name in machine.model.burned}
             self._motors[axis.name] = axis.motor_off
-            self._gears[axis.name] = (axis.gear.source, axis.gear.gantry)
+            self._masters[axis.name] = axis.gear.source
         self._scalars = {name: getattr(machine, name) for name in _SCALARS}
         for name, system in machine.motion.systems.items():
             self._systems[name] = (system.speed, system.acceleration, system.deceleration, system.smoothing)
@@ -116,7 +116,8 @@ class BurnedMemory:
             axis.registers.update(self._registers.get(axis.name, {}))
             if not axis.virtual and not self._motors.get(axis.name, not machine.options.servo_on):
                 machine.motion.switch_motor_on(axis, machine.current_sample())
-            source, axis.gear.gantry = self._gears.get(axis.name, ("", False))
+            # GM is not in the list of BN (L3248-3267).
+            source, axis.gear.gantry = self._masters.get(axis.name, ""), False
             if source:
                 select_master(machine.motion, axis, source)
                 axis.gear.set_ratio(axis.registers["GR"] / 65536, machine.current_sample())

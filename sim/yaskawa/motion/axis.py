@@ -138,6 +138,13 @@ class ServoAxis:
         self.stopping = False
         self.end = self.watch = inf
 
+    def take_gear_share(self, at: int) -> float:
+        """Return the commanded position and count what gearing has added to it as the axis's own, so that targets are
+        absolute (L8210). The gear continues from 0."""
+        position = self.command_at(at)
+        self.gear.restart_count(at)
+        return position
+
     def define_position(self, sample: int, counts: int) -> None:
         """`DP`: set command and encoder to `counts` (L4227)."""
         self.shift += counts - self.reference_at(sample)

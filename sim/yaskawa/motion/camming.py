@@ -43,7 +43,7 @@ class CamFollowers:
     def engage_slave(self, slave: ServoAxis, at: int) -> None:
         """Make the slave follow the table from `at` on."""
         cam = self.control.cam
-        slave.stand_at(at, slave.path.position(at))
+        slave.stand_at(at, slave.take_gear_share(at))
         slave.path, slave.profile = CamPath(cam, slave.name, self.master_position), None
         slave.mode = "cam"
         cycle = cam.cycles.get(slave.name, 0)

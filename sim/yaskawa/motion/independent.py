@@ -27,7 +27,7 @@ class IndependentMotion:
             self._start_axis(axis, at)
 
     def _start_axis(self, axis: ServoAxis, at: int) -> None:
-        origin = axis.path.position(at)
+        origin = axis.take_gear_share(at)
         axis.profile = VelocityProfile(at, origin, axis.registers["IT"] / fixed.ONE)
         axis.path = axis.profile
         axis.stopping, axis.ending_code, axis.stop_code = False, 1, 0

@@ -24,6 +24,9 @@ END_OF_TEXT = "\x1a"
 """Terminator of an uploaded program or array."""
 _TAKING = ("DL", "QD", "ED", "RS")
 """Commands that define the meaning of the next bytes."""
+HOST_ADDRESS = -1062731519
+"""192.168.1.1 as `_IHh0` reports it: the host of all connections, unless `PortSet.host_address` is set."""
+FIRST_HOST_PORT = 49152
 SILENCE_NS = 600_000_000_000
 
 Download = Callable[[str], None]
@@ -98,6 +101,8 @@ class PortSession:
         self.send = send
         self.closed = closed
         self.open = True
+        self.host: tuple[int, int] = (0, 0)
+        """Address and port of the host at its other end, for an Ethernet handle."""
         self.queue: deque[tuple[CompiledStatement, int]] = deque()
         self.trip: TripPoint | None = None
         self.download: Download | None = None
@@ -338,6 +343,9 @@ class PortSet:
         self.first_handle = ""
         self.outgoing: dict[str, PeerHandle] = {}
         """Handles that this controller has opened itself."""
+        self.host_address = HOST_ADDRESS
+        """Address of the hosts that connect from now on."""
+        self._next_port = FIRST_HOST_PORT
         self.lost_handle = -1
         self._all: tuple[PortSession, ...] = ()
 
@@ -366,6 +374,8 @@ class PortSet:
                 raise PortRefused("no Ethernet handle is free (L1777); close another connection first")
             self.first_handle = ""
             self.handles[name] = opened = PortSession(self, name, port, send, closed)
+            opened.host = (self.host_address, self._next_port)
+            self._next_port += 1
         self._list_ports()
         return opened
 

@@ -137,6 +137,7 @@ def test_the_declared_time_is_a_tight_bound_of_the_arming_time(hold_ms: int):
             lowered = world.driver.lower_profiles(jerked(ends), StartOptions(), mapping)
             began_ns = world.clock.now_ns()
             t0_ns = began_ns + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
+            assert not await world.driver.check_settings(everything=True)
             await world.driver.arm_move(lowered, t0_ns, mapping)
             took_ns = world.clock.now_ns() - began_ns
             assert 0.5 * lowered.costs.arm_ns < took_ns <= lowered.costs.arm_ns

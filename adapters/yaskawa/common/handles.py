@@ -1,0 +1,79 @@
+"""The Ethernet handles of a controller that an interrupted connection leaves occupied (L1775-1778).
+
+A cable that is pulled ends a connection for the host alone: the controller keeps its handle, and after four such losses
+none of the eight is free. After a reconnect the handles of the last connection are therefore closed. They are known by
+letter, address and port of the host. Other handles of this host may belong to another client and are closed only while
+so few are free that the next connection would be refused.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from adapters.contract import NULL_LOG
+from adapters.yaskawa.common.session import CommandSession, SmcCommandRefused
+
+LETTERS = "ABCDEFGH"
+# From `_IHh2` of a connection that a host has opened, by UDP or TCP, to what closes it (L5884-5906)
+CLOSING = {1: -1, 2: -2}
+LEAST_FREE = 2  # handles: one for stops, and one for another client
+
+
+@dataclass(frozen=True, slots=True)
+class OpenHandle:
+    """A handle that a host has opened. address, port: of the host. kind: `_IHh2`."""
+
+    letter: str
+    address: int
+    port: int
+    kind: int
+
+
+class HandleCleaner:
+    """Closes the handles that lost connections of this adapter have left. It outlives the connections."""
+
+    def __init__(self) -> None:
+        self.log = NULL_LOG
+        self._last: frozenset[OpenHandle] = frozenset()
+        self._before: frozenset[OpenHandle] = frozenset()
+
+    async def close_stale_handles(self, session: CommandSession) -> None:
+        """Close what the last connection has left occupied. `session` is the only handle of the new connection so far.
+
+        Raises `LinkClosed`, `ControllerFault`."""
+        try:
+            own, free, handles = await _read_handles(session)
+        except SmcCommandRefused as refusal:
+            self.log.warning(f"handles are not listed: {refusal.text}")
+            return
+        others = [each for each in handles.values() if each.letter != own.letter and each.address == own.address]
+        stale = [each for each in others if each in self._last]
+        if free + len(stale) < LEAST_FREE:
+            stale = others
+        for each in stale:
+            self.log.warning("a handle that a lost connection has left is closed", handle=each.letter, port=each.port)
+            try:
+                await session.send_command(f"IH{each.letter}=>{CLOSING[each.kind]}")
+            except SmcCommandRefused as refusal:
+                self.log.warning(f"handle {each.letter} stays: {refusal.text}")
+        self._last = frozenset((own,))
+        self._before = frozenset(handles.values()) - frozenset(stale)
+
+    async def note_second_handle(self, session: CommandSession) -> None:
+        """Note the handle that was opened since `close_stale_handles`."""
+        try:
+            own, _, handles = await _read_handles(session)
+        except SmcCommandRefused:
+            return
+        opened = [each for each in handles.values() if each not in self._before and each.address == own.address]
+        if len(opened) == 1:
+            self._last |= frozenset(opened)
+
+
+async def _read_handles(session: CommandSession) -> tuple[OpenHandle, int, Mapping[str, OpenHandle]]:
+    """Return the handle of `session`, the number of free ones, and all that hosts have opened, by letter."""
+    operands = [f"_IH{letter}{item}" for letter in LETTERS for item in range(3)]
+    number, *values = await session.read_many(["_IA3", *operands])
+    rows: Sequence[tuple[int, ...]] = [tuple(map(int, values[at : at + 3])) for at in range(0, len(values), 3)]
+    handles = {letter: OpenHandle(letter, *row) for letter, row in zip(LETTERS, rows, strict=True) if row[2] in CLOSING}
+    own = handles.get(LETTERS[int(number)]) or OpenHandle(LETTERS[int(number)], 0, 0, 0)
+    return own, sum(row[2] == 0 for row in rows), handles
