@@ -85,6 +85,8 @@ class Cia402Bus:
             if self._can is None:
                 self._can = CanLink(await open_link(), self.bitrate)
                 self.is_off = False
+                # Stops of an earlier link would stop a later motion.
+                self._pending_stops.clear()
                 self._reading = asyncio.get_running_loop().create_task(self._read_frames(self._can))
                 if self.watchdogs_ms:
                     self._beating = asyncio.get_running_loop().create_task(self._send_heartbeats(self._can))
@@ -95,6 +97,7 @@ class Cia402Bus:
         async with self._opening:
             if self._nodes.get(node) is bus_node:
                 del self._nodes[node]
+                self._pending_stops.pop(node, None)
             can = self._can
             if not self._nodes and can is not None:
                 self._can = None

@@ -35,15 +35,19 @@ def stream_ns(bitrate: int, drives: int) -> int:
     return sync_ns(bitrate) + drives * (COPIES * frame_ns(position, bitrate) + frame_ns(answer, bitrate))
 
 
-def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float) -> StepCosts:
-    """Return upper bounds in ns. ramp_s: the longest ramp of the motion that may have to be stopped."""
+def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float, watched: int = 0) -> StepCosts:
+    """Return upper bounds in ns.
+
+    ramp_s: the longest ramp of the motion that may have to be stopped. watched: number of settings that are read before
+    arming.
+    """
     each_ns = full_frame_ns(bitrate) * drives
     way_ns = options.wire_jitter_us * NS_PER_US + _HOST_NS
     cycle_ns = (options.cycle_us + options.start_us + options.start_spread_us) * NS_PER_US
     exchange_ns = 2 * each_ns + 2 * way_ns + _HANDLED_NS
     said_ns = 2 * way_ns + cycle_ns + options.inhibit_ms * NS_PER_MS
     return StepCosts(
-        arm_ns=_READS * exchange_ns + _ORDERS * each_ns + said_ns,
+        arm_ns=(_READS + watched) * exchange_ns + _ORDERS * each_ns + said_ns,
         disarm_ns=3 * each_ns + 2 * way_ns + cycle_ns,
         stop_ns=3 * each_ns + way_ns + cycle_ns + 2 * NS_PER_MS + ceil(ramp_s * NS_PER_S),
     )

@@ -21,6 +21,7 @@ from adapters.cia402.fleetaxes import (
     ramp_s,
 )
 from adapters.cia402.hand import Cia402ManualMotion
+from adapters.cia402.handshake import STANDING_NS
 from adapters.cia402.lowering import BusTimes, Cia402Lowered, ConnectionTraits, lower_step
 from adapters.cia402.moves import Cia402Mover, EndLimits
 from adapters.cia402.node import BusDrive
@@ -31,6 +32,7 @@ from adapters.cia402.power import PowerStage
 from adapters.cia402.sdo import bus_off_fault
 from adapters.cia402.starts import SyncScheduler
 from adapters.cia402.states import DriveState
+from adapters.cia402.watch import AT_ARM, SettingsWatch
 from adapters.contract import (
     AxisReading,
     ControllerIdentity,
@@ -39,6 +41,7 @@ from adapters.contract import (
     DriverSetup,
     JogMove,
     Lowered,
+    SettingDifference,
 )
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.refusals import log_refusals
@@ -63,6 +66,7 @@ class Cia402Connection:
     power: PowerStage
     mover: Cia402Mover
     manual: Cia402ManualMotion
+    watch: SettingsWatch
 
 
 class Cia402Driver(ConnectedDriver[Cia402Connection]):
@@ -140,12 +144,14 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         node = BusDrive(self._bus, self._number, name, answer_ns, outputs=bool(self._config.outputs))
         await self._bus.attach_node(self._number, node, self._setup.open_link)
         node.log = self._log
+        node.inhibit_ns = self._options.inhibit_ms * NS_PER_MS
         self._log.info("attached to the bus", place=self._config.link.endpoint, node=self._number)
         power = PowerStage(node, passive_outputs(self._config))
         mover = Cia402Mover(self._options, self._sync_scheduler, node, power, EndLimits(self._settle_ns, self._ramp))
         manual = Cia402ManualMotion(self._config, self._options, node, power, lambda: mover.move is not None)
         mover.busy = lambda: manual.homing or manual.is_jogging
-        connection = self._connection = Cia402Connection(node=node, power=power, mover=mover, manual=manual)
+        watch = SettingsWatch(node, self._axis)
+        connection = self._connection = Cia402Connection(node, power, mover, manual, watch)
         return connection
 
     async def _find_following_mode(self, found: BusDrive) -> None:
@@ -157,7 +163,7 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
 
     def _read_product(self, path: str) -> eds.DriveProduct:
         try:
-            return eds.read_product(path, self._pdos)
+            return eds.read_product(path, self._config, self._options)
         except ValueError as error:
             raise ControllerFault("config-mismatch", str(error), "correct `options.eds`, or remove it") from None
 
@@ -165,12 +171,16 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         found = self.connection.node
         await startup.wait_for_rest(found, self._options.busy_wait_s)
         await startup.compare_settings(found, self._config, self._options)
+        await self.connection.watch.record_settings(self._pdos)
         # Reported by the next poll: a reconnecting adapter must learn that the drive was off meanwhile.
         self._restarted = self._restarted or (self._was_unmapped and self._is_connected)
         self._is_connected = True
 
     def _step_costs(self, longest_ramp_s: float) -> StepCosts:
-        return step_costs(self._options, self._bus.bitrate, len(self._bus.units), longest_ramp_s)
+        watched = len(AT_ARM) if self._connection is None else self._connection.watch.arm_reads
+        stands = self._connection is not None and self._connection.node.stands_acknowledged
+        costs = step_costs(self._options, self._bus.bitrate, len(self._bus.units), longest_ramp_s, watched)
+        return costs.model_copy(update={"arm_ns": costs.arm_ns + STANDING_NS * stands})
 
     @property
     def capabilities(self) -> DriverCapabilities:
@@ -206,6 +216,8 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         if found.boots != self._boots:
             restarted = True
             await self._reload_drive(found)
+        elif not self._is_operating(found):
+            await found.wait_for_second_change()
         return self._make_reading(found, restarted=restarted)
 
     async def _reload_drive(self, found: BusDrive) -> None:
@@ -215,7 +227,16 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         boots = found.boots
         await startup.map_and_start(found, self._sync_scheduler, self._options, self._pdos)
         await startup.compare_settings(found, self._config, self._options)
+        await self.connection.watch.record_settings(self._pdos)
         self._boots = boots
+
+    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
+        """Read the objects that determine where a motion goes, or the next two of all objects, by SDO."""
+        watch = self.connection.watch
+        found = await (watch.check_motion() if everything else watch.check_next())
+        for each in found:
+            self._log.warning(f"another client has changed a setting: {each.item}", found=each.found)
+        return found
 
     def _make_reading(self, found: BusDrive, *, restarted: bool) -> ControllerReading:
         moving = self._is_moving(found)
@@ -241,14 +262,20 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
     def _is_moving(self, found: BusDrive) -> bool:
         """Return whether the drive moves: by its statusword during an operation; otherwise by its position, which shows
         it a little later."""
-        mover, manual = self.connection.mover, self.connection.manual
         if self.connection.power.is_stopping:
             return True
-        stepping = mover.move is not None and mover.move.started is not None
-        under_way = stepping or manual.homing or manual.is_jogging
-        if under_way and found.is_enabled and not found.status & states.TARGET_REACHED:
+        operating = self._is_operating(found)
+        if operating and found.is_enabled and not found.status & states.TARGET_REACHED:
             return True
-        return bool(found.moved_ns) and self._clock.now_ns() - found.moved_ns < 2 * self._options.inhibit_ms * NS_PER_MS
+        # Outside an operation a single change is a new coordinate, set by another master.
+        changed_ns = found.moved_ns if operating else found.running_ns
+        return bool(changed_ns) and self._clock.now_ns() - changed_ns < 2 * found.inhibit_ns
+
+    def _is_operating(self, found: BusDrive) -> bool:
+        """Return whether a motion of this adapter is under way."""
+        mover, manual = self.connection.mover, self.connection.manual
+        stepping = mover.move is not None and mover.move.started is not None
+        return stepping or manual.homing or manual.is_jogging
 
     def _drive_faults(self, found: BusDrive) -> list[FaultReport]:
         codes = dict(found.emergencies)
@@ -313,8 +340,11 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         found = self.connection.node
         for pair in limits.values():
             low, high = (-POSITION_MAX, POSITION_MAX) if pair is None else pair
-            await startup.load_object(found, o.LIMIT_LOW, low)
-            await startup.load_object(found, o.LIMIT_HIGH, high)
+            for obj, value in ((o.LIMIT_LOW, low), (o.LIMIT_HIGH, high)):
+                found.held[obj] = value
+                if not await startup.load_optional(found, obj, value):
+                    del found.held[obj]
+                    self._log.info(f"the drive has no {obj}: the limits of the axis are kept by plans and jogs alone")
 
     async def set_output(self, number: int, *, on: bool) -> None:
         found = self.connection.node
@@ -342,6 +372,15 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
     async def clear_faults(self) -> None:
         with log_refusals(self._log, "clearing the fault"):
             await self.connection.power.clear_fault()
+            await self._restore_settings()
+
+    async def _restore_settings(self) -> None:
+        """Write the settings that another client has changed. Raises `Refusal`."""
+        watch, node = self.connection.watch, self.connection.node
+        if not watch.has_differences:
+            return
+        if await watch.restore_settings():
+            await startup.map_and_start(node, self._sync_scheduler, self._options, self._pdos)
 
     async def send_raw(self, command: str) -> str:
         """Execute a raw command: `6041:0/16` reads an object of 16 bits, `6081:0/32=1000` writes it (hexadecimal index

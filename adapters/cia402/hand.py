@@ -9,12 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from adapters.cia402 import objects as o
 from adapters.cia402 import states
 from adapters.cia402.fleetaxes import POSITION_MAX, drive_units, homing_method, homing_numbers, only_axis
+from adapters.cia402.handshake import settle_handshake, standing_refusal
 from adapters.cia402.node import BusDrive
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
 from adapters.cia402.sdo import SdoAborted
 from adapters.cia402.shape import WORD_MAX
 from adapters.cia402.states import DriveState
+from adapters.cia402.words import NOT_THERE
 from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
@@ -24,6 +26,11 @@ from orchestrator.model.fleet import Controller
 _ROUNDING = 1e-9
 _LONGEST_NS = 2**62
 _SEEN_NS = 20 * NS_PER_MS
+_BEGIN_NS = NS_PER_S  # within this time a search shows that it has begun
+_RESULT = states.ACKNOWLEDGED | states.MODE_ERROR  # homing attained, homing error
+_HERE = (35, 37)
+"""Methods whose reference is the present position."""
+_OPTIONAL = (o.HOMING_ACCELERATION, o.HOME_OFFSET)  # without them: the drive's own ramp, and 0
 _RETURN_NS = 60 * NS_PER_S  # a caller with a shorter timeout cancels
 _AT_LIMITS = (1, 2, 17, 18)
 """Methods whose reference is at the edge of a limit switch, or near it."""
@@ -93,9 +100,13 @@ class Cia402ManualMotion:
             (o.HOMING_ACCELERATION, ramp),
             (o.HOME_OFFSET, 0),
         ):
+            if obj in node.held:
+                node.held[obj] = value
             try:
                 await node.sdo.write_value(obj, value)
             except SdoAborted as error:
+                if obj in _OPTIONAL and error.abort in NOT_THERE:
+                    continue
                 raise Refusal(
                     "homing-method",
                     f"axis {self._name}: {error}",
@@ -109,11 +120,12 @@ class Cia402ManualMotion:
     async def _run_search(self, found: Callable[[str], None]) -> Mapping[str, Refusal]:
         node = self._node
         stops, boots, left = node.stops, node.boots, node.left_bus
+        # Bits that stand from an earlier search, or from another mode, are not the result of this one.
+        stood, since_ns = bool(node.status & _RESULT), node.clock.now_ns()
         node.send_control(states.ENABLE | states.NEW_SET_POINT)
-        # Before the search has begun, the result of an earlier one may still be shown.
-        await node.wait_until(
-            lambda: not node.status & states.TARGET_REACHED or node.stops != stops, node.clock.now_ns() + _SEEN_NS
-        )
+
+        def is_fresh() -> bool:
+            return not stood or node.unresolved_ns > since_ns or self._is_found_at_once
 
         def has_failed() -> bool:
             return (
@@ -124,16 +136,24 @@ class Cia402ManualMotion:
             )
 
         def is_attained() -> bool:
-            return bool(node.status & states.ACKNOWLEDGED and node.status & states.TARGET_REACHED)
+            return is_fresh() and bool(node.status & states.ACKNOWLEDGED and node.status & states.TARGET_REACHED)
 
         await node.wait_until(
-            lambda: has_failed() or is_attained() or bool(node.status & states.MODE_ERROR),
-            node.clock.now_ns() + _LONGEST_NS,
+            lambda: has_failed() or not node.status & states.TARGET_REACHED, node.clock.now_ns() + _SEEN_NS
         )
-        if not has_failed() and is_attained():
+        await node.wait_until(
+            lambda: has_failed() or is_fresh() or node.moved_ns > since_ns, node.clock.now_ns() + _BEGIN_NS
+        )
+        begun = is_fresh() or node.moved_ns > since_ns
+        await node.wait_until(
+            lambda: has_failed() or is_attained() or (is_fresh() and bool(node.status & states.MODE_ERROR)),
+            node.clock.now_ns() + (_LONGEST_NS if begun else 0),
+        )
+        attained = not has_failed() and is_attained()
+        if attained:
             await self._move_to_reference(stops)
-        if not has_failed() and (node.demand == 0 or not self._returns_to_reference):
-            node.moved_ns = 0  # it is at rest; the change of its position was the new origin
+        if attained and not has_failed() and (node.demand == 0 or not self._returns_to_reference):
+            node.moved_ns = node.running_ns = 0  # it is at rest; the change of its position was the new origin
             found(self._name)
             return {}
         if node.stops != stops:
@@ -144,6 +164,9 @@ class Cia402ManualMotion:
             why = "this computer has left the bus (bus-off)"
         elif node.state is not DriveState.ENABLED:
             why = f"it is {node.state.value}: {node.fault_text()}"
+        elif not begun:
+            why = "the drive does not begin its search, and still shows the result of an earlier one"
+            node.send_control(states.ENABLE)
         else:
             why = "the drive reports that its homing has failed, or does not return to its reference"
             node.send_control(states.ENABLE)
@@ -154,6 +177,13 @@ class Cia402ManualMotion:
     def _returns_to_reference(self) -> bool:
         """Return whether the axis finally moves to its reference; not from the edge of a limit switch."""
         return homing_method(self._axis) not in _AT_LIMITS
+
+    @property
+    def _is_found_at_once(self) -> bool:
+        """Return whether the reference is the present position, and has become 0: there is no search whose begin could
+        be seen."""
+        status = self._node.status & _RESULT
+        return homing_method(self._axis) in _HERE and self._node.demand == 0 and status == states.ACKNOWLEDGED
 
     async def _move_to_reference(self, stops: int) -> None:
         """Return to the reference: the drive stops after the edge or index that it has found."""
@@ -212,9 +242,15 @@ class Cia402ManualMotion:
             if not await node.wait_briefly(lambda: node.mode == o.PROFILE_POSITION_MODE):
                 await node.query_status()
                 raise Refusal("wrong-mode", f"{node.name} does not enter profile position mode", "see 6502h")
-        await node.load_set_point(target, velocity, ramp, ramp)
-        if not await node.wait_briefly(lambda: not node.status & states.ACKNOWLEDGED) or node.stops != stops:
+        if self.is_jogging:
+            # A set-point at the present position, which takes a standing acknowledge back, would stop it.
+            if not await node.wait_briefly(lambda: not node.status & states.ACKNOWLEDGED or node.stops != stops):
+                raise standing_refusal(node)
+        else:
+            await settle_handshake(node, stops)
+        if node.stops != stops:
             raise Refusal("stopped", f"a stop came before axis {self._name} was started", "")
+        await node.load_set_point(target, velocity, ramp, ramp)
         since_ns = node.clock.now_ns()
         node.send_control(states.ENABLE | states.NEW_SET_POINT | states.AT_ONCE)
         self._jog_stops, self._jog_drops, self._jog_ns = node.stops, node.drops, since_ns

@@ -7,7 +7,6 @@ from adapters.cia402.bus import RPDO
 from adapters.cia402.driver import Cia402Driver
 from adapters.cia402.objects import CONTROLWORD, OUTPUTS
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.pdo import required_pdos
 from adapters.cia402.power import quick_stop_by_sdo
 from adapters.contract import DriverSetup
 from orchestrator.link.can import CanFrame, encode_frames
@@ -29,7 +28,7 @@ class Cia402Make:
         options = Cia402Options.model_validate(config.options)
         fleetaxes.check_fleet(config, options)
         if options.eds is not None:
-            eds.read_product(options.eds, required_pdos(options, outputs=bool(config.outputs)))
+            eds.read_product(options.eds, config, options)
 
     def create_driver(self, setup: DriverSetup) -> Cia402Driver:
         options = setup.options

@@ -10,6 +10,7 @@ from math import ceil, floor
 from adapters.cia402 import objects as o
 from adapters.cia402 import states
 from adapters.cia402.costs import full_frame_ns, sync_ns
+from adapters.cia402.handshake import settle_handshake, standing_refusal
 from adapters.cia402.lowering import Cia402Lowered
 from adapters.cia402.node import BusDrive
 from adapters.cia402.objects import DictionaryObject
@@ -148,9 +149,11 @@ class Cia402Mover:
         """Load the set-point; return the expected object values."""
         node, shape, target = self._node, lowered.shape, lowered.target
         assert shape is not None and target is not None
+        stops = node.stops
         node.send_control(states.ENABLE, o.PROFILE_POSITION_MODE)
+        await self._require_mode(o.PROFILE_POSITION_MODE, lambda: True)
+        await settle_handshake(node, stops)
         await node.load_set_point(target, shape.velocity, shape.acceleration, shape.deceleration)
-        await self._require_mode(o.PROFILE_POSITION_MODE, lambda: not node.status & states.ACKNOWLEDGED)
         return {
             o.TARGET: target,
             o.PROFILE_VELOCITY: shape.velocity,
@@ -165,7 +168,10 @@ class Cia402Mover:
         await node.sdo.write_value(o.DECELERATION, self._ramp)
         await node.sdo.write_value(node.followed, here)
         node.send_control(states.ENABLE, lowered.mode)
-        await self._require_mode(lowered.mode, lambda: True)
+        # Bit 12 that stands from another mode would be taken for the answer to bit 4.
+        await self._require_mode(
+            lowered.mode, lambda: lowered.mode != o.INTERPOLATED_MODE or not node.status & states.FOLLOWS
+        )
         if lowered.mode == o.INTERPOLATED_MODE:
             node.send_control(states.ENABLE | states.FOLLOW)
             if not await node.wait_briefly(lambda: bool(node.status & states.FOLLOWS)):
@@ -198,6 +204,8 @@ class Cia402Mover:
             self._require_start(move)
             if node.mode != move.lowered.mode:
                 raise Refusal("not-loaded", f"{node.name} shows mode {node.mode} of operation", "arm it again")
+            if move.lowered.trajectory is None and node.status & states.ACKNOWLEDGED:
+                raise standing_refusal(node)
 
     async def schedule_start(self, start_tolerance_ns: int, advance_ns: int) -> None:
         """Send the starting command, which waits in the drive for the SYNC, and schedule the SYNC so that the motion is

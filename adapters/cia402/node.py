@@ -26,12 +26,13 @@ from adapters.cia402.sdo import SdoClient, bus_off_fault
 from adapters.cia402.states import DriveState, drive_state_of
 from adapters.cia402.words import emergency_text
 from adapters.contract import NULL_LOG
-from orchestrator.clock.base import Clock
+from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame
 from orchestrator.model.errors import Refusal
 
 _BOOT_UP = 0x00
+_TOGETHER = 3  # changes that are no more than this number of position messages apart are a motion
 
 
 class SyncAnswer(NamedTuple):
@@ -70,8 +71,20 @@ class BusDrive:
         self.boots = 0
         self.left_bus = 0
         """How often this computer has left the bus."""
+        self.held: dict[DictionaryObject, int] = {}
+        """Settings that the drive must hold: loaded or accepted at connecting, or loaded since."""
+        self.quick_stop_disables = False
+        """Whether a quick stop ends in switch on disabled (605Ah = 2), not in quick stop active."""
         self.emergencies: dict[int, str] = {}
         self.heard_ns = self.state_ns = self.moved_ns = self.acknowledged_ns = 0
+        self.running_ns = 0
+        """When its position last changed shortly after another change: a single change is a new coordinate."""
+        self.inhibit_ns = 10 * NS_PER_MS
+        """Shortest time between two of its position messages."""
+        self.unresolved_ns = 0
+        """When its statusword last showed no result: bits 12 and 13 off."""
+        self.stands_acknowledged = False
+        """Whether its set-point acknowledge has been seen standing without a set-point."""
         self.nmt = _BOOT_UP
         """Its NMT state, from its last heartbeat."""
         self.beat_ns = 0
@@ -103,6 +116,8 @@ class BusDrive:
         elif function == TPDO[1] and len(data) == DEMAND.byte_size + ACTUAL.byte_size:
             demand = DEMAND.decode(data)
             if demand != self.demand:
+                if at_ns - self.moved_ns < _TOGETHER * self.inhibit_ns:
+                    self.running_ns = at_ns
                 self.moved_ns = at_ns
             self.demand, self.actual, self.state_ns = demand, ACTUAL.decode(data[4:]), at_ns
         elif function == TPDO[2] and len(data) == INPUTS.byte_size + VELOCITY.byte_size:
@@ -120,6 +135,8 @@ class BusDrive:
         """Handle a statusword from any source."""
         if status & states.ACKNOWLEDGED and not self.status & states.ACKNOWLEDGED:
             self.acknowledged_ns = at_ns
+        if not status & (states.ACKNOWLEDGED | states.MODE_ERROR):
+            self.unresolved_ns = at_ns
         enabled = self.is_enabled
         self.status = status
         self.drops += enabled and not self.is_enabled
@@ -198,6 +215,12 @@ class BusDrive:
     async def wait_briefly(self, condition: Callable[[], bool]) -> bool:
         """Like `wait_until`, for reactions that a drive shows at once."""
         return await self.wait_until(condition, self.clock.now_ns() + self.answer_ns)
+
+    async def wait_for_second_change(self) -> None:
+        """After a change of its position, wait until a further one shows that it moves, or can no longer follow."""
+        until_ns = self.moved_ns + _TOGETHER * self.inhibit_ns
+        if self.moved_ns and self.running_ns < self.moved_ns:
+            await self.wait_until(lambda: self.running_ns >= self.moved_ns, until_ns)
 
     # Commands
 

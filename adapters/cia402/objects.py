@@ -35,6 +35,8 @@ class DictionaryObject:
 
 DEVICE_TYPE = DictionaryObject(0x1000, 0, 32, "device type")
 ERROR_REGISTER = DictionaryObject(0x1001, 0, 8, "error register")
+SYNC_ID = DictionaryObject(0x1005, 0, 32, "COB-ID SYNC")
+SYNC_PERIOD = DictionaryObject(0x1006, 0, 32, "communication cycle period")
 CONSUMER = DictionaryObject(0x1016, 1, 32, "consumer heartbeat time")
 HEARTBEAT = DictionaryObject(0x1017, 0, 16, "producer heartbeat time")
 VENDOR = DictionaryObject(0x1018, 1, 32, "vendor-ID")
@@ -48,17 +50,26 @@ ERROR_CODE = DictionaryObject(0x603F, 0, 16, "error code")
 CONTROLWORD = DictionaryObject(0x6040, 0, 16, "controlword")
 STATUSWORD = DictionaryObject(0x6041, 0, 16, "statusword")
 QUICK_STOP_OPTION = DictionaryObject(0x605A, 0, 16, "quick stop option code", signed=True)
+SHUTDOWN_OPTION = DictionaryObject(0x605B, 0, 16, "shutdown option code", signed=True)
+DISABLE_OPTION = DictionaryObject(0x605C, 0, 16, "disable operation option code", signed=True)
+FAULT_OPTION = DictionaryObject(0x605E, 0, 16, "fault reaction option code", signed=True)
 HALT_OPTION = DictionaryObject(0x605D, 0, 16, "halt option code", signed=True)
 MODE = DictionaryObject(0x6060, 0, 8, "modes of operation", signed=True)
 MODE_DISPLAY = DictionaryObject(0x6061, 0, 8, "modes of operation display", signed=True)
 DEMAND = DictionaryObject(0x6062, 0, 32, "position demand value", signed=True)
 ACTUAL = DictionaryObject(0x6064, 0, 32, "position actual value", signed=True)
+FOLLOWING_WINDOW = DictionaryObject(0x6065, 0, 32, "following error window")
+FOLLOWING_TIMEOUT = DictionaryObject(0x6066, 0, 16, "following error time out")
+POSITION_WINDOW = DictionaryObject(0x6067, 0, 32, "position window")
+POSITION_WINDOW_TIME = DictionaryObject(0x6068, 0, 16, "position window time")
 VELOCITY = DictionaryObject(0x606C, 0, 32, "velocity actual value", signed=True)
 TARGET = DictionaryObject(0x607A, 0, 32, "target position", signed=True)
 HOME_OFFSET = DictionaryObject(0x607C, 0, 32, "home offset", signed=True)
 LIMIT_LOW = DictionaryObject(0x607D, 1, 32, "min position limit", signed=True)
 LIMIT_HIGH = DictionaryObject(0x607D, 2, 32, "max position limit", signed=True)
 POLARITY = DictionaryObject(0x607E, 0, 8, "polarity")
+VELOCITY_MAX = DictionaryObject(0x607F, 0, 32, "max profile velocity")
+MOTOR_SPEED_MAX = DictionaryObject(0x6080, 0, 32, "max motor speed")
 PROFILE_VELOCITY = DictionaryObject(0x6081, 0, 32, "profile velocity")
 ACCELERATION = DictionaryObject(0x6083, 0, 32, "profile acceleration")
 DECELERATION = DictionaryObject(0x6084, 0, 32, "profile deceleration")
@@ -73,6 +84,14 @@ GEAR = (
     DictionaryObject(0x6091, 2, 32, "gear shaft revolutions"),
 )
 FEED = (DictionaryObject(0x6092, 1, 32, "feed"), DictionaryObject(0x6092, 2, 32, "shaft revolutions of 6092h"))
+VELOCITY_FACTOR = (
+    DictionaryObject(0x6096, 1, 32, "velocity factor numerator"),
+    DictionaryObject(0x6096, 2, 32, "velocity factor divisor"),
+)
+ACCELERATION_FACTOR = (
+    DictionaryObject(0x6097, 1, 32, "acceleration factor numerator"),
+    DictionaryObject(0x6097, 2, 32, "acceleration factor divisor"),
+)
 HOMING_METHOD = DictionaryObject(0x6098, 0, 8, "homing method", signed=True)
 HOMING_SWITCH_SPEED = DictionaryObject(0x6099, 1, 32, "speed during search for switch")
 HOMING_ZERO_SPEED = DictionaryObject(0x6099, 2, 32, "speed during search for zero")
@@ -83,6 +102,8 @@ OUTPUT_MASK = DictionaryObject(0x60FE, 2, 32, "output bit mask")
 INTERPOLATION_POSITION = DictionaryObject(0x60C1, 1, 32, "interpolation data record", signed=True)
 PERIOD = DictionaryObject(0x60C2, 1, 8, "interpolation time period value")
 PERIOD_INDEX = DictionaryObject(0x60C2, 2, 8, "interpolation time index", signed=True)
+ACCELERATION_MAX = DictionaryObject(0x60C5, 0, 32, "max acceleration")
+DECELERATION_MAX = DictionaryObject(0x60C6, 0, 32, "max deceleration")
 SUPPORTED_MODES = DictionaryObject(0x6502, 0, 32, "supported drive modes")
 
 PROFILE_POSITION_MODE = 1

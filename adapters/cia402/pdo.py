@@ -66,6 +66,23 @@ def required_pdos(
     )
 
 
+def parameter_values(pdo: PdoMapping, node: int) -> list[tuple[DictionaryObject, int]]:
+    """Return the objects that describe a PDO, each with its required value."""
+    times = [(_parameter_object(pdo, sub, 16), value) for sub, value in ((3, pdo.inhibit), (5, pdo.timer)) if value]
+    return [
+        (_parameter_object(pdo, 1, 32), pdo.function + node),
+        (_parameter_object(pdo, 2, 8), pdo.kind),
+        *times,
+        (_mapping_object(pdo, 0, 8), len(pdo.carries)),
+        *((_mapping_object(pdo, number, 32), each.mapping_entry) for number, each in enumerate(pdo.carries, start=1)),
+    ]
+
+
+def pdo_value(obj: DictionaryObject, value: int) -> int:
+    """Return the part of a value that `parameter_values` states: a COB-ID has further flags (no remote request)."""
+    return value & (_OFF | _COB_MASK) if obj.sub == 1 and obj.name.startswith("COB-ID") else value
+
+
 async def map_all(sdo: SdoClient, node: int, name: str, wanted: Sequence[PdoMapping]) -> bool:
     """Map the PDOs that differ from `wanted`, and read them back; return whether any differed. Raises
     `MappingNotAllowed`, `ControllerFault`."""

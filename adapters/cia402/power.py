@@ -167,7 +167,8 @@ class PowerStage:
                 node.send_control(states.QUICK_STOP, PROFILE_POSITION_MODE if node.wanted_mode in FOLLOWED else None)
                 await node.wait_briefly(lambda: node.state is not DriveState.ENABLED)
                 await node.wait_until(is_resting, now_ns + _RAMP_NS)
-            if node.stops == stops and node.state is DriveState.QUICK_STOP:
+            ended = node.state is DriveState.DISABLED and node.quick_stop_disables
+            if node.stops == stops and (ended or node.state is DriveState.QUICK_STOP):
                 await self._enable_drive()
 
 

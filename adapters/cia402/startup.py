@@ -173,10 +173,13 @@ async def compare_settings(node: BusDrive, config: Controller, options: Cia402Op
         )
     own = drive_units(options)
     quickest = options.quick_stop_acceleration
+    # Optional objects (CiA 402-2); a drive without them does what their defaults state: 1, 2 and 0.
+    await load_optional(node, o.HALT_OPTION, _SLOW_DOWN)
+    node.quick_stop_disables = not await load_optional(node, o.QUICK_STOP_OPTION, _QUICK_STOP_AND_STAY)
+    if node.quick_stop_disables:
+        node.log.info(f"the drive has no {o.QUICK_STOP_OPTION}: a quick stop switches it off; it is enabled again")
+    await load_optional(node, o.PROFILE_TYPE, _TRAPEZOID)
     loads: list[tuple[DictionaryObject, int]] = [
-        (o.HALT_OPTION, _SLOW_DOWN),
-        (o.QUICK_STOP_OPTION, _QUICK_STOP_AND_STAY),
-        (o.PROFILE_TYPE, _TRAPEZOID),
         (o.ACCELERATION, ramp_in_units(axis, own)),
         (o.DECELERATION, ramp_in_units(axis, own)),
     ]
@@ -196,6 +199,14 @@ async def load_object(node: BusDrive, obj: DictionaryObject, value: int) -> None
     found = await node.sdo.read_value(obj)
     if found != value:
         raise _mismatch_fault(node, f"{obj} is {found}, wanted {value}", "is another master on the bus?")
+
+
+async def load_optional(node: BusDrive, obj: DictionaryObject, value: int) -> bool:
+    """Like `load_object`; return False for a drive without the object."""
+    if await _read_optional(node, obj) is None:
+        return False
+    await load_object(node, obj, value)
+    return True
 
 
 async def wait_for_rest(node: BusDrive, timeout_s: float) -> None:

@@ -10,6 +10,7 @@ from orchestrator.model.state import StepCosts
 _LINES_PER_AXIS = 6  # frun, ffast, acc, dec, tbs, and one in reserve
 _LINES = 34  # the check before, tokens, tbc, the program's frame, inputs and outputs; and a poll that is under way
 _VERIFY_LINES = 22  # the check before the commit, for which there must be time as well; and a poll
+_WATCH_LINES = 5  # tokens of the check of settings, ?conf, and one in reserve
 _LINE_CHARACTERS = 24
 _SETTINGS_CHARACTERS = 600  # of ?conf for one axis
 _DISARM_LINES = 14
@@ -30,8 +31,12 @@ def step_costs(options: PpSmcOptions, char_ns: int, installed: int, stop_s: floa
     def take_ns(lines: int, characters: int, exchanges: int) -> int:
         return lines * (slow_ns + _LINE_CHARACTERS * char_ns) + characters * char_ns + exchanges * wire_ns + _HOST_NS
 
+    # On a serial line the settings are compared with those that arming reads anyway.
+    watch_lines = 0 if char_ns else _WATCH_LINES
     return StepCosts(
-        arm_ns=take_ns(_LINES + _VERIFY_LINES + _LINES_PER_AXIS * installed, _SETTINGS_CHARACTERS * installed, 6),
+        arm_ns=take_ns(
+            _LINES + _VERIFY_LINES + watch_lines + _LINES_PER_AXIS * installed, _SETTINGS_CHARACTERS * installed, 7
+        ),
         disarm_ns=take_ns(_DISARM_LINES + (_WAIT_LINES if waits else 0), 0, 4),
         stop_ns=take_ns(_STOP_LINES, 0, 1) + round(stop_s * NS_PER_S),
     )

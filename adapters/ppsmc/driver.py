@@ -11,6 +11,7 @@ from adapters.contract import (
     DriverSetup,
     JogMove,
     Lowered,
+    SettingDifference,
 )
 from adapters.ppsmc import fleetaxes, startup
 from adapters.ppsmc.costs import longest_stop_s, step_costs
@@ -24,6 +25,7 @@ from adapters.ppsmc.replies import ASK_OUTPUTS, ASK_STATUS
 from adapters.ppsmc.session import PpSmcSession, as_refusal
 from adapters.ppsmc.stopper import StopConnection
 from adapters.ppsmc.unitstate import PpSmcState
+from adapters.ppsmc.watch import PpSmcWatch
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
 from adapters.toolkit.refusals import log_refusals
@@ -45,6 +47,7 @@ class PpSmcConnection:
     mover: PpSmcMover
     poller: PpSmcPoller
     jogging: PpSmcJogging
+    watch: PpSmcWatch
 
 
 class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
@@ -90,6 +93,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
             mover=mover,
             poller=PpSmcPoller(self._config, options, unit),
             jogging=PpSmcJogging(self._config, self._clock, unit, mover),
+            watch=PpSmcWatch(unit, fleetaxes.axis_names(self._config)),
         )
         await stopper.open_connection()
         identity = await startup.identify_controller(unit)
@@ -130,6 +134,14 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         await unit.stopper.open_connection()
         restarted, self._restarted = self._restarted, False
         return replace(reading, restarted=restarted)
+
+    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
+        """Query ?conf of all axes, or of the next axis in turn."""
+        watch = self.connection.watch
+        found = await (watch.check_motion() if everything else watch.check_next())
+        for each in found:
+            self._log.warning(f"another client has changed a setting: {each.item}", found=each.found)
+        return found
 
     # Steps
 
@@ -223,6 +235,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         self._log.info("the controller is unblocked and its errors are cleared")
         if not unit.introduced:
             await self.configure()
+        await self.connection.watch.restore_settings()
 
     async def send_raw(self, command: str) -> str:
         unit = self.connection.state

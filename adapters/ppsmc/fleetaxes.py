@@ -28,6 +28,11 @@ def axis_numbers(config: Controller) -> dict[str, int]:
     return {name: axis_number(axis) for name, axis in config.axes.items()}
 
 
+def axis_names(config: Controller) -> dict[int, str]:
+    """Return axis names by axis number of the controller."""
+    return {axis_number(axis): name for name, axis in config.axes.items()}
+
+
 def axis_bounds(axis: Axis) -> PpSmcBounds:
     """Return an axis's limits in steps."""
     scale = float(axis.scale)

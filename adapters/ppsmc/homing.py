@@ -33,7 +33,8 @@ class _ReferenceSearch:
 
     target: its final position, steps.
     stops: its number of stops before the search.
-    begun_ns: when it began."""
+    begun_ns: when it began.
+    seen: it has been seen moving, or its ready bit can no longer be that of the time before."""
 
     axis: str
     motor: int
@@ -43,6 +44,7 @@ class _ReferenceSearch:
     target: int
     stops: int
     begun_ns: int = 0
+    seen: bool = False
 
     @property
     def is_exclusive(self) -> bool:
@@ -78,7 +80,7 @@ async def home_axes(
                     running.append(each)
             await sleep_ns(clock, _POLL_NS)
             look = await unit.read_state()
-            for each in [each for each in running if look.is_ready(each.motor) or look.is_blocked]:
+            for each in _ended_searches(running, look, clock.now_ns(), lost=look.is_blocked or unit.session.restarted):
                 why = await _search_failure(unit, each, look)
                 if why == "" or clock.now_ns() > each.begun_ns + _READY_LAG_NS or unit.session.restarted:
                     running.remove(each)
@@ -94,6 +96,18 @@ async def home_axes(
             unit.brake_axes(each.motor for each in running)
         raise
     return failed
+
+
+def _ended_searches(
+    running: Sequence[_ReferenceSearch], look: PpSmcReading, now_ns: int, *, lost: bool
+) -> list[_ReferenceSearch]:
+    """Return the searches whose axes read ready, or all that can no longer be followed.
+
+    Before an axis has been seen moving, its ready bit and its reference may be those of an earlier search.
+    """
+    for each in running:
+        each.seen |= not look.is_ready(each.motor) or now_ns > each.begun_ns + _READY_LAG_NS
+    return [each for each in running if lost or (each.seen and look.is_ready(each.motor))]
 
 
 async def _prepare_searches(unit: PpSmcState, searches: Sequence[_ReferenceSearch]) -> PpSmcReading:

@@ -22,6 +22,7 @@ from adapters.ppsmc.replies import (
 )
 from adapters.ppsmc.session import PpSmcLine, TokenReply
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
+from adapters.ppsmc.watch import require_settings
 from orchestrator.model.errors import Refusal
 
 PROFILE = ("frun", "ffast", "acc", "dec")
@@ -116,6 +117,7 @@ async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLo
     reply = await unit.session.send_repeatable(commands, *queries)
     if options.check_profile:
         held = parse_settings(reply.reply_texts(ASK_SETTINGS))
+        require_settings(unit, fleetaxes.axis_names(unit.config), held)
         for each in lowered.moves:
             require_profile(each.name, each.motor, profile_values(each), held)
     for each in lowered.moves:
@@ -170,7 +172,9 @@ def _is_target(text: str) -> bool:
 async def load_program(unit: PpSmcState, lowered: PpSmcLowered) -> None:
     """Load the program in place of the one in memory. Raises `Refusal` when the controller does not store it."""
     lines = program_lines(unit, lowered)
-    reply = await unit.session.send_repeatable(["clr", *lines], ASK_PROGRAM)
+    # Everything matches the format of program lines: it must be the last.
+    reply = await unit.session.send_repeatable(["clr", *lines], ASK_SETTINGS, ASK_PROGRAM)
+    require_settings(unit, fleetaxes.axis_names(unit.config), parse_settings(reply.reply_texts(ASK_SETTINGS)))
     require_program(lines, reply.reply_texts(ASK_PROGRAM))
 
 

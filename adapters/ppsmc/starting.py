@@ -105,7 +105,10 @@ class PpSmcStarts:
             left = [each for each in move.lowered.moves if not self._is_moving(look, each)]
             if not left:
                 self._require_not_restarted()
-                return HostInterval(earliest_ns, max(earliest_ns, min(latest_ns, look.at_ns - quick_ns)))
+                # The status was read before the positions, one execution time earlier.
+                by_status = all(self._is_moving(look, each, by_status=True) for each in move.lowered.moves)
+                seen_ns = look.at_ns - quick_ns if by_status else look.at_ns
+                return HostInterval(earliest_ns, max(earliest_ns, min(latest_ns, seen_ns)))
             if look.begun_ns > latest_ns and not (look.bits[left[0].motor] & StatusBits.PROGRAM):
                 raise self._not_started_fault(move, left[0], look)
             if look.begun_ns > latest_ns:

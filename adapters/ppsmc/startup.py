@@ -8,6 +8,7 @@ from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import ASK_SETTINGS, ASK_VERSION, parse_settings
 from adapters.ppsmc.session import PpSmcSession
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
+from adapters.ppsmc.watch import watched_settings
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.model.errors import ControllerFault
 
@@ -83,8 +84,11 @@ async def compare_and_load(unit: PpSmcState, options: PpSmcOptions) -> None:
         if int(_read_fraction(held, "dcpl", motor, "4")) < (places := fleetaxes.gear_decimals(gear)):
             wishes[f"dcpl{motor}"] = str(places)
         wishes |= _loop_wishes(unit, motor, held, options.loop.get(name))
+        unit.settings[motor] = watched_settings(held)
     if wishes:
         await _load_settings(session, wishes)
+        for motor, expected in unit.settings.items():
+            expected.update({name: wishes[f"{name}{motor}"] for name in expected if f"{name}{motor}" in wishes})
     unit.introduced = True
 
 

@@ -74,6 +74,8 @@ class PpSmcState:
     untidy: a stop or a move may have left targets.
     profiles: what is known to be loaded.
     introduced: compared with the fleet file.
+    settings: the settings of ?conf that are expected, by axis number and name.
+    suspects_settings: others were found while arming.
     driving: a step switches an output.
     on_reading: called with every reading while a move is in progress.
     """
@@ -94,6 +96,8 @@ class PpSmcState:
     output_lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     untidy: bool = False
     introduced: bool = False
+    settings: dict[int, dict[str, str]] = field(default_factory=dict[int, dict[str, str]])
+    suspects_settings: bool = False
     driving: bool = False
     on_reading: Callable[[PpSmcReading], None] | None = None
     installed: int = 0

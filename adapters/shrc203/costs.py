@@ -8,6 +8,7 @@ from orchestrator.model.state import StepCosts
 # Sent and received characters, with CR LF, at their longest for three axes; exchanges.
 _CHECK = (7 + 90, 1)  # Q:SPC
 _BUFFERS = (6 * 7 + 2 * 36 + 2 * 16 + 2 * 6, 6)  # ?:MPW ?:APW ?:WTW ?:WIW ?:EP ?:KP
+_WATCH = (2 * 6 + 36 + 7, 2)  # ?:PW, ?:FW
 _LOAD = (120 + 6 + 7 + 125 + 7 + 6, 3)  # MP:, ?:CMD, GC:
 _CLEAR = (3 * (8 + 6), 3)  # MP:a+P0
 _STANDBY = (2 * (4 + 4) + 11 + 4 + 7 + 36 + 5 + 4, 4)  # I: twice, WI:, ?:WIW, G:
@@ -28,7 +29,7 @@ def step_costs(options: ShrcOptions, char_ns: int, *, line: bool = False) -> Ste
     standby = (_STANDBY, _CHECK, _CHECK, _OUTPUT) if line else ()
     release = (_RELEASE, _CHECK, _CHECK, _CHECK, _OUTPUT) if line else ()
     return StepCosts(
-        arm_ns=take_ns(_LOAD, _BUFFERS, _CHECK, *standby),
+        arm_ns=take_ns(_WATCH, _LOAD, _BUFFERS, _CHECK, *standby),
         disarm_ns=take_ns(_BUFFERS, _CLEAR, _BUFFERS, *release) + (COMPLETION_LATE_NS if line else 0),
         stop_ns=_LONGEST_LINE * char_ns + exchange_ns + _RAMP_MAX_NS,
     )

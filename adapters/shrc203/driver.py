@@ -11,6 +11,7 @@ from adapters.contract import (
     DriverSetup,
     JogMove,
     Lowered,
+    SettingDifference,
 )
 from adapters.shrc203 import fleetaxes, startup
 from adapters.shrc203.chain import ChainMove, ChainReport, MoveChain
@@ -20,12 +21,12 @@ from adapters.shrc203.jogging import ShrcJogging
 from adapters.shrc203.lowering import ConnectionTraits, ShrcLowered, lower_step
 from adapters.shrc203.moves import ShrcMover
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.polling import ShrcPoller
-from adapters.shrc203.registered import PositionKind, read_registered
+from adapters.shrc203.polling import PositionKind, ShrcPoller, read_registered
 from adapters.shrc203.replies import BITS, axis_argument, flag_list
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.watch import ShrcWatch
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
 from adapters.toolkit.refusals import log_refusals
@@ -49,6 +50,7 @@ class ShrcConnection:
     mover: ShrcMover
     poller: ShrcPoller
     jogging: ShrcJogging
+    watch: ShrcWatch
 
 
 class ShrcDriver(ConnectedDriver[ShrcConnection]):
@@ -86,6 +88,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
             mover=mover,
             poller=ShrcPoller(self._config, self._options, self._clock, unit),
             jogging=ShrcJogging(self._config, self._clock, unit, mover),
+            watch=ShrcWatch(unit, {motor: name for name, motor in fleetaxes.motor_numbers(self._config).items()}),
         )
         identity = await startup.identify_controller(session)
         unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
@@ -111,6 +114,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
             unit.line_starts = await can_wait_at_rest(unit)
             if not unit.line_starts:
                 self._log.warning("the controller accepts no input waits: no start by trigger line")
+        await self.connection.watch.record_settings()
 
     @property
     def capabilities(self) -> DriverCapabilities:
@@ -133,6 +137,14 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
             await self.connection.mover.empty_prebuffers()
         restarted, self._restarted = self._restarted, False
         return replace(reading, restarted=restarted)
+
+    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
+        """Query pulse length and loop mode, or the next setting in turn."""
+        watch = self.connection.watch
+        found = await (watch.check_motion() if everything else watch.check_next())
+        for each in found:
+            self._log.warning(f"another client has changed a setting: {each.item}", found=each.found)
+        return found
 
     # Steps
 
@@ -243,6 +255,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         await unit.session.send_setting("BEC:W")
         self._log.info("errors cleared")
         await self._read_motors(unit)
+        await self.connection.watch.restore_settings()
 
     async def read_registered(self, kind: PositionKind) -> Mapping[int, Mapping[str, int]]:
         """Return positions that are registered in the controller: pulses by axis, by number (1 to 20).

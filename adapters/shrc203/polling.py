@@ -4,13 +4,17 @@ Queries that may be answered by a bare digit are omitted while a completion is o
 repeated.
 """
 
+from typing import Literal
+
 from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flag_list, parse_status
+from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flag_list, parse_status, pulse_list
+from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.status import ERRORS, is_position_lost, status_faults
 from adapters.shrc203.unitstate import ShrcState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import FaultReport
 
@@ -110,3 +114,30 @@ class ShrcPoller:
 def point_levels(value: int) -> dict[int, bool]:
     """Return inputs or outputs by number: the first is 1, the second 2, the third 4 (L5274-L5304)."""
     return {number: bool(value & 1 << (number - 1)) for number in fleetaxes.INPUTS}
+
+
+# Registered positions, 20 of each kind (L7725, L7850): read here; set and approached by `send_raw`. `PIT:SET,n` stores
+# the stage position until power-off, and reads in present coordinates (L7712, L7731); `PAV:SET,n` stores coordinate
+# values in the main memory (L7831).
+
+NUMBERS = range(1, 21)
+
+PositionKind = Literal["place", "coordinates"]
+_COMMANDS: dict[PositionKind, str] = {"place": "PIT", "coordinates": "PAV"}
+_AXES = 3  # of all axes, including those that cannot be controlled
+
+
+async def read_registered(session: ShrcSession, kind: PositionKind) -> dict[int, tuple[int, int, int]]:
+    """Return the records of a kind by number, in pulses of motors 1 to 3; empty numbers are omitted.
+
+    Raises `Refusal` while a completion line is outstanding, `ControllerFault`.
+    """
+    if session.expected_completions:
+        raise Refusal("moving", "registered positions are read at rest only", "wait for the end of the move")
+    found: dict[int, tuple[int, int, int]] = {}
+    for number in NUMBERS:
+        answer = await session.query_optional(f"{_COMMANDS[kind]}:GET,{number}", pulse_list(_AXES))
+        if answer is not None:
+            first, second, third = (int(each) for each in answer.split(","))
+            found[number] = first, second, third
+    return found

@@ -68,6 +68,10 @@ def speed_list(count: int) -> ShrcReplyFormat:
     return list_format(r"S\d+F\d+R\d+", count, "SsFfRr")
 
 
+def division_list(count: int) -> ShrcReplyFormat:
+    return list_format(r"\d{1,4}", count, "divisions")
+
+
 def size_list(count: int) -> ShrcReplyFormat:
     return list_format(r"\d+(?:\.\d+)?", count, "nm")
 

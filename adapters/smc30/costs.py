@@ -11,6 +11,8 @@ from orchestrator.model.state import StepCosts
 _CHECK = (4 + 3 + 5 + 11, 2)  # F V1
 _POINTS = (5 + 5, 1)  # V2
 _LOAD = (5 + 5 + 3 * 9 + 9 + 3 * 12 + 2 * 8 + 3 * 8 + 14 * 3, 14)  # PO PX, S T R, D or N, G T G T G, A D C, Y
+_CONVERSION = (10 + 3 + 3, 1)  # con=1.0000
+_CURRENT = (7 + 3 + 3, 1)  # CS, CR or CT
 _LIST = (4 + 3 + 110, 1)  # Q
 _START = (4 + 3, 1)  # E
 _SENTINEL = (8 + 8, 1)  # VR510
@@ -36,7 +38,10 @@ def step_costs(options: Smc30DriverOptions, char_ns: int, slots: SlotSchedule, r
     ramp_s: the longest ramp of the motion that may have to be stopped.
     """
     settle_ns = options.answer_ms * NS_PER_MS + 2 * _LONGEST_LINE * char_ns
-    arm_ns = exchange_ns(options, char_ns, _CHECK, _LOAD, _LIST, _POINTS, _SENTINEL, _START, _CHECK)
+    currents = [_CURRENT] * (1 + (options.ramp_ma is not None) + (options.top_ma is not None))
+    arm_ns = exchange_ns(
+        options, char_ns, *currents, _CHECK, _CONVERSION, _LOAD, _LIST, _POINTS, _SENTINEL, _START, _CHECK
+    )
     promise_ns = exchange_ns(options, char_ns, _CHECK, _SENTINEL)
     unload_ns = exchange_ns(options, char_ns, _STOP, _CHECK)
     program_ns = (LINES_BEFORE * options.line_us + options.decode_us) * NS_PER_US

@@ -10,6 +10,7 @@ from adapters.contract import (
     DriverSetup,
     JogMove,
     Lowered,
+    SettingDifference,
 )
 from adapters.smc30 import startup
 from adapters.smc30.costs import step_costs
@@ -142,6 +143,15 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
         restarted, self._restarted = self._restarted, False
         self._lost = unit.lost
         return replace(reading, restarted=restarted)
+
+    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
+        """Set the currents again before a step: no query shows them. At rest nothing is sent, because a client that
+        programs the controller would get it into its program. Raises `Refusal` while the controller is busy."""
+        if everything:
+            unit = self.connection.state
+            for command in startup.current_commands(self._options, enabled=unit.enabled):
+                await self._send_setting(command)
+        return ()
 
     # Steps
 

@@ -5,7 +5,7 @@ import re
 from adapters.smc30.frames import ReceivedReply, frame_line
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.session import ControllerBusy, Smc30Session
-from adapters.smc30.unitstate import EITHER, SENTINEL, SENTINEL_REGISTER, STATUS, Smc30State
+from adapters.smc30.unitstate import EITHER, NO_CONVERSION, SENTINEL, SENTINEL_REGISTER, STATUS, Smc30State
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.errors import ControllerFault, Refusal
 
@@ -86,7 +86,7 @@ async def configure_controller(unit: Smc30State, options: Smc30DriverOptions, cl
     try:
         fresh = not await unit.holds_sentinel()
         # A factor left by another client would change every length (L3048-L3064).
-        for command in ("con=1.0000", f"CS{options.standby_ma if unit.enabled else 0}", *_current_commands(options)):
+        for command in (NO_CONVERSION, *current_commands(options, enabled=unit.enabled)):
             await session.send_setting(command)
         if fresh:
             unit.program = None
@@ -105,6 +105,7 @@ async def configure_controller(unit: Smc30State, options: Smc30DriverOptions, cl
     return fresh
 
 
-def _current_commands(options: Smc30DriverOptions) -> list[str]:
-    given = {"CR": options.ramp_ma, "CT": options.top_ma}
+def current_commands(options: Smc30DriverOptions, *, enabled: bool) -> list[str]:
+    """Return the commands that set the motor's currents (L1996-L2008)."""
+    given = {"CS": options.standby_ma if enabled else 0, "CR": options.ramp_ma, "CT": options.top_ma}
     return [f"{command}{milliamps}" for command, milliamps in given.items() if milliamps is not None]

@@ -19,6 +19,7 @@ POINTS = re.compile(r"V([0-7])([0-7])|B")
 REGISTER = re.compile(r"V?(?:R?510=|R)?(\d{1,5})|B")
 SENTINEL = 7  # the content of the register as long as the controller has not lost its volatile memory
 SENTINEL_REGISTER = 510
+NO_CONVERSION = "con=1.0000"
 _POLL_NS = 20 * NS_PER_MS
 
 MotionCause = Literal["nothing", "step", "jog", "home"]
@@ -168,9 +169,14 @@ class Smc30State:
         return self.session.line.exclusive_turn()
 
     async def load_program(self, lines: Sequence[str], since: int) -> None:
-        """Load `lines` into working memory, and verify them. Raises `Refusal`."""
+        """Load `lines` into working memory, and verify them. Raises `Refusal`.
+
+        The conversion factor is set before them: it would change every length (L3048-L3064), another client may have
+        set it, and no query shows it.
+        """
         program = tuple(lines)
         try:
+            await self.session.send_setting(NO_CONVERSION)
             if self.program != program:
                 self.program, self.programming = None, True
                 await self.session.upload_program(program, since)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from orchestrator.clock.base import NS_PER_US
 from sim.cia402 import aborts
 from sim.cia402.aborts import SdoAbort
 from sim.cia402.dictionary import DriveDictionary
@@ -199,7 +200,11 @@ class ServoDrive:
             servo.switch_off()
         if not servo.mover.is_moving:
             servo.cancel_order()
-            then()
+            if self.states.state is PowerState.QUICK_STOP:
+                # Clients see the state also at rest: transition 12 comes with the next cycle.
+                servo.time.call_after(self._options.cycle_us * NS_PER_US, then)
+            else:
+                then()
             return
         self._after_stop = then
         servo.slow_down(servo.read_acceleration(0x6085 if way == "quick stop" else 0x6084))

@@ -6,8 +6,9 @@ import pytest
 from unit.adapters.cia402_bench import Drives, config, run
 
 from adapters.cia402 import MAKE
+from adapters.cia402.bus import SHARED
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.link.can import FRAME_BYTES, CanFrame, decode_frames, encode_frames
+from orchestrator.link.can import ERROR_BUS_OFF, ERROR_RESTARTED, FRAME_BYTES, CanFrame, decode_frames, encode_frames
 from orchestrator.model.errors import ControllerFault, Refusal
 from sim import cia402
 
@@ -360,5 +361,32 @@ def test_a_new_connection_stops_a_moving_drive_before_it_queries_anything() -> N
         await fresh.set_enabled(["a"], on=True)
         assert (await fresh.poll()).axes["a"].enabled
         await fresh.close()
+
+    run(main)
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_stop_of_an_earlier_connection_stops_no_later_motion(lost: bool) -> None:
+    """It was given while this computer was off the bus, and its frames are repeated when that is back."""
+
+    async def main(world: Drives) -> None:
+        await world.ready()
+        bus, driver = world.shared[SHARED], world.driver
+        bus._handle_bus_state(ERROR_BUS_OFF)
+        await driver.stop(abort=True)
+        if lost:
+            world.wire.links[0].hang_up()
+            await world.rest(20)
+        await driver.close()
+        await world.ready()
+        await world.go(target=40_000)
+        await driver.wait_for_start()
+        bus._handle_bus_state(ERROR_BUS_OFF)
+        bus._handle_bus_state(ERROR_RESTARTED)
+        await world.rest(50)
+        # The host cannot follow the move any more, and the drive goes on.
+        assert world.unit.is_moving("1") and world.unit.station.drive.states.state.name == "ENABLED"
+        await world.rest(3000)
+        assert world.unit.position("1") == 40_000
 
     run(main)

@@ -7,6 +7,7 @@ from cluster.worlds import job, outcome, run_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
+from sim.cia402.unit import SimulatedDrive
 
 NAMES = [f"d{number}" for number in range(6)]
 
@@ -74,5 +75,43 @@ def test_a_drive_that_is_switched_off_ends_the_step_of_all() -> None:
         await sleep_ns(virtual.clock, 3 * NS_PER_S)
         assert not any(each.is_moving("1") for each in virtual.controllers.values())
         assert all(each.position("1") < 180_000 for each in virtual.controllers.values())
+
+    run_fleet(main, fleet())
+
+
+def test_a_fleet_does_not_move_a_drive_whose_scaling_has_changed() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client = virtual.make_client()
+        assert (await outcome(virtual, PREPARE)).state == "done"
+        unit = virtual.controllers["d3"]
+        assert isinstance(unit, SimulatedDrive)
+        unit.station.dictionary.put_value(0x607C, 0, 500)
+        await sleep_ns(virtual.clock, 15 * NS_PER_S)
+        state = (await client.status())["d3"]
+        assert [fault.code for fault in state.faults] == ["setting-changed"]
+        assert "607Ch" in state.faults[0].text
+        assert not state.axes["x"].referenced
+        assert not any((await client.reset()).values())
+        await sleep_ns(virtual.clock, 2 * NS_PER_S)
+        assert not (await client.status())["d3"].faults
+        assert unit.station.dictionary.get_value(0x607C) == 0
+
+    run_fleet(main, fleet())
+
+
+def test_a_coordinate_that_another_master_sets_at_rest_loses_the_reference() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client = virtual.make_client()
+        assert (await outcome(virtual, PREPARE)).state == "done"
+        await sleep_ns(virtual.clock, NS_PER_S)
+        for name in NAMES:
+            unit = virtual.controllers[name]
+            assert isinstance(unit, SimulatedDrive)
+            unit.station.drive.servo.offset += 3000
+            unit.station.drive._changed()
+            await sleep_ns(virtual.clock, 37 * NS_PER_MS)
+        await sleep_ns(virtual.clock, NS_PER_S)
+        states = await client.status()
+        assert [name for name in NAMES if states[name].axes["x"].referenced] == []
 
     run_fleet(main, fleet())

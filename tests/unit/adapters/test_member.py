@@ -107,6 +107,7 @@ class Desk:
                 scale=lambda: FleetScale("s", 0),
                 emit=self._emit,
                 settle=self._settle,
+                doubt_positions=lambda _: None,
                 note_differences=lambda _: None,
                 spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),
             ),

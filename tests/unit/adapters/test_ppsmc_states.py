@@ -194,8 +194,8 @@ def test_a_start_that_the_controller_ignores_is_reported() -> None:
     """emips: an axis does not move while the input port has another value (L614); nothing else shows that."""
 
     async def case(bench: Bench) -> None:
-        await bench.ready()
         await bench.somebody("emips2:1")
+        await bench.ready()
         await bench.start({"x": 5000, "y": 5000})
         with pytest.raises(ControllerFault) as caught:
             await bench.driver.wait_for_start()
@@ -231,8 +231,8 @@ def test_a_limit_that_changes_after_arming_is_detected() -> None:
 @pytest.mark.parametrize("stalled", [False, True])
 def test_closed_loop(stalled: bool) -> None:
     async def case(bench: Bench) -> None:
-        await bench.ready()
         await bench.somebody(*(f"{name}1:{value}" for name, value in (("edev", 0.01), ("prt", 5), ("prst", 0.3))))
+        await bench.ready()
         if stalled:
             bench.unit.set_stalled("1", stalled=True)
         before = len(bench.moved())
@@ -268,8 +268,8 @@ def test_an_axis_that_does_not_settle_is_a_fault() -> None:
     """The end never comes: the closed loop pauses for minutes between its attempts."""
 
     async def case(bench: Bench) -> None:
-        await bench.ready()
         await bench.somebody("edev1:0.01", "prt1:5", "prst1:300")
+        await bench.ready()
         bench.unit.set_stalled("1", stalled=True)
         outcome = await bench.move({"x": 2000})
         assert outcome.state == "fault" and "does not come to rest" in outcome.reason

@@ -168,6 +168,20 @@ def test_quick_stop_by_its_option_code(code: int, ends: int, ramp_s: float) -> N
         assert (motion.end_ns - motion.slowing_ns) / 1e9 == pytest.approx(ramp_s, abs=1e-6)
 
 
+def test_a_quick_stop_at_rest_is_shown_before_it_switches_off() -> None:
+    """A client waits for the state that it has commanded."""
+    bench = CanBench()
+    bench.write(0x605A, 0, 2, 2)
+    bench.write(0x1800, 2, 255, 1)
+    bench.send(0x000, b"\x01\x01")
+    bench.enable(1)
+    began_ns = bench.clock.now_ns()
+    bench.write(0x6040, 0, 0x02, 2)
+    bench.wait(50)
+    words = [int.from_bytes(data[:2], "little") & 0x6F for data in bench.heard(0x181, began_ns)]
+    assert words[0] == 0x07 and words[-1] == 0x40
+
+
 def test_quick_stop_is_left_by_enabling_where_it_stays() -> None:
     bench = CanBench()
     bench.write(0x605A, 0, 6, 2)
