@@ -1,8 +1,8 @@
 """Compare the decisions of campaign seeds with recorded ones: `campaign_decisions.py [--write] [FIRST LAST]`.
 
 A refactoring must not change when a controller starts and stops, how a job ends and is judged, or which request is
-refused with which code. `tests/cluster/decisions.jsonl` has a digest of these for seeds 0 to 99; names that have changed
-since the first recording are mapped by `OLD_CODES`. A change that is meant is recorded with `--write`.
+refused with which code. `tests/cluster/decisions.jsonl` has a digest of these for seeds 0 to 99; names that have
+changed since the first recording are mapped by `OLD_CODES`. A change that is meant is recorded with `--write`.
 """
 
 import hashlib

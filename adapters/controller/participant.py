@@ -7,14 +7,14 @@ increment `interruptions`, and a transition that finds the counter changed after
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol
 
 from adapters.contract import Driver, HostInterval, SettingDifference
 from adapters.controller.clock import clock_mapping
 from adapters.controller.settling import SettlingResult
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -37,6 +37,7 @@ from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval
 QUIET_BEFORE_T0_NS = 300 * NS_PER_MS
 # A participant is not polled for this long after a request of a step: arming reads the controller as well, and the
 # fleet waits for it.
+DURATION_TOLERANCE_S = 0.02  # beyond the interval of the evidence and the clock error
 QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
 
@@ -61,6 +62,8 @@ class ArmedStep:
     axes: tuple[str, ...]
     scale: FleetScale
     can_advance: bool
+    promised_s: Mapping[str, float] = field(default_factory=dict[str, float])
+    clock_ppm: float = 0.0
     phase: StepPhase = StepPhase.ARMED
 
 
@@ -80,6 +83,7 @@ class StepServices:
     scale: returns fleet time; raises `Refusal` while it is unknown.
     emit: publishes an event of a step.
     settle: waits until axes are at rest at their targets; a fresh state is on the bus when it returns.
+    doubt_positions: drops the reference of axes, by axis with the reason.
     note_differences: keeps the controller from moving while settings differ.
     spawn: runs a coroutine in the background.
     """
@@ -88,6 +92,7 @@ class StepServices:
     scale: Callable[[], FleetScale]
     emit: StepEventEmitter
     settle: Callable[[Sequence[str]], Awaitable[SettlingResult]]
+    doubt_positions: Callable[[Mapping[str, str]], None]
     note_differences: Callable[[Sequence[SettingDifference]], None]
     spawn: Callable[[Coroutine[Any, Any, None]], object]
 
@@ -113,6 +118,7 @@ class StepParticipant:
         self._settle = services.settle
         self._spawn = services.spawn
         self._note_differences = services.note_differences
+        self._doubt_positions = services.doubt_positions
         self._lowering_lock = lowering_lock
         self._transition_lock = asyncio.Lock()
         self._loading_lock = asyncio.Lock()
@@ -177,7 +183,15 @@ class StepParticipant:
                 raise Refusal("stopped", "a stop came before arming", "")
             axes = tuple(request.profiles)
             armed_step = ArmedStep(
-                request.job, request.step, request.t0_fleet_ns, t0_ns, axes, scale, lowered.can_advance
+                request.job,
+                request.step,
+                request.t0_fleet_ns,
+                t0_ns,
+                axes,
+                scale,
+                lowered.can_advance,
+                lowered.durations_s,
+                lowered.clock_ppm,
             )
             try:
                 async with self._loading_lock:
@@ -427,17 +441,43 @@ class StepParticipant:
                         )  # a move that did not start as planned must not block the next one
             return
         self.armed_step = None
+        wrong = _find_wrong_durations(armed_step, started, outcome.ended) if outcome.state == "done" else {}
+        self._doubt_positions(wrong)
         for axis, span in outcome.ended.items():
-            if axis in evidence:
+            if axis in evidence and span.earliest_ns <= span.latest_ns:
                 ended = {"end": _fleet_interval(span, armed_step.scale), "settled_s": settled.settled_s.get(axis)}
                 evidence[axis] = evidence[axis].model_copy(update=ended)
         if outcome.state != "done":
             evidence = _without_axes(evidence, unseen)
-        kind = "failed" if settled.reason else _KIND_OF_END[outcome.state]
-        self._emit(kind, settled.reason or outcome.reason or kind, moving, evidence)
+        reason = settled.reason or "; ".join(wrong.values())
+        kind = "failed" if reason else _KIND_OF_END[outcome.state]
+        self._emit(kind, reason or outcome.reason or kind, moving, evidence)
 
 
 _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}
+
+
+def _find_wrong_durations(
+    step: ArmedStep, started: Mapping[str, HostInterval], ended: Mapping[str, HostInterval]
+) -> dict[str, str]:
+    """Axes whose motion has certainly taken another time than the controller was loaded with, with a description: their
+    settings or their position were changed meanwhile. So are instants that contradict each other."""
+    found: dict[str, str] = {}
+    for axis, end in ended.items():
+        start, promised_s = started.get(axis), step.promised_s.get(axis)
+        if start is None or promised_s is None:
+            continue
+        shortest_s = (end.earliest_ns - start.latest_ns) / NS_PER_S
+        longest_s = (end.latest_ns - start.earliest_ns) / NS_PER_S
+        margin_s = DURATION_TOLERANCE_S + promised_s * step.clock_ppm * 1e-6
+        possible = end.earliest_ns <= end.latest_ns
+        if not possible or not shortest_s - margin_s <= promised_s <= longest_s + margin_s:
+            taken_s = (shortest_s + longest_s) / 2
+            found[axis] = (
+                f"axis {axis} took {taken_s:.3f} s, promised {promised_s:.3f} s: another client has changed its "
+                "settings or its position; it must be homed again"
+            )
+    return found
 
 
 def _without_axes(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:

@@ -24,7 +24,7 @@ from adapters.controller.referencing import AxisReferencing
 from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
-from adapters.controller.surveillance import Surveillance
+from adapters.controller.surveillance import StepActivityChecks, Surveillance
 from orchestrator.bus.base import BusDeclaration, RequestHandler
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
@@ -72,6 +72,7 @@ class ControllerSupervisor:
                 scale=self._require_scale,
                 emit=self._emit_step,
                 settle=self._settling.wait_until_settled,
+                doubt_positions=lambda wrong: self._surveillance.doubt_positions(wrong),
                 note_differences=lambda found: self._surveillance.note_differences(found),
                 spawn=self._spawn_task,
             ),
@@ -94,7 +95,11 @@ class ControllerSupervisor:
             driver, self._settling, condition, self._publisher.emit_event, self.poll_and_publish
         )
         self._surveillance = Surveillance(
-            driver, context.clock, condition, self._publisher.emit_event, self._has_ordered_motion
+            driver,
+            context.clock,
+            condition,
+            self._publisher.emit_event,
+            StepActivityChecks(self._has_ordered_motion, self._has_step),
         )
         parts = Components(
             fence=self._fence,
@@ -277,10 +282,17 @@ class ControllerSupervisor:
             await sleep_ns(self._clock, wait_ns)
 
     def _has_ordered_motion(self) -> bool:
-        """Whether anything that this adapter has ordered may change positions now."""
-        participant, status = self._participant, self._status
-        busy = participant.armed_step is not None or participant.is_following or participant.is_loading
-        return busy or status.stop_unseen or self.is_moving or bool(status.homing | status.jogging)
+        """Whether anything that this adapter has ordered may change positions now. A step that is only loaded moves
+        nothing."""
+        status = self._status
+        armed_step = self._participant.armed_step
+        released = armed_step is not None and armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING)
+        busy = released or self._participant.is_following or bool(status.homing | status.jogging)
+        return busy or status.stop_unseen or self.is_moving
+
+    def _has_step(self) -> bool:
+        """Whether a step is loaded, or being loaded: its exchanges must not be delayed."""
+        return self._participant.armed_step is not None or self._participant.is_loading
 
     def wake_poll(self) -> None:
         """Poll soon: an activity has begun or ended."""

@@ -4,7 +4,8 @@ A second master, or a person at the controller, may change anything. A move that
 somewhere else.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 from adapters.contract import AxisReading, ControllerReading, Driver, SettingDifference
 from adapters.controller.status import ControllerStatus
@@ -17,11 +18,17 @@ JUMP_COUNTS = 2  # a larger change of the commanded position is not rounding
 DEADBAND_COUNTS = 10  # an axis at rest whose encoder moves by less does not move
 
 
-class Surveillance:
-    """Compares one controller with what this adapter has ordered.
+@dataclass(frozen=True, slots=True)
+class StepActivityChecks:
+    """moves: whether anything that was ordered may change positions now. loads: whether a step is loaded or being
+    loaded."""
 
-    emit: publishes an event. is_busy: whether a step, a jog or a search for the reference is under way.
-    """
+    moves: Callable[[], bool]
+    loads: Callable[[], bool]
+
+
+class Surveillance:
+    """Compares one controller with what this adapter has ordered. emit: publishes an event."""
 
     def __init__(
         self,
@@ -29,13 +36,13 @@ class Surveillance:
         clock: Clock,
         status: ControllerStatus,
         emit: Callable[[EventKind, str], None],
-        is_busy: Callable[[], bool],
+        activity: StepActivityChecks,
     ) -> None:
         self._driver = driver
         self._clock = clock
         self._status = status
         self._emit = emit
-        self._is_busy = is_busy
+        self._activity = activity
         self._was_busy = True
         self._checked_ns = 0
         self._outside: dict[str, AxisReading] = {}
@@ -45,7 +52,7 @@ class Surveillance:
 
     def find_jumps(self, before: ControllerReading | None, reading: ControllerReading) -> list[str]:
         """Drop the reference of axes whose count has changed at rest without an order; return these axes."""
-        busy, was_busy = self._is_busy(), self._was_busy
+        busy, was_busy = self._activity.moves(), self._was_busy
         self._was_busy = busy
         if before is None or busy or was_busy or self._status.ordered_ns >= before.at_ns:
             return []
@@ -82,12 +89,19 @@ class Surveillance:
                 return f"axis {name} has moved by {by:g} {axis.unit}, although this step does not move it"
         return None
 
+    def doubt_positions(self, wrong: Mapping[str, str]) -> None:
+        """Drop the reference of axes whose motion was not as it was loaded. wrong: by axis, what was found."""
+        for name, text in wrong.items():
+            if self._status.referenced[name]:
+                self._status.referenced[name] = False
+                self._emit("unreferenced", text)
+
     # Settings
 
     async def check_next_settings(self) -> None:
         """Compare the next part of the settings, from time to time, while the controller is at rest."""
         now_ns = self._clock.now_ns()
-        if self._is_busy() or now_ns - self._checked_ns < CHECK_PERIOD_NS:
+        if self._activity.moves() or self._activity.loads() or now_ns - self._checked_ns < CHECK_PERIOD_NS:
             return
         self._checked_ns = now_ns
         self.note_differences(await self._driver.check_settings(everything=False))

@@ -11,8 +11,9 @@ from orchestrator.campaign.fleets import PERMIT
 from orchestrator.campaign.jobs import find_link_members
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.link.can import decode_frames, encode_frames
+from orchestrator.link.can import CanFrame, decode_frames, encode_frames
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.links import CanBusLink
 from orchestrator.model.messages import EstopMessage
 from orchestrator.runtime.virtual import VirtualFleet
 from sim.smc30.framing import compute_checksum
@@ -32,6 +33,9 @@ class FaultKind:
     outside_model: measurements of the affected controllers are outside the model of link and crystal, so their
     evidence may be wrong.
     jog_may_continue: a jogged axis may continue, as long as the jog is renewed.
+    of_job: it affects the controllers of the member's job only.
+    attended: the member's job belongs to a command that a person waits for.
+    makes: makes that it can affect; none named: all.
     """
 
     name: str
@@ -42,6 +46,9 @@ class FaultKind:
     unstoppable: bool = False
     outside_model: bool = False
     jog_may_continue: bool = False
+    of_job: bool = False
+    attended: bool = False
+    makes: tuple[str, ...] = ()
 
 
 FAULTS: dict[str, FaultKind] = {
@@ -72,12 +79,19 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("coordinator-overtaken", "fleet", jog_may_continue=True),
         FaultKind("journal-full", "fleet", must_stop=False),
         FaultKind("wall-clock", "fleet", must_stop=False, harmless=True),
+        # People and second masters.
+        FaultKind("operator-interrupts", "fleet", of_job=True, attended=True, jog_may_continue=True),
+        FaultKind("operator-lost", "fleet", of_job=True, attended=True, jog_may_continue=True),
+        FaultKind("operator-resets-early", "fleet"),
+        FaultKind("fleet-restarted", "fleet"),
+        FaultKind("second-master", "unit", must_stop=False, makes=("smc4000", "cia402")),
     )
 }
 
 CRYSTAL_PPM = 400.0  # eight times the largest rate error of a crystal in the fleets
 MAX_EXTRA_LATENCY_NS = 150 * NS_PER_MS
 POWER_CYCLE_NS = 400 * NS_PER_MS
+SECOND_MASTER_NS = 200 * NS_PER_MS  # until a second master leaves
 REFUSALS_NS = 300 * NS_PER_MS
 OVERLAP_NS = 1500 * NS_PER_MS  # a new coordinator leads for this time before a hung one resumes
 
@@ -118,10 +132,34 @@ class FaultInjector:
         """Inject the fault now."""
         blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._inject_link_fault}
         self._repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
+        if fault.name == "second-master":
+            await self._change_one_thing(member)
+        if fault.name == "operator-resets-early":
+            client = self._fleet.make_client("hasty")
+            await client.reset()
+            await client.close()
         if fault.name == "stop":
             client = self._fleet.make_client("stopper")
             await client.stop()
             await client.close()
+
+    async def _change_one_thing(self, member: str) -> None:
+        """Change one thing of a controller as a second master does: over a connection of its own."""
+        config = self._whole_fleet.controllers[member]
+        link = await self._fleet.wires[member].open_link()
+        if config.adapter == "smc4000":
+            motor = next(iter(config.axes.values())).motors[0]
+            # A zero that is set in motion cannot be told from the motion.
+            at_rest = not self._fleet.controllers[member].is_moving(motor)
+            zero = at_rest and self._draw.random() < 0.5
+            link.write(f"DP{motor}=50000\r".encode() if zero else f"IT{motor}=0.02\r".encode())
+        else:
+            # SDO: write 500 to the home offset, 607Ch.
+            data = bytes.fromhex("237c6000") + (500).to_bytes(4, "little")
+            assert isinstance(config.link, CanBusLink)
+            link.write(encode_frames(CanFrame(0x600 + config.link.address, data)))
+        await sleep_ns(self._clock, SECOND_MASTER_NS)
+        await link.close()
 
     async def repair_fault(self) -> None:
         """Repair the fault as an operator does."""
@@ -144,6 +182,15 @@ class FaultInjector:
                 door, number = self._find_permit_input()
                 fleet.act_on_controller(door, lambda each: each.set_input(number, level=False))  # it is active when low
                 return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=True))
+            case "operator-resets-early":
+                event = f"e{self._clock.now_ns()}"
+                bus = fleet.net.join_process(f"campaign-{event}")
+                bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
+            case "fleet-restarted":
+                for host in {config.host for config in self._whole_fleet.controllers.values()}:
+                    fleet.kill(f"host/{host}")
+                fleet.kill(leader)
+                return self._start_coordinator
             case "coordinator-killed":
                 fleet.kill(leader)
                 return self._start_coordinator
@@ -159,7 +206,7 @@ class FaultInjector:
                 return lambda: setattr(fleet, "disk_full", False)
             case "wall-clock":
                 self._clock.wall_step_ns += self._draw.choice((-3600, -1, 1, 3600)) * NS_PER_S
-            case _:  # "none", and "stop", which a client requests
+            case _:  # "none", and those that a client causes: "stop", "operator-interrupts", "operator-lost"
                 pass
         return _do_nothing
 
@@ -240,6 +287,8 @@ class FaultInjector:
             case "stall":
                 fleet.act_on_controller(member, lambda each: each.set_stalled(axis, stalled=True))
                 return lambda: fleet.act_on_controller(member, lambda each: each.set_stalled(axis, stalled=False))
+            case "second-master":  # over a connection of its own
+                pass
             case _:  # crystal
                 fleet.crystals[member].change_rate(self._draw.choice((-1, 1)) * CRYSTAL_PPM)
         return _do_nothing

@@ -11,6 +11,8 @@ from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, 
 from orchestrator.model.state import ControllerState, TimeInterval
 from orchestrator.runtime.virtual import VirtualFleet
 
+GREEN_TOLERANCE_S = 0.05  # of a duration that a green verdict stands for: the evidence is an interval
+CRYSTAL_SHARE = 2e-4  # of the duration, for the controller's crystal
 HOMING_SPREAD_COUNTS = 2  # largest difference between two homings of one axis
 
 
@@ -210,10 +212,20 @@ class InvariantChecker:
                 self._check_contains(f"{label} start", evidence.start, start_ns)
                 if step.state == "done" and evidence.end is not None and end_ns is not None:
                     self._check_contains(f"{label} end", evidence.end, end_ns - origin_ns)
+                if step.state == "done" and step.verdict == "green" and end_ns is not None:
+                    taken_s = (truth[-1].end_ns - truth[0].start_ns) / NS_PER_S if truth[-1].end_ns else 0.0
+                    self._check_green(label, taken_s, member.lowered_s.get(axis))
                 window = step.budget.members.get(name) if step.budget and not step.budget.by_trigger_line else None
                 if window is not None and not self._start_was_delayed(name, member, truth[0].start_ns):
                     promised = TimeInterval(earliest_ns=t0_ns + window.earliest_ns, latest_ns=t0_ns + window.latest_ns)
                     self._check_contains(f"{label} promised start", promised, start_ns)
+
+    def _check_green(self, label: str, taken_s: float, promised_s: float | None) -> None:
+        """Check invariant 12: the axes of a green step have moved as they were planned."""
+        if promised_s is not None and abs(taken_s - promised_s) > GREEN_TOLERANCE_S + promised_s * CRYSTAL_SHARE:
+            self.add_violation(
+                "12", f"{label} took {taken_s:.3f} s, promised {promised_s:.3f} s, and the verdict is green"
+            )
 
     def _start_was_delayed(self, name: str, member: MemberReport, start_ns: int) -> bool:
         """Return whether the start command may have been delayed by more than the model of its connection allows."""

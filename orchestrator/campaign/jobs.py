@@ -63,15 +63,15 @@ def draw_orders(
     return orders
 
 
-def make_trial(fleet: Fleet, member: str) -> JobOrder:
-    """Return a job of the highest priority that homes and moves one controller."""
+def make_trial(fleet: Fleet, member: str, priority: int = 9) -> JobOrder:
+    """Return a job, of the highest priority by default, that enables, homes and moves one controller."""
     targets = {
         f"{member}.{name}": axis.limits.velocity * SPEED_FRACTION
         for name, axis in fleet.controllers[member].axes.items()
     }
     steps: list[dict[str, Any]] = [{"do": "enable", "axes": [member]}, {"do": "home", "axes": [member]}]
     job = make_job("try", [*steps, {"do": "move", "to": targets, "speed": SPEED_FRACTION}])
-    return JobOrder(job, QueueTerms(priority=9), (member,))
+    return JobOrder(job, QueueTerms(priority=priority), (member,))
 
 
 def _group_inseparable(fleet: Fleet) -> list[list[str]]:

@@ -7,6 +7,7 @@ from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecor
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
 from orchestrator.model.report import JobReport
+from orchestrator.model.session import SESSION_TIMEOUT_NS
 from orchestrator.runtime.virtual import VirtualFleet
 from sim.core.controller import CommandedMotion
 
@@ -17,6 +18,10 @@ REQUESTED_STOP_NS = 500 * NS_PER_MS
 REST_AFTER_END_NS = (
     400 * NS_PER_MS
 )  # from the end of a failed job, by the journal, to the rest of its axes, without the ramp
+REQUESTED_STOPS = ("stop", "estop", "operator-interrupts", "operator-resets-early")
+# Faults after which no waiting job begins until the operator has started the queue.
+BREAKS = ("stop", "estop", "operator-resets-early", "fleet-restarted")
+ABSENCE_NS = SESSION_TIMEOUT_NS + REQUESTED_STOP_NS  # from a lost command to the start of the deceleration
 JOG_END_NS = 700 * NS_PER_MS  # from the last renewal of a jog to the end of its motion, without the ramp
 
 
@@ -68,6 +73,7 @@ class MotionChecker:
         if step is None:
             self.add_violation("1/2", f"{label} moved at {_format_seconds(motion.start_ns)} without a decision")
             return
+        self._check_asked_for(phase, label, motion, step)
         # A controller that hung, or whose replies were lost, executes earlier commands, whichever job has its lease.
         if name not in phase.unstoppable and name not in self._untrusted:
             self._check_lease(label, name, axis_name, motion, step)
@@ -83,6 +89,28 @@ class MotionChecker:
         if ended is not None and motion.end_ns > ended + self._records.origin_ns() + REST_AFTER_END_NS + ramp_ns:
             late_ns = motion.end_ns - ended - self._records.origin_ns()
             self.add_violation("3", f"{label} moved until {_format_seconds(late_ns)} after its job was {row.state}")
+
+    def _check_asked_for(self, phase: CampaignPhase, label: str, motion: CommandedMotion, step: StepRecord) -> None:
+        """Check invariant 11: after a break no job moves anything until a person has started the queue, and none of a
+        command that has ended."""
+        order, broken_ns = phase.jobs.get(step.job), phase.fault_ns
+        if order is None or broken_ns is None:
+            return
+        attended = order.terms.session is not None
+        if phase.fault.name in BREAKS and not attended:
+            until_ns = phase.queue_started_ns
+            if step.requested_ns > broken_ns + REQUESTED_STOP_NS and (until_ns is None or step.requested_ns < until_ns):
+                at = _format_seconds(motion.start_ns)
+                self.add_violation(
+                    "11", f"{label} moved at {at}, after {phase.fault.name}, and no one had asked for it"
+                )
+        if not (attended and phase.fault.attended and order.job.name == "main"):
+            return
+        if step.requested_ns > broken_ns + ABSENCE_NS:
+            self.add_violation("11", f"{label} moved for a command that had ended ({phase.fault.name})")
+        elif label.partition(".")[0] not in self._untrusted:
+            # Also when the move has reached its target in spite of it.
+            self._check_braking(phase, label, motion)
 
     def _ramp_ns(self, label: str) -> int:
         """The longest deceleration of the axis `label`: by its limits, or by what its controller declares."""
@@ -139,7 +167,11 @@ class MotionChecker:
             return
         since_ns = max(broken_ns, motion.start_ns) if phase.fault.latent else broken_ns
         ramp_ns = self._ramp_ns(label)
-        allowed_ns = REQUESTED_STOP_NS if phase.fault.name in ("stop", "estop") else DETECTION_NS
+        allowed_ns = DETECTION_NS
+        if phase.fault.name in REQUESTED_STOPS:
+            allowed_ns = REQUESTED_STOP_NS
+        elif phase.fault.name == "operator-lost":
+            allowed_ns = ABSENCE_NS
         # The deceleration must begin in time; its duration is the one that the member declared.
         slowing_ns = motion.slowing_ns if motion.slowing_ns is not None else end_ns
         if slowing_ns > since_ns + allowed_ns or end_ns > since_ns + allowed_ns + ramp_ns:

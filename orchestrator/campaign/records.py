@@ -36,6 +36,7 @@ class CampaignPhase:
     jobs: job orders by job id.
     motions_before: number of earlier motions of each controller.
     affected: controllers that the fault affects.
+    queue_started_ns: when the operator started the queue after the fault.
 
     Instants in host ns, None for events that have not happened.
     """
@@ -49,6 +50,7 @@ class CampaignPhase:
     fault_ns: int | None = None
     repair_ns: int | None = None
     at_rest: set[str] = field(default_factory=set[str])
+    queue_started_ns: int | None = None
 
     @property
     def unstoppable(self) -> set[str]:
@@ -158,13 +160,14 @@ class PhaseRecords:
     def find_motions(
         self, phase: CampaignPhase, name: str, motor: str, step: tuple[str, int], t0_host_ns: int
     ) -> list[CommandedMotion]:
-        """Return the motions of an axis in the step that begins at T0, up to the next step. Slow motions consist of
-        several pieces."""
+        """Return the motions of an axis in the step that begins at T0, up to the next step or homing. Slow motions
+        consist of several pieces."""
         t0s = [
             each.fields["t0_fleet_ns"] + self.origin_ns()
             for each in self._recorder.find_requests("go")
             if each.member == name
         ]
+        t0s += [each.sent_ns + STEP_WINDOW_NS for each in self._recorder.find_requests("home") if each.member == name]
         until_ns = min((each for each in t0s if each > t0_host_ns + STEP_WINDOW_NS), default=None)
         from_ns = self.earliest_motion_ns(step, t0_host_ns)
         return [

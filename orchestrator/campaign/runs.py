@@ -11,7 +11,9 @@ from orchestrator.campaign.recorder import STAGES
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, SeedRun, run_scenario
 from orchestrator.runtime.workers import map_in_processes
 
-CELLS = [FaultCell(stage, fault, make) for fault in FAULTS for make in MAKES for stage in STAGES]
+CELLS = [
+    FaultCell(stage, name, make) for name, fault in FAULTS.items() for make in fault.makes or MAKES for stage in STAGES
+]
 
 
 def _make_round() -> list[FaultCell]:
@@ -24,7 +26,10 @@ def _make_round() -> list[FaultCell]:
     for lap, turn in product(range(1, 4), range(len(MAKES))):
         for number, (name, fault) in enumerate(FAULTS.items()):
             for place, stage in enumerate(STAGES):
-                make = MAKES[(turn + number + place) % len(MAKES)]
+                makes = fault.makes or MAKES
+                if turn >= len(makes):
+                    continue  # each of them had its turn
+                make = makes[(turn + number + place) % len(makes)]
                 if fault.reach != "fleet" or stage in SINGLE_MEMBER_STAGES or (lap + turn) % 3:
                     cells.append(FaultCell(stage, name, make))
     return cells

@@ -29,6 +29,7 @@ from orchestrator.campaign.jobs import (
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.client.api import Tutti
+from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
@@ -42,8 +43,8 @@ REPAIR_DELAY_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is de
 STAGE_TIMEOUT_NS = 20 * NS_PER_S  # for the stage to be reached
 REFUSED_JOB_TIMEOUT_S = 10.0  # for a job that must be refused
 READY_TIMEOUT_S = 25.0  # for a fleet to become ready after the repair
+OPERATOR_DELAY_NS = 4 * NS_PER_S  # after a restart, before the operator starts the queue
 OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
-_WAITS_FOR_AXIS = ("is not referenced", "is not enabled")  # reasons of waiting jobs that the operator mends
 END_TIMEOUT_NS = 50 * NS_PER_S  # for the remaining jobs to end
 POLL_NS = 200 * NS_PER_MS
 REST_POLLS = 150  # polls for controllers at rest, 7 ms apart
@@ -141,6 +142,7 @@ class _Scenario:
         self._stage_times: dict[tuple[tuple[str, int], str], dict[str, int]] = {}
         self._epochs: dict[str, int] = {}
         self._phase: CampaignPhase | None = None
+        self._attendance: Attendance | None = None
         self._jogging = False
         self.recorder = BusRecorder(clock, self._on_request)
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
@@ -183,7 +185,8 @@ class _Scenario:
             report = await client.wait_for_job(job_id)
         if report.state != "done":
             self.checker.add_violation("3", f"the preparation of {axes} is {report.state}: {report.reason}")
-        self.checker.check_positions(await client.status(1.0))
+        if self._phase is None:  # within a phase other axes may move
+            self.checker.check_positions(await client.status(1.0))
         return report.state == "done"
 
     # A phase
@@ -202,9 +205,19 @@ class _Scenario:
             by_hand = asyncio.get_running_loop().create_task(self._jog_axis(act, member, STAGE_RENEWALS, reached))
             while not self._jogging and not by_hand.done():
                 await sleep_ns(self._clock, NS_PER_MS)
-        for order in draw_orders(
+        orders = draw_orders(
             fleet, member, home_first=cell.stage == "home", positions=self._axis_positions(), draw=self._draw
-        ):
+        )
+        if fault.name == "fleet-restarted":
+            # One that would switch motors on and home by itself.
+            orders.append(make_trial(fleet, member, priority=-2))
+        if fault.of_job:
+            act.affected = list(orders[0].controllers)
+        if fault.attended:
+            self._attendance = await client.attend().__aenter__()
+            terms = orders[0].terms.model_copy(update={"session": self._attendance.session})
+            orders[0] = replace(orders[0], terms=terms)
+        for order in orders:
             keys[order.job.name] = key = self.virtual.draw_id()
             act.jobs[await client.submit(order.job, key, order.terms)] = order
             self._log_event(f"{order.job.name} of {', '.join(order.controllers)}")
@@ -228,6 +241,9 @@ class _Scenario:
                 else f"{order.job.name} is missing from the journal"
             )
         self._phase = None
+        if self._attendance is not None:
+            await self._attendance.__aexit__()
+            self._attendance = None
         self.checker.check_phase(act)
         self.checker.check_positions(await client.status(1.0))
 
@@ -264,6 +280,7 @@ class _Scenario:
         self._seed_run.affected += [hit._replace(make=make) for make in makes]
         self._log_event(f"{cell.fault} of {phase.member} at {stage}")
         await self._injector.inject_fault(phase.fault, phase.member)
+        await self._act_as_operator(phase, step[0])
         await sleep_ns(self._clock, max(0, now_ns + REPAIR_DELAY_NS - self._clock.now_ns()))
         await self._check_latches(cell.fault)
         if cell.fault == "host-other-file":
@@ -271,6 +288,17 @@ class _Scenario:
         phase.repair_ns = self._clock.now_ns()
         await self._injector.repair_fault()
         self._log_event("mended")
+
+    async def _act_as_operator(self, phase: CampaignPhase, job_id: str) -> None:
+        """Interrupt, or lose, the command that a person waits for."""
+        attendance, self._attendance = self._attendance, None
+        if attendance is not None and phase.fault.name == "operator-interrupts":
+            operator = self.virtual.make_client("operator")
+            with suppress(Refusal):
+                await operator.cancel_job(job_id)
+            await operator.close()
+        if attendance is not None:
+            await attendance.__aexit__()
 
     async def _try_other_file(self, phase: CampaignPhase) -> None:
         """Submit a job that homes and moves a member whose host has another fleet file than the coordinator."""
@@ -290,13 +318,17 @@ class _Scenario:
         """Act as the operator until all jobs end: wait until the fleet is ready, start the queue, release held jobs,
         and restore axes that jobs wait for."""
         await self._wait_until_ready(client)
+        if phase.fault.name == "fleet-restarted":
+            await sleep_ns(self._clock, OPERATOR_DELAY_NS)
+        phase.queue_started_ns = self._clock.now_ns()
         until_ns = self._clock.now_ns() + END_TIMEOUT_NS
         while not self._all_finished(phase) and self._clock.now_ns() < until_ns:
             with suppress(Refusal):
                 await client.start_queue()
                 await client.release_jobs()
                 waiting = (await client.list_jobs(state="queued")).jobs
-                if any(mark in each.reason for each in waiting for mark in _WAITS_FOR_AXIS):
+                if any(each.reason.startswith("waits for: ") for each in waiting):
+                    # Faults are reset, and axes that have lost their reference are homed.
                     await self._restore_axes(client)
             await sleep_ns(self._clock, OPERATOR_PERIOD_NS)
         await sleep_ns(self._clock, NS_PER_S)

@@ -33,9 +33,24 @@ def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
         if as_json:
             print_json({name: state.to_plain() for name, state in states.items()})
         else:
-            console.print(make_state_table(states))
+            leases = {lease.holder: lease for lease in await tutti.list_leases() if lease.holder is not None}
+            console.print(make_state_table(states, leases))
+            await print_queue_stop(tutti)
 
     with_fleet(connect, fleet, show_status)
+
+
+async def print_queue_stop(tutti: Any) -> None:
+    """Print why no job begins, if the queue is stopped; nothing without a coordinator."""
+    from orchestrator.model.errors import Refusal
+    from orchestrator.monitor.queue_words import describe_queue
+
+    try:
+        found = await tutti.list_jobs(limit=1)
+    except Refusal:
+        return
+    if found.stopped is not None:
+        console.print(describe_queue(found), style="bold yellow", highlight=False, markup=False)
 
 
 @click.command(epilog="Example: tutti stop")
@@ -133,6 +148,8 @@ def reset(event: str | None, connect: str, fleet: str | None, *, as_json: bool) 
                 console.print(f"releasing e-stop {name} by {latched[name].actor}", markup=False)
         answers = await tutti.reset(event)
         refused = any(answers.values())
+        if not as_json:
+            await print_queue_stop(tutti)
         _print_answers(answers, "still latched by another e-stop" if refused and latched else "reset", as_json=as_json)
 
     with_fleet(connect, fleet, reset_estop)

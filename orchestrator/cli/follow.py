@@ -1,5 +1,7 @@
 """Follow a job to its end on the screen."""
 
+import time
+
 from rich.live import Live
 
 from orchestrator.cli.base.common import console, errors
@@ -33,9 +35,9 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
                 console.print(line, highlight=False, markup=False, soft_wrap=True)
 
         return await tutti.wait_for_job(job_id, print_progress)
-    view = LiveView(tutti.keys)
+    view = LiveView(tutti.keys, time.monotonic)
     async with tutti.subscribe_samples(*view.key_expressions) as samples:
-        view.states = await tutti.status()
+        view.take_states(await tutti.status(), await tutti.list_leases())
         with Live(get_renderable=view.render_screen, console=console, refresh_per_second=10, transient=True):
 
             def take_progress(progress: JobProgress) -> None:

@@ -49,14 +49,14 @@ def submit(
     **terms: Unpack[TermsOptions],
 ) -> None:
     """Submit the job in FILE. It begins when its axes are free, and no earlier job waits for them."""
-    from orchestrator.cli.base.foreground import (
+    from orchestrator.cli.follow import follow_job
+    from orchestrator.cli.foreground import (
         controllers_of,
         count_interrupts,
         follow_unless_interrupted,
         say,
         stop_own_job,
     )
-    from orchestrator.cli.follow import follow_job
     from orchestrator.client import Tutti
     from orchestrator.model.files import load_job
     from orchestrator.monitor.report_table import make_report_tables

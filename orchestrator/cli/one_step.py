@@ -1,6 +1,6 @@
 """Manual actions as jobs of one step, so that they are leased, checked, recorded and stopped like any other job.
 
-They end with the command: see `orchestrator.cli.base.foreground`.
+They end with the command: see `orchestrator.cli.foreground`.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ def run_single_step(connect: str, fleet: str | None, step: dict[str, Any], done:
     """
     from pydantic import ValidationError
 
-    from orchestrator.cli.base.foreground import run_attended
+    from orchestrator.cli.foreground import run_attended
     from orchestrator.client import Tutti
     from orchestrator.model.job import Job
 

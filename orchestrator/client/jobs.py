@@ -176,7 +176,7 @@ class JobRequests(FleetConnection):
         self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0
     ) -> JobReport:
         """Wait for a job's end and return its report, as the journal has it. on_progress: called with progress from
-        the bus.
+        the bus, and at once with what a queued job waits for.
 
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
@@ -192,9 +192,11 @@ class JobRequests(FleetConnection):
         subscription = await self.bus.subscribe(self.keys.job_state(job_id), receive_progress)
         try:
             while True:
-                report = (await self.show_job_when_available(job_id, poll_s)).report
-                if report is not None:
-                    return report
+                shown = await self.show_job_when_available(job_id, poll_s)
+                if shown.report is not None:
+                    return shown.report
+                if on_progress is not None and shown.entry is not None and shown.entry.state == "queued":
+                    on_progress(_make_queued_progress(shown.entry))
                 changed.clear()
                 try:
                     async with asyncio.timeout(poll_s):
@@ -273,6 +275,23 @@ class SubmittedJob(str):
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         await self._requests.resume_job(self)
+
+
+def _make_queued_progress(entry: QueueEntry) -> JobProgress:
+    """The progress of a job that has not begun, from its entry in the queue."""
+    return JobProgress(
+        job_id=entry.id,
+        name=entry.name,
+        actor=entry.actor,
+        state=entry.state,
+        step=entry.from_step,
+        steps=entry.from_step + 1,
+        step_name="",
+        fraction=0.0,
+        remaining_s=None,
+        reason=entry.reason,
+        utc=entry.submitted_utc,
+    )
 
 
 async def _next_progress(samples: "asyncio.Queue[BusSample]") -> JobProgress | None:

@@ -124,7 +124,8 @@ class FeedHold(Model):
 class StepReport(Model):
     """The record of one step. After feed holds it describes the last part, and lists the holds before.
 
-    arming_fleet_ns: start of its last arming. settled_fleet_ns: when T0 was settled, after all members had promised.
+    verdict: green only if starts, durations and ends are certainly as promised. arming_fleet_ns: start of its last
+    arming. settled_fleet_ns: when T0 was settled, after all members had promised.
     """
 
     index: int
@@ -142,6 +143,9 @@ class StepReport(Model):
     start_skew: SkewInterval | None = None
     end_skew: SkewInterval | None = None
     verdict: Literal["green", "amber", "red", "none"] = "none"
+    deviations: list[str] = Field(
+        default=[], description="What differs from the plan although the step is done: durations, ends, positions."
+    )
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
 
@@ -199,6 +203,7 @@ class LeaseState(Model):
     holder: str | None
     actor: str
     what: str = ""
+    until_utc: str | None = Field(default=None, description="When a reservation ends by itself.")
     epoch: Int53
 
 

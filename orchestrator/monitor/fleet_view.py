@@ -1,5 +1,6 @@
 """The current state of the fleet and its active jobs, gathered from the bus, as tables for a terminal."""
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from pydantic import ValidationError
@@ -10,8 +11,9 @@ from rich.text import Text
 
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.model.report import FINISHED_STATES, JobProgress
+from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
+from orchestrator.monitor.queue_words import describe_queue
 from orchestrator.monitor.tables import make_plain_table
 
 _MODE_STYLE = {
@@ -26,22 +28,29 @@ _MODE_STYLE = {
     "fault": "red",
 }
 MAX_EVENTS_SHOWN = 5
+STALE_S = 1.5  # adapters publish at least every 0.4 s
 MAX_JOBS_SHOWN = 6
 
 
 @dataclass(slots=True)
 class LiveView:
-    """The known state of the fleet; pass each arriving sample to `take_sample`."""
+    """The known state of the fleet; pass each arriving sample to `take_sample`. now_s: a monotonic clock, for ages."""
 
     keys: FleetKeys
+    now_s: Callable[[], float]
     states: dict[str, ControllerState] = field(default_factory=dict[str, ControllerState])
+    received_s: dict[str, float] = field(default_factory=dict[str, float])
+    """When the state of each controller was received, by `now_s`."""
+    leases: dict[str, LeaseState] = field(default_factory=dict[str, LeaseState])
+    """By holder."""
+    queue: QueueState | None = None
     jobs: dict[str, JobProgress] = field(default_factory=dict[str, JobProgress])
     events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
 
     @property
     def key_expressions(self) -> tuple[str, ...]:
         """The key expressions to subscribe to."""
-        return (self.keys.state(), self.keys.event(), self.keys.job_state())
+        return (self.keys.state(), self.keys.event(), self.keys.job_state(), self.keys.queue, self.keys.leases)
 
     def take_sample(self, sample: BusSample) -> str | None:
         """Store a sample. Return the line to print where there is no live screen; None if the sample needs none."""
@@ -53,13 +62,45 @@ class LiveView:
             if "/job/" in sample.key:
                 progress = JobProgress.model_validate_json(sample.payload)
                 return format_job_line(progress) if self.store_progress(progress) else None
+            if sample.key == self.keys.queue:
+                return self._take_queue(QueueState.model_validate_json(sample.payload))
+            if "/lease/" in sample.key:
+                self._take_lease(LeaseState.model_validate_json(sample.payload))
+                return None
             state = ControllerState.model_validate_json(sample.payload)
         except ValidationError:
             return f"unreadable message on {sample.key}"
         before_state, self.states[state.controller] = self.states.get(state.controller), state
+        self.received_s[state.controller] = self.now_s()
         if before_state is not None and before_state.mode == state.mode:
             return None
         return f"{state.utc} {state.controller}: {state.mode}"
+
+    def take_states(self, states: Mapping[str, ControllerState], leases: Iterable[LeaseState] = ()) -> None:
+        """Store states and leases that were queried."""
+        for lease in leases:
+            self._take_lease(lease)
+        for name, state in states.items():
+            self.states[name] = state
+            self.received_s[name] = self.now_s()
+
+    def find_ages(self) -> dict[str, float]:
+        """The age of each controller's state, in s, where it is too old to be shown as live."""
+        now_s = self.now_s()
+        return {
+            name: now_s - self.received_s.get(name, now_s)
+            for name in self.states
+            if now_s - self.received_s.get(name, now_s) > STALE_S
+        }
+
+    def _take_queue(self, queue: QueueState) -> str | None:
+        before, self.queue = self.queue, queue
+        was_stopped = before is not None and before.stopped is not None
+        return describe_queue(queue) if (queue.stopped is not None) != was_stopped else None
+
+    def _take_lease(self, lease: LeaseState) -> None:
+        if lease.holder is not None:
+            self.leases[lease.holder] = lease
 
     def store_progress(self, progress: JobProgress) -> bool:
         """Store a job's progress; return whether its state or step has changed. Of finished jobs only the newest is
@@ -72,7 +113,9 @@ class LiveView:
 
     def render_screen(self) -> RenderableType:
         """Render the whole screen."""
-        parts: list[RenderableType] = [make_state_table(self.states)]
+        parts: list[RenderableType] = [make_state_table(self.states, self.leases, self.find_ages())]
+        if self.queue is not None and self.queue.stopped is not None:
+            parts.append(Text(describe_queue(self.queue), style="bold yellow"))
         shown = sorted(self.jobs.values(), key=lambda each: (each.state == "queued", each.job_id))
         parts += [make_job_bar(each) for each in shown[:MAX_JOBS_SHOWN]]
         if len(shown) > MAX_JOBS_SHOWN:
@@ -85,37 +128,63 @@ class LiveView:
         return Group(*parts)
 
 
-def make_state_table(states: dict[str, ControllerState]) -> RenderableType:
+def make_state_table(
+    states: Mapping[str, ControllerState],
+    leases: Mapping[str, LeaseState] | None = None,
+    ages: Mapping[str, float] | None = None,
+) -> RenderableType:
     """Build a table with one row per axis: its position, and the reason why it is not ready; then the faults of
-    whole controllers."""
+    whole controllers.
+
+    leases: by holder. ages: by controller, the age in s of a state that is too old to be shown as live.
+    """
+    ages = ages or {}
     table = make_plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"])
     troubles: list[RenderableType] = []
     for controller, state in sorted(states.items()):
+        age_s = ages.get(controller)
         known = state.mode != "offline"
+        row_style = "" if age_s is None else "dim"
+        mode = state.mode if age_s is None else f"unknown, {age_s:.0f} s old"
         for index, (axis, now) in enumerate(state.axes.items()):
             first = index == 0
             table.add_row(
                 controller if first else "",
-                Text(state.mode, style=_MODE_STYLE.get(state.mode, "")) if first else "",
+                Text(mode, style="red" if age_s is not None else _MODE_STYLE.get(mode, "")) if first else "",
                 axis,
                 f"{now.position:,.4f} {now.unit}" if known else "-",
                 f"{now.velocity:,.2f} /s" if known else "-",
                 _describe_clock(state) if first else "",
-                describe_axis(now) if known else "",
+                describe_axis(now, estop=state.estop is not None) if known and age_s is None else "",
+                style=row_style,
             )
         if state.estop is not None:
             why = f": {state.estop.reason}" if state.estop.reason else ""
             by = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
             troubles.append(Text(by, style="bold red"))
         held = {holder for holder in state.leases.values() if holder.startswith("manual-")}
-        troubles += [Text(f"{controller}: under manual control ({holder})", style="yellow") for holder in sorted(held)]
+        troubles += [
+            Text(f"{controller}: {_describe_holder(holder, leases or {})}", style="yellow") for holder in sorted(held)
+        ]
         troubles += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
     return Group(table, *troubles)
 
 
-def describe_axis(axis: AxisState) -> Text:
-    """Describe the state of an axis in few words: the reason why it is not ready, or that it is."""
-    words: list[tuple[str, str]] = []
+def _describe_holder(holder: str, leases: Mapping[str, LeaseState]) -> str:
+    lease = leases.get(holder)
+    if lease is None:
+        return "under manual control"
+    return f"in use by {lease.actor} ({lease.what}{_describe_end(lease.until_utc)})"
+
+
+def _describe_end(until_utc: str | None) -> str:
+    return "" if until_utc is None else f", until {until_utc[:19].replace('T', ' ')} UTC"
+
+
+def describe_axis(axis: AxisState, *, estop: bool = False) -> Text:
+    """Describe the state of an axis in few words: the reason why it is not ready, or that it is. estop: an e-stop is
+    latched at its controller."""
+    words: list[tuple[str, str]] = [("e-stop", "bold red")] if estop else []
     if axis.homing:
         words.append(("homing", "cyan"))
     elif axis.moving:
@@ -149,7 +218,7 @@ def make_job_bar(job: JobProgress) -> RenderableType:
         f" {job.name!r}: ",
         (job.state, _MODE_STYLE.get(job.state, "green" if job.state == "done" else "")),
     )
-    if job.state in FINISHED_STATES:
+    if job.state in FINISHED_STATES or job.state == "queued":
         return Text.assemble(head, f" ({job.reason})" if job.reason else "")
     grid = Table.grid(padding=(0, 1))
     grid.add_column()

@@ -31,6 +31,7 @@ def make_report_tables(report: JobReport) -> RenderableType:
     if not members.row_count:
         return Group(head, "", steps)
     later = [Text(line) for step in report.steps for line in _describe_deviations(step)]
+    later += [Text(f"step {step.index}: {line}", style="red") for step in report.steps for line in step.deviations]
     return Group(head, "", steps, "", members, "", "Predicted, guaranteed, and measured:", budgets, *later)
 
 

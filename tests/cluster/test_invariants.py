@@ -9,15 +9,20 @@ from typing import Any, NamedTuple
 import pytest
 
 from adapters.controller.jogging import JogControl
+from adapters.controller.leases import MotionLeases
 from adapters.controller.participant import StepParticipant
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.shrc203.driver import ShrcDriver
+from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.jobs.attendance import SessionMonitor
+from orchestrator.coordinator.jobs.queue_gate import QueueGate
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.motion import step
 from orchestrator.coordinator.motion.start import StartSequence
 from orchestrator.model.messages import ArmRequest, ProposeRequest
 
@@ -137,6 +142,32 @@ def takes_any_configuration(patch: Patch) -> None:
     patch.setattr(ControllerSupervisor, "_check_step", blind)
 
 
+def begins_after_a_break(patch: Patch) -> None:
+    """The queue continues by itself after a restart."""
+    patch.setattr(QueueGate, "note_break", nothing)
+
+
+def misses_absence(patch: Patch) -> None:
+    """Neither the adapters nor the coordinator notice that the command of a person is gone."""
+
+    def find_none(_: SessionMonitor, sessions: object) -> set[str]:
+        del sessions
+        return set()
+
+    patch.setattr(SessionMonitor, "find_absent", find_none)
+    patch.setattr(MotionLeases, "_present_until_ns", lambda _, lease: lease.until_ns)
+
+
+def judges_starts_only(patch: Patch) -> None:
+    """No setting is compared, and the verdict does not cover durations."""
+
+    async def find_nothing(*_: object, **__: object) -> tuple[()]:
+        return ()
+
+    patch.setattr(SMC4000Driver, "check_settings", find_nothing)
+    patch.setattr(step, "judge_completed_step", lambda report, *_: report)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`."""
 
@@ -159,6 +190,9 @@ MUTATIONS = (
     Mutation("8", claims_too_much, FaultCell("motion", "none", "shrc203")),
     Mutation("9", hears_no_other_reign, FaultCell("arm", "coordinator-overtaken", "ppsmc")),
     Mutation("10", takes_any_configuration, FaultCell("arm", "host-other-file", "cia402")),
+    Mutation("11", begins_after_a_break, FaultCell("motion", "fleet-restarted", "shrc203")),
+    Mutation("3", misses_absence, FaultCell("motion", "operator-lost", "smc4000")),
+    Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000")),
 )
 SEEDS = 12  # a fault does not find its precondition in every one
 

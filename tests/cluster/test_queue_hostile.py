@@ -272,7 +272,8 @@ def test_a_job_does_not_start_while_the_journal_cannot_record_it(monkeypatch: py
         db.execute("PRAGMA query_only=OFF")
         report = await client.wait_for_job(blocked)
         if begun:  # it has failed, and the other one needs the same controller
-            assert (await held.show()).entry.held_by == f"job {blocked}"
+            shown = (await held.show()).entry
+            assert shown is not None and shown.held_by == f"job {blocked}"
             await held.release()
         states = [report.state, (await client.wait_for_job(held)).state]
         assert states == ["failed" if begun else "done", "done"]

@@ -170,8 +170,9 @@ class RunningFleet:
         return self.wait(self.submit(steps))
 
     def ready(self) -> None:
-        """Bring all axes to the beginning from any position: the fleet works."""
+        """Bring all axes to the beginning from any position: the fleet works, and its queue is started."""
         self.works()
+        self.ask(lambda tutti: tutti.start_queue())
         report = self.run(READY)
         assert report.state == "done", report.reason
 

@@ -22,7 +22,7 @@ def coordinators(fleet: RunningFleet) -> set[int]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.nightly)])
-def test_the_queue_continues_when_the_leader_is_lost(tmp_path: Path, number: signal.Signals) -> None:
+def test_the_queue_is_kept_when_the_leader_is_lost(tmp_path: Path, number: signal.Signals) -> None:
     fleet = RunningFleet(tmp_path, EXAMPLES / "demo.fleet.yaml", "--standby")
     try:
         fleet.started().ready()
@@ -37,6 +37,9 @@ def test_the_queue_continues_when_the_leader_is_lost(tmp_path: Path, number: sig
         wait_until(lambda: fleet.epoch() > first, "the second one reigns")
         assert margin_s(lost_ns, raw_ns()) < TAKE_OVER_S + BUSY_S
         assert fleet.wait(running).state == "interrupted"
+        # A step was interrupted: the queue begins when an operator starts it.
+        assert "the queue is stopped" in fleet.tutti("queue", "status").stdout
+        assert "the queue is running" in fleet.tutti("queue", "start").stdout
         assert fleet.wait(queued).state == "done"
         # A stopped one is ended, and started again after the other.
         wait_until(lambda: len(coordinators(fleet) - {reigning}) == 2, "the lost one stands by again")

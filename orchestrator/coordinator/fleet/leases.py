@@ -121,12 +121,16 @@ class LeaseRegistry:
 
     def describe_use(self, held: LeaseHold) -> str:
         """A description of a lease for others that need its axes: by which user, what for, until when."""
-        left_ns = 0 if held.until_ns is None else held.until_ns - self._fleet.clock.now_ns()
-        until = ""
-        if left_ns > SHOWN_FROM_NS:
-            end = parse_utc(self._fleet.clock.utc()) + timedelta(microseconds=left_ns / NS_PER_US)
-            until = f", until {format_utc(end)[:19]}Z"
+        end = self._find_end_utc(held)
+        until = "" if end is None else f", until {end[:19]}Z"
         return f"in use by {held.actor} ({held.what}{until})"
+
+    def _find_end_utc(self, held: LeaseHold) -> str | None:
+        """When a reservation ends by itself; None for a lease that its client renews, or that has no end."""
+        left_ns = 0 if held.until_ns is None else held.until_ns - self._fleet.clock.now_ns()
+        if left_ns <= SHOWN_FROM_NS:
+            return None
+        return format_utc(parse_utc(self._fleet.clock.utc()) + timedelta(microseconds=left_ns / NS_PER_US))
 
     def restore_reservation(self, held: LeaseHold) -> None:
         """Restore a reservation of an earlier coordinator, without the right to move."""
@@ -295,6 +299,7 @@ class LeaseRegistry:
             holder=holder,
             actor=held.actor,
             what=held.what,
+            until_utc=self._find_end_utc(held),
             epoch=self._fleet.requests.leadership.epoch,
         )
 

@@ -1,13 +1,21 @@
 """Reports of motion steps: planned against actual, budget against verdict."""
 
+from collections.abc import Mapping
+from typing import Literal
+
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.motion.budget import judge_skew, measure_skew
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.start import StartState
 from orchestrator.model.messages import ArmedReply
-from orchestrator.model.report import MemberReport, StepReport, SyncBudget
-from orchestrator.model.state import AxisEvidence, TimeInterval
+from orchestrator.model.report import MemberReport, SkewInterval, StepReport, SyncBudget
+from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
+
+Verdict = Literal["green", "amber", "red", "none"]
+
+DURATION_TOLERANCE_S = 0.02  # beyond the evidence's own interval and the clock error, as at the prediction
+POSITION_TOLERANCE_COUNTS = 1  # rounding of the last count
 
 
 def narrow_evidence(budget: SyncBudget | None, t0_fleet_ns: int, member: str, evidence: AxisEvidence) -> AxisEvidence:
@@ -36,6 +44,61 @@ def make_member_report(agreement: StartAgreement, armed: ArmedReply, member: str
         planned_s={axis: profile.duration_s for axis, profile in profiles.items()},
         lowered_s=armed.durations_s,
     )
+
+
+def find_wrong_durations(agreement: StartAgreement, reports: Mapping[str, MemberReport]) -> list[str]:
+    """Axes whose motion has certainly taken another time than their controller has promised, in words."""
+    found: list[str] = []
+    for member, report in reports.items():
+        ppm = agreement.proposals[member].clock_ppm
+        for axis, evidence in report.evidence.items():
+            promised_s = report.lowered_s.get(axis)
+            if promised_s is None or evidence.end is None:
+                continue
+            start = evidence.start_for_verdict
+            shortest_s = (evidence.end.earliest_ns - start.latest_ns) / NS_PER_S
+            longest_s = (evidence.end.latest_ns - start.earliest_ns) / NS_PER_S
+            margin_s = DURATION_TOLERANCE_S + promised_s * ppm * 1e-6
+            if not (shortest_s - margin_s <= promised_s <= longest_s + margin_s):
+                taken_s = (shortest_s + longest_s) / 2
+                found.append(f"{member}.{axis} took {taken_s:.3f} s, promised {promised_s:.3f} s")
+    return found
+
+
+def find_misplaced_axes(agreement: StartAgreement, states: Mapping[str, ControllerState]) -> list[str]:
+    """Axes that are not commanded to their targets after the step, in words."""
+    found: list[str] = []
+    for axis, profile in agreement.plan.profiles.items():
+        controller, _, name = axis.partition(".")
+        state = states.get(controller)
+        if state is None or state.mode == "offline":
+            continue
+        off = state.axes[name].commanded_counts - profile.end_counts
+        if abs(off) > POSITION_TOLERANCE_COUNTS and not state.axes[name].moving:
+            found.append(f"{axis} is {off:+d} counts from its target")
+    return found
+
+
+def judge_ends(verdict: Verdict, ends: SkewInterval | None, budget: SyncBudget | None) -> Verdict:
+    """The verdict with the allowed end skew, if the job has one."""
+    allowed_ns = budget.end.allowed_ns if budget is not None and budget.end is not None else None
+    if ends is None or allowed_ns is None or ends.at_most_ns <= allowed_ns:
+        return verdict
+    if ends.at_least_ns > allowed_ns:
+        return "red"
+    return "amber" if verdict == "green" else verdict
+
+
+def judge_completed_step(
+    report: StepReport, agreement: StartAgreement, states: Mapping[str, ControllerState]
+) -> StepReport:
+    """The report of a step that is done with the verdict on all that was promised: starts, durations, ends and
+    positions. states: of its members, after the step."""
+    deviations = [*find_wrong_durations(agreement, report.members), *find_misplaced_axes(agreement, states)]
+    verdict = report.verdict
+    if verdict != "none":
+        verdict = "red" if deviations else judge_ends(verdict, report.end_skew, agreement.budget)
+    return report.model_copy(update={"verdict": verdict, "deviations": deviations})
 
 
 def make_step_report(

@@ -8,7 +8,7 @@ from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest, plan_request
 from orchestrator.coordinator.motion.recorder import StepRecorder
-from orchestrator.coordinator.motion.report import make_step_report
+from orchestrator.coordinator.motion.report import judge_completed_step, make_step_report
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StartSequence, StateCallback
 from orchestrator.coordinator.motion.watch import StepWatch
@@ -121,4 +121,9 @@ class MotionStep:
             reason = f"paused by {start.state.paused_by}"
             report = make_step_report(request, agreement, start.state, watch.reports, ("stopped", reason))
             return report.model_copy(update={"refused": RefusalDetails(code=FEED_HOLD, text=reason)})
-        return make_step_report(request, agreement, start.state, watch.reports, failure)
+        report = make_step_report(request, agreement, start.state, watch.reports, failure)
+        if failure is not None:
+            return report
+        view = self._services.fleet.view
+        states = {member: state for member in agreement.proposals if (state := view.last_state(member)) is not None}
+        return judge_completed_step(report, agreement, states)

@@ -34,7 +34,7 @@ def screen(view: LiveView) -> str:
 
 
 def test_all_running_jobs_are_shown_and_the_newest_ended_ones() -> None:
-    view = LiveView(FleetKeys("lab"))
+    view = LiveView(FleetKeys("lab"), lambda: 0.0)
     assert view.take_sample(progress("aaaa", "running"))
     assert view.take_sample(progress("bbbb", "running"))
     assert view.take_sample(progress("aaaa", "running")) is None
@@ -48,7 +48,7 @@ def test_all_running_jobs_are_shown_and_the_newest_ended_ones() -> None:
 
 
 def test_a_long_queue_is_cut_after_the_running_jobs() -> None:
-    view = LiveView(FleetKeys("lab"))
+    view = LiveView(FleetKeys("lab"), lambda: 0.0)
     for number in range(MAX_JOBS_SHOWN + 3):
         view.take_sample(progress(f"q{number:03}", "queued"))
     view.take_sample(progress("zzzz", "running"))
@@ -57,7 +57,7 @@ def test_a_long_queue_is_cut_after_the_running_jobs() -> None:
 
 
 def test_a_step_has_the_number_that_from_step_takes() -> None:
-    view = LiveView(FleetKeys("lab"))
+    view = LiveView(FleetKeys("lab"), lambda: 0.0)
     line = view.take_sample(progress("aaaa", "running", 1))
     assert line is not None and "step 1 move, 2 of 3" in line
     assert "step 1 move, 2 of 3" in screen(view)
