@@ -10,6 +10,7 @@ from orchestrator.model.profile import Profile
 
 # Tolerance for the rounding of a plan that uses its limits to the full; lowering itself bounds the quantisation.
 LIMIT_TOLERANCE = 1e-6
+COUNT_RANGE = 2**31  # controllers and drives keep positions in 32 bits
 
 
 def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *, drives: bool) -> None:
@@ -73,10 +74,16 @@ def check_limits(name: str, axis: Axis, profile: Profile) -> None:
             "acceleration-limit",
             f"axis {name}: {rate:g} {axis.unit}/s² exceeds its limit of {axis.limits.acceleration:g}",
         )
+    low, high = profile.extent_counts
+    if low < -COUNT_RANGE or high >= COUNT_RANGE:
+        raise Refusal(
+            "position-range",
+            f"axis {name}: the move reaches {low:g} to {high:g} counts; positions are below ±{COUNT_RANGE} counts",
+            "move the other way; for a rotary axis home it, which begins to count again",
+        )
     limits = axis.soft_limits_counts
     if limits is None:
         return
-    low, high = profile.extent_counts
     # A start outside the limits may only lead back inside; half a count allows for rounding along the path.
     inside = limits[0] - 0.5 <= profile.end_counts <= limits[1] + 0.5
     start_outside = not limits[0] <= profile.start_counts <= limits[1]

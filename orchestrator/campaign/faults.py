@@ -84,6 +84,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("operator-lost", "fleet", of_job=True, attended=True, jog_may_continue=True),
         FaultKind("operator-resets-early", "fleet"),
         FaultKind("fleet-restarted", "fleet"),
+        FaultKind("cable-pulled", "line", makes=("smc4000",)),
         FaultKind("second-master", "unit", must_stop=False, makes=("smc4000", "cia402")),
     )
 }
@@ -243,10 +244,15 @@ class FaultInjector:
 
         def restore_wire() -> None:
             wire.cut, wire.to_near, wire.to_far, wire.model = False, None, None, usual
+            wire.lose_close = False
 
         match fault:
             case "link-cut":
                 wire.cut = True
+            case "cable-pulled":  # the controller keeps half-open connections
+                wire.lose_close = True
+                for link in list(wire.links):
+                    link.hang_up()
             case "link-closed":
                 for link in list(wire.links):
                     link.hang_up()

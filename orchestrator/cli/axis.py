@@ -43,7 +43,9 @@ def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
                 table.add_row(name, "-", now.unit, "-", "-", "offline")
                 continue
             user, motor = f"{now.position:,.4f}", f"{now.motor_position:,.4f}"
-            table.add_row(name, user, now.unit, motor, f"{now.raw_counts:,.0f}", describe_axis(now))
+            table.add_row(
+                name, user, now.unit, motor, f"{now.raw_counts:,.0f}", describe_axis(now, estop=state.estop is not None)
+            )
         console.print(table)
 
     with_fleet(connect, fleet, act)

@@ -102,10 +102,12 @@ async def stop_own_job(tutti: "Tutti", job_id: str, controllers: list[str], inte
         say(f"left before the stop was complete: {await _describe_motion(tutti, controllers)}")
         raise SystemExit(INTERRUPTED)
     again.cancel()
-    stop.result()
+    if not stop.result():
+        raise SystemExit(FAILED)
 
 
-async def _stop_and_wait(tutti: "Tutti", job_id: str, controllers: list[str]) -> None:
+async def _stop_and_wait(tutti: "Tutti", job_id: str, controllers: list[str]) -> bool:
+    """Stop the job and wait for its end. Return whether a stop was accepted."""
     from orchestrator.bus.base import BusError
     from orchestrator.model.errors import Refusal
 
@@ -114,15 +116,16 @@ async def _stop_and_wait(tutti: "Tutti", job_id: str, controllers: list[str]) ->
             await tutti.cancel_job(job_id)
     except (Refusal, BusError, TimeoutError) as error:
         if not (isinstance(error, Refusal) and error.code == "ended"):
-            await _stop_directly(tutti, controllers, str(error))
-            return
+            return await _stop_directly(tutti, controllers, str(error))
     report = await tutti.wait_for_job(job_id)
     where = await _describe_positions(tutti, controllers)
     say(f"stopped{where}" if report.state != "done" else f"done before the stop{where}")
+    return True
 
 
-async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) -> None:
-    """Stop the controllers themselves, because the coordinator has not stopped the job."""
+async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) -> bool:
+    """Stop the controllers themselves, because the coordinator has not stopped the job. Return whether all have
+    accepted it."""
     from orchestrator.bus.base import BusError
     from orchestrator.model.errors import Refusal
     from orchestrator.model.messages import Reply, StopRequest
@@ -138,8 +141,9 @@ async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) ->
     if failed or not controllers:
         say(f"NOT STOPPED ({reason}): {'; '.join(failed)}")
         say("use the e-stop: `tutti estop`, or the wired one")
-        raise SystemExit(FAILED)
+        return False
     say(f"stopped: {', '.join(controllers)}; the coordinator has not confirmed the end of the job ({reason})")
+    return True
 
 
 async def _describe_positions(tutti: "Tutti", controllers: list[str]) -> str:

@@ -80,6 +80,7 @@ def split_pieces(data: bytes) -> list[bytes]:
 class MemoryWire:
     """The wire to one port of one simulated controller. Faults are injected here, from outside.
 
+    lose_close: the close of a link does not reach the controller, as when a cable is pulled: a half-open connection.
     far_context: the context of the process that the controller lives in. closed_ns: when the close of the last link
     reaches, or has reached, the controller. late_ns: when lines to the controller were written that were delayed
     beyond latency and jitter, by the tail.
@@ -93,6 +94,7 @@ class MemoryWire:
     far_context: Context
     seed: int = 0
     cut: bool = False
+    lose_close: bool = False
     refuse: bool = False
     to_far: Callable[[bytes], bytes] | None = None
     to_near: Callable[[bytes], bytes] | None = None
@@ -274,7 +276,7 @@ class MemoryLink:
             return
         self._mark_closed()
         far = self._far
-        if far is not None:
+        if far is not None and not self._wire.lose_close:
             wire = self._wire
             closed_ns = wire.clock.now_ns() + wire.delay_ns()
             wire.closed_ns = max(wire.closed_ns, closed_ns)

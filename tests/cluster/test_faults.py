@@ -30,11 +30,12 @@ from orchestrator.bench import sync_fleets
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import ControllerFault, Refusal
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet import Fleet, QueuePolicy
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobState
 from orchestrator.runtime.virtual import VirtualFleet
 
+CONTINUES = QueuePolicy(on_restart="continue", on_failure="continue")
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
 STAGE = job("[{do: move, to: {stage.u: 12}, speed: 0.15}]")
 BACK = job("[{do: move, to: {gantry.x: 200}, speed: 1}]")
@@ -148,7 +149,7 @@ def test_a_job_waits_for_the_ramp_of_the_previous_one_which_keeps_its_axes_until
         assert report.state == "done", report.reason
         assert rested(fleet, "gantry", leased_ns[second])
 
-    run_fleet(main)
+    run_fleet(main, demo_fleet().model_copy(update={"queue": CONTINUES}))
 
 
 def test_a_controller_that_hung_at_its_start_is_stopped_when_it_recovers() -> None:
@@ -402,14 +403,15 @@ def test_a_job_waits_for_an_unreachable_controller_as_long_as_it_may_brake(
         fleet.kill("host/local")
         assert (await client.wait_for_job(first)).state == "failed"
         await sleep_ns(fleet.clock, 3 * NS_PER_S // 2)
-        then = await client.submit(job("[{do: move, to: {steps.x: 1}}]", max_start_skew="50 ms"))
+        then = await client.submit(job("[{do: enable, axes: [steps]}, {do: home, axes: [steps]}]"))
         await client.wait_for_job(then)
-        stopped = fleet.controllers["steps"].commanded_motions[-1]
+        moved = [each for each in fleet.controllers["steps"].commanded_motions if each.start_ns < leased_ns[then]]
+        stopped = moved[-1]
         assert stopped.slowing_ns is not None and stopped.end_ns is not None
         assert stopped.end_ns - stopped.slowing_ns > 4 * NS_PER_S
         assert rested(fleet, "steps", leased_ns[then])
 
-    run_fleet(main, gentle_fleet(steps=steps))
+    run_fleet(main, gentle_fleet(steps=steps).model_copy(update={"queue": CONTINUES}))
 
 
 def test_a_stop_that_was_lost_with_the_bus_is_requested_again() -> None:

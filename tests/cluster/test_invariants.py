@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from adapters.controller import participant
 from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
 from adapters.controller.participant import StepParticipant
@@ -159,12 +160,13 @@ def misses_absence(patch: Patch) -> None:
 
 
 def judges_starts_only(patch: Patch) -> None:
-    """No setting is compared, and the verdict does not cover durations."""
+    """No setting is compared, and neither the adapter nor the verdict covers durations."""
 
     async def find_nothing(*_: object, **__: object) -> tuple[()]:
         return ()
 
     patch.setattr(SMC4000Driver, "check_settings", find_nothing)
+    patch.setattr(participant, "_find_wrong_durations", lambda *_: {})
     patch.setattr(step, "judge_completed_step", lambda report, *_: report)
 
 

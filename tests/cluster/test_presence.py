@@ -5,6 +5,7 @@ import asyncio
 import pytest
 from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
+from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import Refusal
@@ -354,7 +355,6 @@ def test_a_count_that_jumps_at_rest_unreferences_the_axis_and_nothing_moves_by_i
 
 def test_an_idle_axis_that_moves_during_a_step_stops_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gearing of a second master that no check of settings has found: the positions alone show it."""
-    from adapters.yaskawa.smc4000.driver import SMC4000Driver
 
     async def find_nothing(*_: object, **__: object) -> tuple[()]:
         return ()
@@ -371,3 +371,45 @@ def test_an_idle_axis_that_moves_during_a_step_stops_the_step(monkeypatch: pytes
         assert fleet.controllers["gantry"].position("Y") < 25_000
 
     run_fleet(main, changed(demo_fleet(), gantry={"state": {"moving_hz": 20.0}}))
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_a_filter_that_another_client_changes_is_found_before_or_after_the_move(
+    watched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its value before the step is armed; if that is not compared, by the duration, which no green verdict covers."""
+
+    async def find_nothing(*_: object, **__: object) -> tuple[()]:
+        return ()
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.make_client("anna")
+        await client.send_raw("gantry", "ITX=0.02", i_know=True)
+        if watched:
+            await fleet.wait_until(lambda states: states["gantry"].mode == "fault")
+            assert (await client.status())["gantry"].faults[0].code == "setting-changed"
+            assert not any((await client.reset()).values())
+            assert (await outcome(fleet, job("[{do: move, by: {gantry.x: 10}}]"))).state == "done"
+            return
+        report = await outcome(fleet, job("[{do: move, by: {gantry.x: 10}}]"))
+        assert report.state == "failed"
+        assert "axis x took" in report.reason
+        assert not (await client.status())["gantry"].axes["x"].referenced
+
+    if not watched:
+        monkeypatch.setattr(SMC4000Driver, "check_settings", find_nothing)
+    run_fleet(main)
+
+
+def test_a_target_beyond_the_counts_of_controllers_is_refused_when_it_is_proposed() -> None:
+    wide = {"scale": 10_000_000, "soft_limits": None}
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        before = motions(fleet)
+        refused = (await outcome(fleet, job("[{do: move, to: {gantry.x: 300}, speed: 0.001}]"))).steps[-1].refused
+        assert refused is not None
+        assert (refused.code, motions(fleet)) == ("position-range", before)
+
+    run_fleet(main, changed(demo_fleet(), gantry={"axes": {"x": wide}}))

@@ -7,7 +7,6 @@ from unit.adapters.test_smc4000_bench import FLEET, World, run
 
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkRefused
-from orchestrator.link.memory import MemoryLink
 
 OTHER_HOST = -1062731510
 
@@ -19,22 +18,10 @@ def occupied(world: World) -> list[str]:
 
 async def pull_cable(world: World) -> None:
     """A cable pull: the adapter gives up its links, and nothing of that gets through."""
-    world.wire.cut = world.wire.refuse = True
+    world.wire.cut = world.wire.refuse = world.wire.lose_close = True
     await world.driver.close()
     await sleep_ns(world.clock, NS_PER_S)
-    world.wire.cut = world.wire.refuse = False
-
-
-@pytest.fixture(autouse=True)
-def closes_are_lost_with_the_cable(monkeypatch: pytest.MonkeyPatch) -> None:
-    hang_up = MemoryLink.hang_up
-
-    def lose_close(self: Any) -> None:
-        if self._open and self._wire.cut:
-            self._far = None
-        hang_up(self)
-
-    monkeypatch.setattr(MemoryLink, "hang_up", lose_close)
+    world.wire.cut = world.wire.refuse = world.wire.lose_close = False
 
 
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
