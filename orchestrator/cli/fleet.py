@@ -2,7 +2,7 @@
 
 import asyncio
 import uuid
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,38 +19,47 @@ from orchestrator.cli.base.common import (
     with_fleet,
 )
 
+if TYPE_CHECKING:
+    from orchestrator.client import Tutti
+    from orchestrator.model.report import QueueState
+
 
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
 @fleet_options
 @json_option
 def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show the current state of every controller and axis."""
-    from orchestrator.client import Tutti
-    from orchestrator.monitor.fleet_view import make_state_table
+    from orchestrator.monitor.fleet_view import make_state_table, name_missing_permits
 
-    async def show_status(tutti: Tutti) -> None:
+    async def show_status(tutti: "Tutti") -> None:
         states = await tutti.status()
         if as_json:
             print_json({name: state.to_plain() for name, state in states.items()})
         else:
             leases = {lease.holder: lease for lease in await tutti.list_leases() if lease.holder is not None}
-            console.print(make_state_table(states, leases))
-            await print_queue_stop(tutti)
+            queue = await load_queue(tutti)
+            console.print(make_state_table(states, leases, permits=name_missing_permits(queue)))
+            print_queue_stop(queue)
 
     with_fleet(connect, fleet, show_status)
 
 
-async def print_queue_stop(tutti: Any) -> None:
-    """Print why no job begins, if the queue is stopped; nothing without a coordinator."""
+async def load_queue(tutti: "Tutti") -> "QueueState | None":
+    """The state of the queue; None without a coordinator."""
     from orchestrator.model.errors import Refusal
-    from orchestrator.monitor.queue_words import describe_queue
 
     try:
-        found = await tutti.list_jobs(limit=1)
+        return await tutti.list_jobs(limit=1)
     except Refusal:
-        return
-    if found.stopped is not None:
-        console.print(describe_queue(found), style="bold yellow", highlight=False, markup=False)
+        return None
+
+
+def print_queue_stop(queue: "QueueState | None") -> None:
+    """Print why no job begins, if the queue is stopped."""
+    from orchestrator.monitor.queue_words import describe_queue
+
+    if queue is not None and queue.stopped is not None:
+        console.print(describe_queue(queue), style="bold yellow", highlight=False, markup=False)
 
 
 @click.command(epilog="Example: tutti stop")
@@ -149,7 +158,7 @@ def reset(event: str | None, connect: str, fleet: str | None, *, as_json: bool) 
         answers = await tutti.reset(event)
         refused = any(answers.values())
         if not as_json:
-            await print_queue_stop(tutti)
+            print_queue_stop(await load_queue(tutti))
         _print_answers(answers, "still latched by another e-stop" if refused and latched else "reset", as_json=as_json)
 
     with_fleet(connect, fleet, reset_estop)

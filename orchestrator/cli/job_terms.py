@@ -142,4 +142,6 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
         lines.append(f"held by {entry.held_by}: `tutti job release {entry.id}`")
     if entry.place is not None:
         lines.append(f"place {entry.place} in the queue: {entry.reason}")
+    elif entry.state == "queued" and entry.reason != "submitted":
+        lines.append(entry.reason)
     return lines

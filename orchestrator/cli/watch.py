@@ -1,15 +1,11 @@
 """`tutti watch`: the fleet and the running job, live."""
 
 import time
-from typing import TYPE_CHECKING
 
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, with_fleet
-
-if TYPE_CHECKING:
-    from orchestrator.client import Tutti
-    from orchestrator.model.report import QueueState
+from orchestrator.cli.fleet import load_queue
 
 REFRESH_HZ = 10
 
@@ -27,7 +23,7 @@ def watch(connect: str, fleet: str | None) -> None:
         view = LiveView(tutti.keys, time.monotonic)
         async with tutti.subscribe_samples(*view.key_expressions) as samples:
             view.take_states(await tutti.status(), await tutti.list_leases())
-            view.queue = await _load_queue(tutti)
+            view.queue = await load_queue(tutti)
             if not console.is_terminal:
                 while True:
                     line = view.take_sample(await samples.get())
@@ -38,12 +34,3 @@ def watch(connect: str, fleet: str | None) -> None:
                     view.take_sample(await samples.get())
 
     with_fleet(connect, fleet, watch_fleet)
-
-
-async def _load_queue(tutti: "Tutti") -> "QueueState | None":
-    from orchestrator.model.errors import Refusal
-
-    try:
-        return await tutti.list_jobs(limit=1)
-    except Refusal:
-        return None

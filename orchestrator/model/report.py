@@ -227,6 +227,14 @@ class QueueEntry(Model):
     from_step: int = 0
 
 
+class MissingPermit(Model):
+    """A permit that does not hold, or has not settled yet, and the axes that may not move without it."""
+
+    name: str
+    axes: list[str]
+    text: str
+
+
 class QueueState(Model):
     """A list of jobs. On `queue`: the running ones, then the waiting ones in the queue's order (the first of `total`).
     In the answer to `svc/list`: the matching jobs, newest first."""
@@ -236,3 +244,4 @@ class QueueState(Model):
     jobs: list[QueueEntry]
     stopped: QueueStop | None = Field(default=None, description="No job of the queue begins: since when, and why.")
     waiting: int = Field(default=0, description="Number of waiting jobs.")
+    missing_permits: list[MissingPermit] = Field(default=[])

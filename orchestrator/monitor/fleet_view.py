@@ -113,7 +113,8 @@ class LiveView:
 
     def render_screen(self) -> RenderableType:
         """Render the whole screen."""
-        parts: list[RenderableType] = [make_state_table(self.states, self.leases, self.find_ages())]
+        permits = name_missing_permits(self.queue)
+        parts: list[RenderableType] = [make_state_table(self.states, self.leases, self.find_ages(), permits)]
         if self.queue is not None and self.queue.stopped is not None:
             parts.append(Text(describe_queue(self.queue), style="bold yellow"))
         shown = sorted(self.jobs.values(), key=lambda each: (each.state == "queued", each.job_id))
@@ -132,13 +133,15 @@ def make_state_table(
     states: Mapping[str, ControllerState],
     leases: Mapping[str, LeaseState] | None = None,
     ages: Mapping[str, float] | None = None,
+    permits: Mapping[str, str] | None = None,
 ) -> RenderableType:
     """Build a table with one row per axis: its position, and the reason why it is not ready; then the faults of
     whole controllers.
 
-    leases: by holder. ages: by controller, the age in s of a state that is too old to be shown as live.
+    leases: by holder. ages: by controller, the age in s of a state that is too old to be shown as live. permits: by
+    axis, the permits that are missing.
     """
-    ages = ages or {}
+    ages, permits = ages or {}, permits or {}
     table = make_plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"])
     troubles: list[RenderableType] = []
     for controller, state in sorted(states.items()):
@@ -155,7 +158,7 @@ def make_state_table(
                 f"{now.position:,.4f} {now.unit}" if known else "-",
                 f"{now.velocity:,.2f} /s" if known else "-",
                 _describe_clock(state) if first else "",
-                describe_axis(now, estop=state.estop is not None) if known and age_s is None else "",
+                _describe_ready(state, now, permits.get(f"{controller}.{axis}")) if known and age_s is None else "",
                 style=row_style,
             )
         if state.estop is not None:
@@ -168,6 +171,24 @@ def make_state_table(
         ]
         troubles += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
     return Group(table, *troubles)
+
+
+def name_missing_permits(queue: QueueState | None) -> dict[str, str]:
+    """The names of the permits that each axis misses."""
+    missing: dict[str, list[str]] = {}
+    for permit in queue.missing_permits if queue is not None else ():
+        for axis in permit.axes:
+            missing.setdefault(axis, []).append(permit.name)
+    return {axis: ", ".join(names) for axis, names in missing.items()}
+
+
+def _describe_ready(state: ControllerState, axis: AxisState, permit: str | None) -> Text:
+    """What keeps an axis from moving: its own state, an e-stop, a permit."""
+    words = describe_axis(axis, estop=state.estop is not None)
+    if permit is None:
+        return words
+    missing = Text(f"permit {permit}", style="yellow")
+    return missing if words.plain == "ready" else Text(", ").join([words, missing])
 
 
 def _describe_holder(holder: str, leases: Mapping[str, LeaseState]) -> str:

@@ -1,5 +1,6 @@
 """Steps that a trigger line starts: an SMC-4000 drives it, an SHRC-203 and another SMC-4000 wait for it."""
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -243,3 +244,21 @@ def test_the_wiring_is_not_checked_while_wired_axes_are_in_use_or_without_wires(
             await fleet.make_client().check_wiring()
 
     run_fleet(bare)
+
+
+@pytest.mark.parametrize("after_ms", [0, 10, 40, 80, 160, 300])
+def test_a_job_that_is_cancelled_before_its_start_leaves_no_driver_of_a_line_armed(after_ms: int) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.make_client()
+        before = count(fleet)
+        cancelled = await client.submit(WAITERS)
+        await asyncio.sleep(0.01 + after_ms / 1000)
+        await client.cancel_job(cancelled)
+        assert (await client.wait_for_job(cancelled)).state == "cancelled"
+        # The next job does not have to wait for the T0 of the one before.
+        assert (await client.status())["gantry"].mode in ("idle", "stopping")
+        assert (await outcome(fleet, job("[{do: move, by: {gantry.x: 1}}]"))).state == "done"
+        assert count(fleet)["portal"] == before["portal"]
+
+    run_fleet(main, wired_fleet())

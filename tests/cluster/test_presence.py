@@ -413,3 +413,20 @@ def test_a_target_beyond_the_counts_of_controllers_is_refused_when_it_is_propose
         assert (refused.code, motions(fleet)) == ("position-range", before)
 
     run_fleet(main, changed(demo_fleet(), gantry={"axes": {"x": wide}}))
+
+
+def test_missing_permits_are_listed_with_their_axes_while_they_are_missing() -> None:
+    permit = Permit.model_validate({"input": "gantry.door", "value": False, "axes": ["stage.u"]})
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client("anna")
+        await asyncio.sleep(1.0)
+        assert (await client.list_jobs()).missing_permits == []
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
+        await fleet.wait_until(lambda states: states["gantry"].inputs["door"])
+        await asyncio.sleep(0.1)
+        (missing,) = (await client.list_jobs()).missing_permits
+        assert (missing.name, missing.axes) == ("door-closed", ["stage.u"])
+        assert "input gantry.door is active" in missing.text
+
+    run_fleet(main, demo_fleet().model_copy(update={"permits": {"door-closed": permit}}))

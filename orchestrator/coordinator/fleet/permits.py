@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.fleet import Permit
+from orchestrator.model.report import MissingPermit
 from orchestrator.model.state import ControllerState
 
 
@@ -18,6 +19,8 @@ class PermitMonitor:
         self._since_ns: dict[str, int | None] = {}
         self._losses: dict[str, int] = {}
         self._listeners: list[Callable[[], None]] = []
+        self.on_change: Callable[[], None] = _ignore_change
+        """Called when a permit is lost or holds again."""
         view.add_state_listener(self._take_state)
 
     def add_loss_listener(self, listener: Callable[[], None]) -> Callable[[], None]:
@@ -28,9 +31,26 @@ class PermitMonitor:
     def find_missing(self, axes: Iterable[str]) -> str | None:
         """The first permit of `axes` that does not hold, or has not settled yet, in words."""
         for name, permit in self._view.fleet.permits_of(axes).items():
-            words = self._describe_broken(name, permit)
-            if words is not None:
-                return f"permit {name} does not hold: {words}"
+            text = self._describe_missing(name, permit)
+            if text is not None:
+                return text
+        return None
+
+    def list_missing(self) -> list[MissingPermit]:
+        """All permits that do not hold, or have not settled yet, with their axes."""
+        fleet, found = self._view.fleet, list[MissingPermit]()
+        for name, permit in fleet.permits.items():
+            text = self._describe_missing(name, permit)
+            if text is not None:
+                axes = [axis for axis in fleet.axis_names if name in fleet.permits_of([axis])]
+                found.append(MissingPermit(name=name, axes=axes, text=text))
+        return found
+
+    def _describe_missing(self, name: str, permit: Permit) -> str | None:
+        words = self._describe_broken(name, permit)
+        if words is not None:
+            return f"permit {name} does not hold: {words}"
+        if permit.settle:
             since_ns = self._since_ns.get(name)
             held_ns = 0 if since_ns is None else self._clock.now_ns() - since_ns
             if held_ns < permit.settle:
@@ -71,8 +91,11 @@ class PermitMonitor:
                 continue
             held = self._since_ns.get(name) is not None
             holds = self._describe_broken(name, permit) is None
+            if holds != held:
+                self.on_change()
             if holds and not held:
-                self._since_ns[name] = self._clock.now_ns()
+                now_ns = self._since_ns[name] = self._clock.now_ns()
+                self._clock.call_at_ns(now_ns + permit.settle + 1, self.on_change)
             elif held and not holds:
                 self._since_ns[name] = None
                 self._losses[name] = self._losses.get(name, 0) + 1
@@ -80,6 +103,10 @@ class PermitMonitor:
         if lost:
             for listener in list(self._listeners):
                 listener()
+
+
+def _ignore_change() -> None:
+    return None
 
 
 class PermitWatch:

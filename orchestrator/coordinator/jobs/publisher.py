@@ -43,7 +43,11 @@ class QueuePublisher:
     def make_queue_state(self, total: int, rows: Iterable[JobRecord]) -> QueueState:
         """A list of jobs with the state of the queue."""
         return QueueState(
-            total=total, jobs=self.make_entries(rows), stopped=self._stopped(), waiting=len(self._waiting)
+            total=total,
+            jobs=self.make_entries(rows),
+            stopped=self._stopped(),
+            waiting=len(self._waiting),
+            missing_permits=self._services.fleet.permits.list_missing(),
         )
 
     def make_entries(self, rows: Iterable[JobRecord]) -> list[QueueEntry]:
@@ -52,15 +56,18 @@ class QueuePublisher:
 
     def make_entry(self, row: JobRecord) -> QueueEntry:
         """The list entry of a job. It has its place as soon as the scheduler has decided that it waits."""
-        run, waiting = self._running.get(row.id), self._waiting.get(row.id)
+        run, waiting, stopped = self._running.get(row.id), self._waiting.get(row.id), self._stopped()
+        usual = row.reason
         if waiting is not None:
             row = waiting.row
+            # A job that has just been accepted has not been scheduled yet.
+            usual = describe_stop(stopped) if stopped is not None and not waiting.is_attended else row.reason
         return QueueEntry(
             id=row.id,
             name=row.name,
             actor=row.actor,
             state=run.state if run is not None and row.state not in FINISHED_STATES else row.state,
-            reason=row.reason if waiting is None else self._reasons.get(row.id, row.reason),
+            reason=row.reason if waiting is None else self._reasons.get(row.id, usual),
             submitted_utc=row.submitted_utc,
             place=None if waiting is None else self._places.get(row.id),
             terms=row.terms,
@@ -99,6 +106,11 @@ class QueuePublisher:
                 progress = make_queued_progress(row, "queued", reason, self._services.clock.utc(), steps)
                 self._services.bus.put(self._services.keys.job_state(row.id), progress.to_json(), Priority.STATE)
         self._told = told
+
+
+def describe_stop(stop: QueueStop) -> str:
+    """Why no job of the queue begins, for a job that waits."""
+    return f"the queue is stopped ({stop.reason}): `tutti queue start`"
 
 
 def make_queued_progress(row: JobRecord, state: JobState, reason: str, utc: str, steps: int) -> JobProgress:

@@ -16,7 +16,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.coordinator.jobs.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.conditions import JobNeeds, Obstacle, WorldConditions, find_needs
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
-from orchestrator.coordinator.jobs.publisher import QueuePublisher, make_queued_progress
+from orchestrator.coordinator.jobs.publisher import QueuePublisher, describe_stop, make_queued_progress
 from orchestrator.coordinator.jobs.queue import Schedule, WaitingJob, choose_jobs, expand_repeats, sort_waiting
 from orchestrator.coordinator.jobs.queue_gate import QueueGate
 from orchestrator.coordinator.journal.journal import JobHasEnded, JobRecord, JournalError
@@ -66,6 +66,7 @@ class Scheduler:
         self._timed = asyncio.Event()
         self._arranging = asyncio.Lock()
         services.leases.add_release_listener(lambda _: self.wake_up())
+        services.fleet.permits.on_change = self._queue_has_changed
 
     async def start(self) -> None:
         """End the jobs that an earlier leader left running, then begin with the queue. Raises `JournalError`."""
@@ -245,7 +246,7 @@ class Scheduler:
     def _make_schedule(self) -> Schedule:
         queue = ((each, self._find_needs(each).controllers) for each in sort_waiting(self._waiting))
         stopped = self.gate.stopped
-        why = "" if stopped is None else f"the queue is stopped ({stopped.reason}): `tutti queue start`"
+        why = "" if stopped is None else describe_stop(stopped)
         return choose_jobs(queue, self._find_busy(), self._find_condition, why)
 
     def _find_busy(self) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """A motion step: plan, negotiate, start in two phases, watch, report."""
 
+import asyncio
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, Protocol
@@ -104,6 +105,11 @@ class MotionStep:
             observer.on_started(start.state.t0_fleet_ns, agreement.plan.duration_s)
             await watch.run()
             report = await self._finish(start, watch, agreement)
+        except asyncio.CancelledError:
+            # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
+            # would wait for T0, and refuse the next job until then.
+            await start.disarm_line_driver()
+            raise
         finally:
             self._start = None
             watch.close()
