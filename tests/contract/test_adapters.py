@@ -279,7 +279,9 @@ def test_nothing_starts_without_go(name: str) -> None:
     run(name, main)
 
 
-@pytest.mark.parametrize("when_ms", [-400, -60, -10, 3, 90, 400])
+@pytest.mark.parametrize(
+    "when_ms", [-400, -10, 3, 400, *(pytest.param(n, marks=pytest.mark.nightly) for n in (-60, 90))]
+)
 def test_a_stop_at_any_moment_stops_all_in_the_declared_time(name: str, when_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
@@ -305,7 +307,9 @@ def test_a_stop_at_any_moment_stops_all_in_the_declared_time(name: str, when_ms:
     run(name, main, seed=when_ms)
 
 
-@pytest.mark.parametrize("when_ms", [0, 1, 4, 9, 16, 25, 40, 70, 130])
+@pytest.mark.parametrize(
+    "when_ms", [0, 4, 16, 40, 130, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 9, 25, 70))]
+)
 def test_a_stop_at_any_moment_ends_a_homing_or_prevents_its_start(name: str, when_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()

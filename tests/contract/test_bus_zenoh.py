@@ -87,6 +87,7 @@ def test_a_stopped_router_delays_nothing_but_itself() -> None:
     run_live(body)
 
 
+@pytest.mark.nightly
 def test_a_process_ends_although_its_router_is_stopped() -> None:
     program = """
 import asyncio, os, signal, sys

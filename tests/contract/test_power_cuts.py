@@ -31,7 +31,12 @@ async def step(world: World) -> None:
 
 
 @pytest.mark.parametrize(
-    "moments_ns", [MOMENTS_NS[::2], pytest.param(MOMENTS_NS[1::2], marks=pytest.mark.nightly)], ids=["", "more"]
+    "moments_ns",
+    [
+        MOMENTS_NS[::4],
+        *(pytest.param(MOMENTS_NS[first::4], marks=pytest.mark.nightly) for first in (1, 2, 3)),
+    ],
+    ids=["", "more", "still more", "all others"],
 )
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("act", [jog, home, step])

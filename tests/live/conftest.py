@@ -9,6 +9,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from children import Children
+from fleet import RunningFleet
 
 
 @pytest.fixture
@@ -16,3 +17,13 @@ def children(tmp_path: Path) -> Iterator[Children]:
     started = Children(tmp_path)
     yield started
     started.close()
+
+
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
+    """The demo fleet for all tests that leave it working; they run one after the other."""
+    fleet = RunningFleet(tmp_path_factory.mktemp("shared"))
+    try:
+        yield fleet.started()
+    finally:
+        fleet.close()

@@ -109,6 +109,7 @@ STEPS = [
 ]
 
 
+@pytest.mark.nightly
 def test_a_fleet_with_a_bridge_homes_and_moves(tmp_path: Path) -> None:
     async def main() -> JobReport:
         live = LiveFleet(fleet(), tmp_path / "state", lambda _: None, port=free_port(), simulated=True)

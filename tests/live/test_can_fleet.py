@@ -82,6 +82,7 @@ def test_one_job_moves_both_drives_and_the_report_covers_both(fleet: RunningFlee
     assert (alone.returncode, "--output" in alone.stderr) == (2, True)
 
 
+@pytest.mark.nightly
 def test_the_guardian_stops_a_bus_whose_adapter_host_is_killed(fleet: RunningFleet) -> None:
     report = fleet.run(READY)
     assert report.state == "done", report.reason

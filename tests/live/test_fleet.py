@@ -44,15 +44,6 @@ BROKEN_OFF = ("failed", "aborted", "interrupted")
 AXES = {"gantry": {"x": "X", "y": "Y"}, "stage": {"u": "1", "v": "2", "focus": "3"}}
 
 
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
-    fleet = RunningFleet(tmp_path_factory.mktemp("shared"))
-    try:
-        yield fleet.started()
-    finally:
-        fleet.close()
-
-
 def note(name: str, value: object) -> None:
     """Shown by `pytest -rP`."""
     sys.stdout.write(f"{name}: {value}\n")
@@ -115,6 +106,7 @@ def test_the_demo_prints_one_object_with_every_step() -> None:
         assert step["planned_s"] == pytest.approx(step["actual_s"], abs=0.02)
 
 
+@pytest.mark.nightly
 def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
     """The precision depends on this machine; that they start, and that the budget names every member, does not."""
     done = run_tutti("demo", "--fleet", "all", "--headless", "--json")
@@ -228,6 +220,7 @@ def test_a_hung_router_stops_everything_and_work_continues(shared: RunningFleet)
     note("rest_s", took_s)
 
 
+@pytest.mark.nightly
 def test_a_killed_simulator_stops_the_others_and_comes_back(shared: RunningFleet) -> None:
     bring_back(shared)
     job_id = shared.slow_move()
@@ -380,6 +373,7 @@ def test_jobs_are_submitted_from_a_script_and_with_zenoh_alone(shared: RunningFl
     assert "gantry" in told.stderr
 
 
+@pytest.mark.nightly
 def test_a_coordinator_that_slept_loses_leadership_and_moves_nothing(own: RunningFleet) -> None:
     own.started().ready()
     own.slow_move()

@@ -64,16 +64,6 @@ class Terminal:
             self.fd = -1
 
 
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
-    fleet = RunningFleet(tmp_path_factory.mktemp("shared"))
-    try:
-        fleet.started().ready()
-        yield fleet
-    finally:
-        fleet.close()
-
-
 @pytest.fixture
 def slow_move(shared: RunningFleet) -> Iterator[Terminal]:
     """A manual move of some 40 s on a terminal, in motion."""
@@ -97,7 +87,9 @@ def test_ctrl_c_stops_the_axis_and_reports_where_it_is(shared: RunningFleet, slo
     assert "stopped: gantry.x " in slow_move.shown
 
 
-@pytest.mark.parametrize("how", ["kill", "freeze", "close"])
+@pytest.mark.parametrize(
+    "how", ["kill", pytest.param("freeze", marks=pytest.mark.nightly), pytest.param("close", marks=pytest.mark.nightly)]
+)
 def test_an_axis_stops_when_its_command_is_gone(shared: RunningFleet, slow_move: Terminal, how: str) -> None:
     gone_ns = raw_ns()
     if how == "close":
@@ -128,6 +120,7 @@ def test_a_command_that_was_interrupted_while_it_waited_moves_nothing(shared: Ru
     assert shared.starts("gantry") == before
 
 
+@pytest.mark.nightly
 def test_submit_says_that_the_job_continues(shared: RunningFleet) -> None:
     shared.ready()
     job = shared.file([{"do": "dwell", "duration": "3 s"}], "dwell")

@@ -204,6 +204,7 @@ def test_bad_input_is_one_line_and_code_2(module: str, children: Children) -> No
     assert said.count("\n") == 1
 
 
+@pytest.mark.nightly
 def test_a_missing_router_is_code_3(children: Children) -> None:
     fleet = children.folder / "fleet.json"
     axis = {"motors": ["X"], "unit": "mm", "limits": {"velocity": 1, "acceleration": 1}}

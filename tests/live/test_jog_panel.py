@@ -98,6 +98,7 @@ def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) 
     wait_until(lambda: not fleet.status()["gantry"].leases, "it is given back after a while")
 
 
+@pytest.mark.nightly
 def test_a_plain_terminal_taps_and_holds(fleet: RunningFleet, start: Start) -> None:
     panel = start("gantry.x", releases=False)
     assert "reports no releases" in panel.screen_text

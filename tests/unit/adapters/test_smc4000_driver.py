@@ -14,6 +14,8 @@ from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
+MORE_PERIODS = ((250, 500), (5000, 500), (1000, 3000))  # servo period and decoding time, in µs
+
 
 def test_a_step_runs_from_connect_to_its_outcome():
     async def main(world: World) -> None:
@@ -93,7 +95,10 @@ def test_a_gate_that_is_never_opened_means_no_motion():
     run(main)
 
 
-@pytest.mark.parametrize(("period_us", "decode_us"), [(250, 500), (1000, 500), (5000, 500), (250, 1500), (1000, 3000)])
+@pytest.mark.parametrize(
+    ("period_us", "decode_us"),
+    [(1000, 500), (250, 1500), *(pytest.param(*each, marks=pytest.mark.nightly) for each in MORE_PERIODS)],
+)
 def test_a_release_at_the_last_moment_starts_in_time_or_not_at_all(period_us: int, decode_us: int):
     begun: list[bool] = []
 

@@ -328,7 +328,7 @@ def hands(world: World, names: str, seed: int) -> list[Hand]:
     ]
 
 
-@pytest.mark.parametrize("seed", range(100))
+@pytest.mark.parametrize("seed", [*range(40), *(pytest.param(n, marks=pytest.mark.nightly) for n in range(40, 100))])
 def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int):
     async def main(world: World) -> None:
         await world.ready(3)
@@ -341,7 +341,7 @@ def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int):
     run(main, seed=seed, ppm=Random(seed).uniform(-95, 95), options=KNOBS[seed % len(KNOBS)])
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", [*range(20), *(pytest.param(n, marks=pytest.mark.nightly) for n in range(20, 50))])
 def test_two_jogs_and_a_stop_of_all(seed: int):
     async def main(world: World) -> None:
         await world.ready(3)
