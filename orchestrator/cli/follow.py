@@ -4,7 +4,7 @@ import time
 
 from rich.live import Live
 
-from orchestrator.cli.base.common import console, errors
+from orchestrator.cli.base.common import can_redraw, console, errors
 from orchestrator.client import Tutti
 from orchestrator.model.report import JobProgress, JobReport
 from orchestrator.monitor.fleet_view import LiveView, format_job_line
@@ -23,7 +23,7 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
                 errors.print(waits, highlight=False, markup=False, soft_wrap=True)
 
         return await tutti.wait_for_job(job_id, print_waiting)
-    if not console.is_terminal:
+    if not can_redraw():
         last = ""
 
         def print_progress(progress: JobProgress) -> None:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from orchestrator.client import Tutti
     from orchestrator.model.job import Job
     from orchestrator.model.report import JobReport
+    from orchestrator.model.state import ControllerState
 
 T = TypeVar("T")
 
@@ -131,6 +132,9 @@ async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) ->
     from orchestrator.model.messages import Reply, StopRequest
 
     failed: list[str] = []
+    present = list(await _find_states(tutti, []))
+    # A group, or the whole fleet, is not resolved here: in doubt all controllers are stopped.
+    controllers = controllers if controllers and set(controllers) <= set(present) else present
     for controller in controllers:
         request = StopRequest(**tutti.request_fields(), reason=f"stopped by {tutti.actor}")
         try:
@@ -149,27 +153,35 @@ async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) ->
 async def _describe_positions(tutti: "Tutti", controllers: list[str]) -> str:
     """Where the axes of `controllers` are, in words, after a colon; empty if that is not known."""
     shown: list[str] = []
-    for name, state in (await tutti.status()).items():
-        if name in controllers and state.mode != "offline":
+    for name, state in (await _find_states(tutti, controllers)).items():
+        if state.mode != "offline":
             shown += [f"{name}.{axis} {now.position:.3f} {now.unit}" for axis, now in state.axes.items()]
     return f": {', '.join(shown)}" if shown else ""
 
 
 async def _describe_motion(tutti: "Tutti", controllers: list[str]) -> str:
     """What still moves, in words."""
-    from orchestrator.bus.base import BusError
-
-    try:
-        states = await tutti.status(0.5)
-    except BusError:
+    states = await _find_states(tutti, controllers)
+    if not states:
         return "whether anything moves is not known"
     moving = [
         f"{name}.{axis}"
         for name, state in states.items()
         for axis, now in state.axes.items()
-        if name in controllers and (now.moving or now.homing)
+        if now.moving or now.homing
     ]
     return f"{', '.join(moving)} still moves" if moving else "nothing moves"
+
+
+async def _find_states(tutti: "Tutti", controllers: list[str]) -> "dict[str, ControllerState]":
+    """The states of `controllers`, or of all if they are not the names of controllers; none if the bus is gone."""
+    from orchestrator.bus.base import BusError
+
+    try:
+        states = await tutti.status(0.5)
+    except BusError:
+        return {}
+    return {name: states[name] for name in controllers if name in states} or states
 
 
 def say(text: str) -> None:

@@ -4,7 +4,7 @@ import time
 
 import click
 
-from orchestrator.cli.base.common import console, fleet_options, with_fleet
+from orchestrator.cli.base.common import can_redraw, console, fleet_options, with_fleet
 from orchestrator.cli.fleet import load_queue
 
 REFRESH_HZ = 10
@@ -24,7 +24,7 @@ def watch(connect: str, fleet: str | None) -> None:
         async with tutti.subscribe_samples(*view.key_expressions) as samples:
             view.take_states(await tutti.status(), await tutti.list_leases())
             view.queue = await load_queue(tutti)
-            if not console.is_terminal:
+            if not can_redraw():
                 while True:
                     line = view.take_sample(await samples.get())
                     if line is not None:

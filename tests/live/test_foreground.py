@@ -23,10 +23,10 @@ SHORT = [{"do": "move", "by": {"gantry.y": 1}}]
 class Terminal:
     """A command with a terminal of its own."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, kind: str = "xterm") -> None:
         self.pid, self.fd = pty.fork()
         if self.pid == 0:
-            os.execvpe(COMMAND[0], [*COMMAND, *arguments], {**os.environ, "COLUMNS": "120"})
+            os.execvpe(COMMAND[0], [*COMMAND, *arguments], {**os.environ, "COLUMNS": "120", "TERM": kind})
         self.shown = ""
 
     def read_until(self, condition: Callable[[str], bool]) -> None:
@@ -108,7 +108,7 @@ def test_a_command_that_was_interrupted_while_it_waited_moves_nothing(shared: Ru
     assert refused.returncode == 1
     assert "new belt" in refused.stderr
     before = shared.starts("gantry")
-    terminal = Terminal("axis", "move", "gantry.x=50", "--wait", "--connect", shared.endpoint)
+    terminal = Terminal("axis", "move", "gantry.x=50", "--wait", "--connect", shared.endpoint, kind="dumb")
     try:
         terminal.read_until(lambda shown: "new belt" in shown)
         terminal.press_ctrl_c()

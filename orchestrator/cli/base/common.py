@@ -19,6 +19,12 @@ F = TypeVar("F", bound=Callable[..., Any])
 console = Console()
 errors = Console(stderr=True)
 
+
+def can_redraw() -> bool:
+    """Whether the output is a terminal that can show a live screen. A dumb one gets lines."""
+    return console.is_terminal and not console.is_dumb_terminal
+
+
 _UNREACHABLE_CODES = {"no-fleet", "no-coordinator", "absent", "no-answer"}
 
 

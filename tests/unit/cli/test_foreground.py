@@ -82,6 +82,14 @@ def test_without_a_coordinator_the_controllers_are_stopped_directly(monkeypatch:
     assert code is None
 
 
+@pytest.mark.parametrize("named", [[], ["table"]])
+def test_without_names_of_controllers_all_are_stopped(monkeypatch: pytest.MonkeyPatch, named: list[str]) -> None:
+    tutti = FakeTutti(refuse, accept)
+    monkeypatch.setattr(foreground, "say", lambda _: None)
+    asyncio.run(stop_own_job(cast(Tutti, tutti), "j", named, Interrupts()))
+    assert tutti.stopped == ["gantry"]
+
+
 def test_a_stop_that_cannot_be_sent_is_said_in_capitals(monkeypatch: pytest.MonkeyPatch) -> None:
     said, code = end(FakeTutti(refuse, refuse), Interrupts(), monkeypatch)
     assert said[1].startswith("NOT STOPPED (")
