@@ -106,6 +106,11 @@ class SettingDifference:
         text = f"{self.item} is {self.found}, expected {self.expected}: another client has changed it"
         return FaultReport(code="setting-changed", text=text, remedy=remedy, axis=self.axis)
 
+    def to_refusal(self) -> Refusal:
+        """The refusal of a step that relies on the setting."""
+        fault = self.to_fault()
+        return Refusal(fault.code, fault.text, fault.remedy)
+
 
 @dataclass(frozen=True, slots=True)
 class DriverCapabilities:

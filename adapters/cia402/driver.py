@@ -45,6 +45,7 @@ from adapters.contract import (
 )
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.refusals import log_refusals
+from adapters.toolkit.watched_settings import check_watched_settings
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import LinkClosed
@@ -232,11 +233,7 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
 
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
         """Read the objects that determine where a motion goes, or the next two of all objects, by SDO."""
-        watch = self.connection.watch
-        found = await (watch.check_motion() if everything else watch.check_next())
-        for each in found:
-            self._log.warning(f"another client has changed a setting: {each.item}", found=each.found)
-        return found
+        return await check_watched_settings(self.connection.watch, self._log, everything=everything)
 
     def _make_reading(self, found: BusDrive, *, restarted: bool) -> ControllerReading:
         moving = self._is_moving(found)

@@ -1,7 +1,7 @@
 """Commands to a controller from the bus: each verb with its request, executed once, answered with a value."""
 
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Generator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -199,24 +199,21 @@ class ControllerCommands:
         self._require_idle(request)
         if request.on:
             self._fence.require_no_estop()
-        try:
+        with self._ordering():
             await self._components.motors.switch_motors(request.axes, on=request.on)
-        finally:
-            self._status.ordered_ns = self._context.clock.now_ns()
         return Reply()
 
     async def _handle_home(self, request: HomeRequest) -> HomeReply:
         self._require_idle(request)
         self._fence.require_no_estop()
-        try:
-            return await self._components.referencing.home_axes(request.axes)
-        except (LinkClosed, LinkRefused, ControllerFault) as error:
-            # The controller continues its search by itself. If the stop cannot be sent now, it stays pending.
-            with suppress(LinkClosed, LinkRefused, ControllerFault):
-                await self._supervisor.stop(abort=False, reason=f"homing has failed: {error}")
-            raise
-        finally:
-            self._status.ordered_ns = self._context.clock.now_ns()
+        with self._ordering():
+            try:
+                return await self._components.referencing.home_axes(request.axes)
+            except (LinkClosed, LinkRefused, ControllerFault) as error:
+                # The controller continues its search by itself. If the stop cannot be sent now, it stays pending.
+                with suppress(LinkClosed, LinkRefused, ControllerFault):
+                    await self._supervisor.stop(abort=False, reason=f"homing has failed: {error}")
+                raise
 
     async def _handle_jog(self, request: JogRequest) -> Reply:
         self._status.require_known(request.velocities)
@@ -226,10 +223,8 @@ class ControllerCommands:
             self._fence.require_no_estop()
             self._status.require_no_fault()
             self._require_no_step()
-        try:
+        with self._ordering():
             await self._components.jogging.apply_request(request)
-        finally:
-            self._status.ordered_ns = self._context.clock.now_ns()
         return Reply()
 
     async def _handle_set_position(self, request: SetPositionRequest) -> Reply:
@@ -322,6 +317,14 @@ class ControllerCommands:
             for at_ns, direction, data in self._context.trace.recent_entries()
         ]
         return TraceReply(entries=entries, utc=self._context.clock.utc(), host_ns=self._context.clock.now_ns())
+
+    @contextmanager
+    def _ordering(self) -> Generator[None]:
+        """Note at the end of the block, however it ends, that it may have changed positions by an order."""
+        try:
+            yield
+        finally:
+            self._status.ordered_ns = self._context.clock.now_ns()
 
     def _require_idle(self, request: LeasedRequest) -> None:
         self._status.require_online()

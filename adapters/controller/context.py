@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from adapters.contract import Driver, Make
-from adapters.controller.sessions import SessionSigns
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
+from orchestrator.bus.session_signs import SessionSigns
 from orchestrator.clock.base import Clock
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import OpenLink

@@ -9,7 +9,6 @@ from orchestrator.clock.base import NS_PER_MS, Clock, ClockTimer
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaseRequest
-from orchestrator.model.session import SESSION_TIMEOUT_NS
 
 HOLDERS_REMEMBERED = 64  # holders
 _EVER = 2**53  # above the number of any acquisition
@@ -40,7 +39,8 @@ class _LeaseEnd:
 class MotionLeases:
     """The leases of one controller. `on_ended(holder, axes, reason)` is called when axes are no longer leased.
 
-    session_seen_ns: returns when a session was last seen; a lease of a session ends `SESSION_TIMEOUT_NS` later.
+    session_until_ns: returns until when a session counts as present, see `SessionSigns.present_until_ns`; its leases
+    end then.
 
     If the axes cannot be moved independently of each other, only all of them together can be leased.
     """
@@ -51,13 +51,13 @@ class MotionLeases:
         clock: Clock,
         independent_axes: Callable[[], bool],
         on_ended: Callable[[str, list[str], str], None],
-        session_seen_ns: Callable[[str], int],
+        session_until_ns: Callable[[str, int], int],
     ) -> None:
         self._config = config
         self._clock = clock
         self._independent_axes = independent_axes
         self._on_ended = on_ended
-        self._session_seen_ns = session_seen_ns
+        self._session_until_ns = session_until_ns
         self._leases: dict[str, _AxisLease] = {}
         self._lease_ends: OrderedDict[str, _LeaseEnd] = OrderedDict()
         self._timer: ClockTimer | None = None
@@ -139,9 +139,7 @@ class MotionLeases:
 
     def _present_until_ns(self, lease: _AxisLease) -> int:
         """Until when the lease is valid without another sign of life of its session."""
-        if not lease.session:
-            return lease.until_ns
-        return max(lease.since_ns, self._session_seen_ns(lease.session)) + SESSION_TIMEOUT_NS
+        return self._session_until_ns(lease.session, lease.since_ns) if lease.session else lease.until_ns
 
     def _end_leases(self, axes: list[str], reason: str, *, final: bool = False) -> None:
         """End the leases of `axes`. final: no renewal under way may revive them."""

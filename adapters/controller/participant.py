@@ -14,10 +14,11 @@ from typing import Any, Protocol
 from adapters.contract import Driver, HostInterval, SettingDifference
 from adapters.controller.clock import clock_mapping
 from adapters.controller.settling import SettlingResult
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.interval import find_other_duration
 from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
@@ -37,7 +38,6 @@ from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval
 QUIET_BEFORE_T0_NS = 300 * NS_PER_MS
 # A participant is not polled for this long after a request of a step: arming reads the controller as well, and the
 # fleet waits for it.
-DURATION_TOLERANCE_S = 0.02  # beyond the interval of the evidence and the clock error
 QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
 
@@ -220,8 +220,7 @@ class StepParticipant:
         differences = await self._driver.check_settings(everything=True)
         if differences:
             self._note_differences(differences)
-            fault = differences[0].to_fault()
-            raise Refusal(fault.code, fault.text, fault.remedy)
+            raise differences[0].to_refusal()
 
     async def commit_step(self, request: CommitRequest) -> Reply:
         """Commit to the step after a final check of the controller."""
@@ -461,18 +460,14 @@ def _find_wrong_durations(
     step: ArmedStep, started: Mapping[str, HostInterval], ended: Mapping[str, HostInterval]
 ) -> dict[str, str]:
     """Axes whose motion has certainly taken another time than the controller was loaded with, with a description: their
-    settings or their position were changed meanwhile. So are instants that contradict each other."""
+    settings or their position were changed meanwhile."""
     found: dict[str, str] = {}
     for axis, end in ended.items():
         start, promised_s = started.get(axis), step.promised_s.get(axis)
         if start is None or promised_s is None:
             continue
-        shortest_s = (end.earliest_ns - start.latest_ns) / NS_PER_S
-        longest_s = (end.latest_ns - start.earliest_ns) / NS_PER_S
-        margin_s = DURATION_TOLERANCE_S + promised_s * step.clock_ppm * 1e-6
-        possible = end.earliest_ns <= end.latest_ns
-        if not possible or not shortest_s - margin_s <= promised_s <= longest_s + margin_s:
-            taken_s = (shortest_s + longest_s) / 2
+        taken_s = find_other_duration(start, end, promised_s, step.clock_ppm)
+        if taken_s is not None:
             found[axis] = (
                 f"axis {axis} took {taken_s:.3f} s, promised {promised_s:.3f} s: another client has changed its "
                 "settings or its position; it must be homed again"

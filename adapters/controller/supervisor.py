@@ -60,7 +60,7 @@ class ControllerSupervisor:
             context.clock,
             lambda: driver.capabilities.independent_axes,
             self._handle_lease_end,
-            context.sessions.seen_ns,
+            context.sessions.present_until_ns,
         )
         self._settling = SettlingMonitor(context.clock, condition, self.poll_and_publish)
         self._participant = StepParticipant(
@@ -370,15 +370,13 @@ class ControllerSupervisor:
         """Return the reason why a moving step must be aborted after this poll, or None; a failure of one axis is a
         failure of the step."""
         armed_step = self._participant.armed_step
-        is_step_moving = armed_step is not None and armed_step.phase is StepPhase.MOVING
-        outside = self._surveillance.find_outside_motion(
-            armed_step.axes if armed_step and is_step_moving else (), reading
-        )
-        if armed_step is None or not is_step_moving or before is None:
+        moving = armed_step if armed_step is not None and armed_step.phase is StepPhase.MOVING else None
+        outside = self._surveillance.find_outside_motion(() if moving is None else moving.axes, reading)
+        if moving is None or before is None:
             return None
         if self._status.faults:
             return self._status.faults[0].text
-        for name in armed_step.axes:
+        for name in moving.axes:
             now, old = reading.axes[name], before.axes[name]
             if now.position_lost and not old.position_lost:
                 return f"axis {name} has lost its position"

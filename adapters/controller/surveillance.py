@@ -62,13 +62,12 @@ class Surveillance:
             by = now.commanded_counts - old.commanded_counts
             at_rest = not (now.moving or old.moving) and now.enabled and old.enabled
             if at_rest and abs(by) > JUMP_COUNTS and self._status.referenced[name]:
-                self._status.referenced[name] = False
                 jumped.append(name)
                 text = (
                     f"axis {name}: its position has changed by {axis.to_unit(by):g} {axis.unit} at rest, without an "
                     "order: another client has set it, or moved it; it must be homed again"
                 )
-                self._emit("unreferenced", text)
+                self._drop_reference(name, text)
         return jumped
 
     def find_outside_motion(self, moved: Sequence[str], reading: ControllerReading) -> str | None:
@@ -93,8 +92,11 @@ class Surveillance:
         """Drop the reference of axes whose motion was not as it was loaded. wrong: by axis, what was found."""
         for name, text in wrong.items():
             if self._status.referenced[name]:
-                self._status.referenced[name] = False
-                self._emit("unreferenced", text)
+                self._drop_reference(name, text)
+
+    def _drop_reference(self, name: str, text: str) -> None:
+        self._status.referenced[name] = False
+        self._emit("unreferenced", text)
 
     # Settings
 
@@ -113,8 +115,8 @@ class Surveillance:
                 continue
             self._status.differences[each.item] = each
             self._emit("setting", each.to_fault().text)
-            lost = [name for name in self._status.config.axes if each.axis in (None, name)]
             if each.moves_reference:
+                lost = [name for name in self._status.config.axes if each.axis in (None, name)]
                 self._status.referenced.update(dict.fromkeys(lost, False))
                 self._emit("unreferenced", f"{', '.join(lost)}: {each.item} has changed; home again")
 

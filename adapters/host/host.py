@@ -12,7 +12,6 @@ from pydantic import ValidationError
 from adapters.contract import DriverSetup, Make, TimedWriter
 from adapters.controller.context import ControllerContext
 from adapters.controller.log import ControllerLog
-from adapters.controller.sessions import SessionSigns
 from adapters.controller.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
@@ -28,6 +27,7 @@ from orchestrator.bus.base import (
 )
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import LogSink, ProcessLog
+from orchestrator.bus.session_signs import SessionSigns
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
 from orchestrator.clock.fleet import FleetScale, TimeExchange, estimate_scale, exact_scale

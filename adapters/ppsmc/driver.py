@@ -29,6 +29,7 @@ from adapters.ppsmc.watch import PpSmcWatch
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
 from adapters.toolkit.refusals import log_refusals
+from adapters.toolkit.watched_settings import check_watched_settings
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
@@ -137,11 +138,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
 
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
         """Query ?conf of all axes, or of the next axis in turn."""
-        watch = self.connection.watch
-        found = await (watch.check_motion() if everything else watch.check_next())
-        for each in found:
-            self._log.warning(f"another client has changed a setting: {each.item}", found=each.found)
-        return found
+        return await check_watched_settings(self.connection.watch, self._log, everything=everything)
 
     # Steps
 

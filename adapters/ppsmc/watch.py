@@ -111,5 +111,4 @@ def require_settings(unit: PpSmcState, motors: Mapping[int, str], found: Mapping
     differences = find_differences(unit, motors, found)
     if differences:
         unit.suspects_settings = True
-        fault = differences[0].to_fault()
-        raise Refusal(fault.code, fault.text, fault.remedy)
+        raise differences[0].to_refusal()

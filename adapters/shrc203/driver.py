@@ -30,6 +30,7 @@ from adapters.shrc203.watch import ShrcWatch
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
 from adapters.toolkit.refusals import log_refusals
+from adapters.toolkit.watched_settings import check_watched_settings
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
@@ -140,11 +141,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
 
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
         """Query pulse length and loop mode, or the next setting in turn."""
-        watch = self.connection.watch
-        found = await (watch.check_motion() if everything else watch.check_next())
-        for each in found:
-            self._log.warning(f"another client has changed a setting: {each.item}", found=each.found)
-        return found
+        return await check_watched_settings(self.connection.watch, self._log, everything=everything)
 
     # Steps
 

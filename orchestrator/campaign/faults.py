@@ -175,7 +175,7 @@ class FaultInjector:
         fleet = self._fleet
         leader = f"coordinator/{self.leader_name}"
         match fault:
-            case "estop":
+            case "estop" | "operator-resets-early":
                 event = f"e{self._clock.now_ns()}"  # a seed may contain two
                 bus = fleet.net.join_process(f"campaign-{event}")
                 bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
@@ -183,10 +183,6 @@ class FaultInjector:
                 door, number = self._find_permit_input()
                 fleet.act_on_controller(door, lambda each: each.set_input(number, level=False))  # it is active when low
                 return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=True))
-            case "operator-resets-early":
-                event = f"e{self._clock.now_ns()}"
-                bus = fleet.net.join_process(f"campaign-{event}")
-                bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
             case "fleet-restarted":
                 for host in {config.host for config in self._whole_fleet.controllers.values()}:
                     fleet.kill(f"host/{host}")
@@ -249,11 +245,8 @@ class FaultInjector:
         match fault:
             case "link-cut":
                 wire.cut = True
-            case "cable-pulled":  # the controller keeps half-open connections
-                wire.lose_close = True
-                for link in list(wire.links):
-                    link.hang_up()
-            case "link-closed":
+            case "link-closed" | "cable-pulled":
+                wire.lose_close = fault == "cable-pulled"  # the controller keeps half-open connections
                 for link in list(wire.links):
                     link.hang_up()
             case "link-slow":

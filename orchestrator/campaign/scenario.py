@@ -292,13 +292,14 @@ class _Scenario:
     async def _act_as_operator(self, phase: CampaignPhase, job_id: str) -> None:
         """Interrupt, or lose, the command that a person waits for."""
         attendance, self._attendance = self._attendance, None
-        if attendance is not None and phase.fault.name == "operator-interrupts":
+        if attendance is None:
+            return
+        if phase.fault.name == "operator-interrupts":
             operator = self.virtual.make_client("operator")
             with suppress(Refusal):
                 await operator.cancel_job(job_id)
             await operator.close()
-        if attendance is not None:
-            await attendance.__aexit__()
+        await attendance.__aexit__()
 
     async def _try_other_file(self, phase: CampaignPhase) -> None:
         """Submit a job that homes and moves a member whose host has another fleet file than the coordinator."""

@@ -21,7 +21,6 @@ from orchestrator.cli.base.common import (
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
-    from orchestrator.model.report import QueueState
 
 
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 @json_option
 def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show the current state of every controller and axis."""
+    from orchestrator.cli.queue import load_queue, print_queue_stop
     from orchestrator.monitor.fleet_view import make_state_table, name_missing_permits
 
     async def show_status(tutti: "Tutti") -> None:
@@ -42,24 +42,6 @@ def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
             print_queue_stop(queue)
 
     with_fleet(connect, fleet, show_status)
-
-
-async def load_queue(tutti: "Tutti") -> "QueueState | None":
-    """The state of the queue; None without a coordinator."""
-    from orchestrator.model.errors import Refusal
-
-    try:
-        return await tutti.list_jobs(limit=1)
-    except Refusal:
-        return None
-
-
-def print_queue_stop(queue: "QueueState | None") -> None:
-    """Print why no job begins, if the queue is stopped."""
-    from orchestrator.monitor.queue_words import describe_queue
-
-    if queue is not None and queue.stopped is not None:
-        console.print(describe_queue(queue), style="bold yellow", highlight=False, markup=False)
 
 
 @click.command(epilog="Example: tutti stop")
@@ -142,6 +124,7 @@ def reset(event: str | None, connect: str, fleet: str | None, *, as_json: bool) 
     Without EVENT, the one that is latched; if there are several, they are listed and none is released. First every
     controller is checked for safety: if one refuses, none is released.
     """
+    from orchestrator.cli.queue import load_queue, print_queue_stop
     from orchestrator.client import Tutti
 
     async def reset_estop(tutti: Tutti) -> None:

@@ -191,20 +191,10 @@ def say(text: str) -> None:
 
 
 def controllers_of(job: "Job") -> list[str]:
-    """Controllers named in the first step of a manual job; a group or the whole fleet has none here."""
-    from orchestrator.model.job import Disable, Enable, Home, Move, SetOutput, SetPosition
+    """The controllers, or groups, that a job's steps name; none for the whole fleet."""
+    from orchestrator.model.job import SetOutput, named_axes
 
     names: list[str] = []
     for step in job.steps:
-        match step:
-            case Move():
-                names += [*step.to, *step.by]
-            case Home() | Enable() | Disable():
-                names += step.axes or []
-            case SetPosition():
-                names += step.axes
-            case SetOutput():
-                names.append(step.output)
-            case _:
-                pass
+        names += [step.output] if isinstance(step, SetOutput) else named_axes(step)
     return list(dict.fromkeys(name.partition(".")[0] for name in names))

@@ -8,6 +8,7 @@ import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.job_terms import DurationType, InstantType
+from orchestrator.cli.queue import print_queue_stop
 
 if TYPE_CHECKING:
     from orchestrator.model.report import QueueEntry
@@ -33,7 +34,6 @@ def list_jobs(
     """List the newest jobs. #: the place of a waiting job in the queue."""
     from orchestrator.client import Tutti
     from orchestrator.model.service import ListJobs
-    from orchestrator.monitor.queue_words import describe_queue
 
     async def show_jobs(tutti: Tutti) -> None:
         asked = ListJobs.model_validate({**tutti.request_fields(), "state": state})
@@ -42,8 +42,7 @@ def list_jobs(
             print_json([entry.to_plain() for entry in found.jobs])
             return
         print_jobs(found.jobs)
-        if found.stopped is not None:
-            console.print(describe_queue(found), style="bold yellow", highlight=False, markup=False)
+        print_queue_stop(found)
         if found.total > len(found.jobs):
             console.print(f"{len(found.jobs)} of {found.total}; more with --limit", highlight=False)
 

@@ -38,8 +38,7 @@ def run_single_step(connect: str, fleet: str | None, step: dict[str, Any], done:
         exit_with_error(str(error.errors()[0]["msg"]), BAD_INPUT)
 
     async def submit_step(tutti: Tutti) -> None:
-        job_of_user = job.model_copy(update={"actor": tutti.actor})
-        report = await run_attended(tutti, job_of_user, wait=wait, quiet=not console.is_terminal)
+        report = await run_attended(tutti, job, wait=wait, quiet=not console.is_terminal)
         if report.state != "done":
             exit_with_error(report.steps[-1].reason if report.steps else report.reason or report.state, FAILED)
         console.print(done)

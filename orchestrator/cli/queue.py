@@ -8,6 +8,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
+    from orchestrator.model.report import QueueState
 
 
 @click.group(epilog="Example: tutti queue start")
@@ -66,3 +67,21 @@ async def _print_queue(tutti: "Tutti", *, as_json: bool) -> None:
         print_json({"stopped": None if state.stopped is None else state.stopped.to_plain(), "waiting": state.waiting})
     else:
         console.print(describe_queue(state), highlight=False, markup=False)
+
+
+async def load_queue(tutti: "Tutti") -> "QueueState | None":
+    """The state of the queue; None without a coordinator."""
+    from orchestrator.model.errors import Refusal
+
+    try:
+        return await tutti.list_jobs(limit=1)
+    except Refusal:
+        return None
+
+
+def print_queue_stop(queue: "QueueState | None") -> None:
+    """Print why no job begins, if the queue is stopped."""
+    from orchestrator.monitor.queue_words import describe_queue
+
+    if queue is not None and queue.stopped is not None:
+        console.print(describe_queue(queue), style="bold yellow", highlight=False, markup=False)

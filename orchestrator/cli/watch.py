@@ -5,7 +5,7 @@ import time
 import click
 
 from orchestrator.cli.base.common import can_redraw, console, fleet_options, with_fleet
-from orchestrator.cli.fleet import load_queue
+from orchestrator.cli.queue import load_queue
 
 REFRESH_HZ = 10
 

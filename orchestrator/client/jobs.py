@@ -20,6 +20,7 @@ from orchestrator.model.report import (
     QueueEntry,
     QueueState,
     StepRecording,
+    make_queued_progress,
 )
 from orchestrator.model.service import (
     JobReference,
@@ -195,8 +196,10 @@ class JobRequests(FleetConnection):
                 shown = await self.show_job_when_available(job_id, poll_s)
                 if shown.report is not None:
                     return shown.report
-                if on_progress is not None and shown.entry is not None and shown.entry.state == "queued":
-                    on_progress(_make_queued_progress(shown.entry))
+                entry, job = shown.entry, shown.job
+                if on_progress is not None and entry is not None and job is not None and entry.state == "queued":
+                    steps = len(job.steps) * entry.terms.repeat
+                    on_progress(make_queued_progress(entry, "queued", entry.reason, entry.submitted_utc, steps))
                 changed.clear()
                 try:
                     async with asyncio.timeout(poll_s):
@@ -275,23 +278,6 @@ class SubmittedJob(str):
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         await self._requests.resume_job(self)
-
-
-def _make_queued_progress(entry: QueueEntry) -> JobProgress:
-    """The progress of a job that has not begun, from its entry in the queue."""
-    return JobProgress(
-        job_id=entry.id,
-        name=entry.name,
-        actor=entry.actor,
-        state=entry.state,
-        step=entry.from_step,
-        steps=entry.from_step + 1,
-        step_name="",
-        fraction=0.0,
-        remaining_s=None,
-        reason=entry.reason,
-        utc=entry.submitted_utc,
-    )
 
 
 async def _next_progress(samples: "asyncio.Queue[BusSample]") -> JobProgress | None:

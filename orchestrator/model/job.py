@@ -115,6 +115,15 @@ Step = Annotated[
 ]
 
 
+def named_axes(step: Step) -> list[str]:
+    """The axes, groups and controllers that a step names; none for a homing of the whole fleet."""
+    if isinstance(step, Move):
+        return [*step.to, *step.by]
+    if isinstance(step, Home | Enable | Disable):
+        return step.axes or []
+    return list(step.axes) if isinstance(step, SetPosition) else []
+
+
 class Job(Model):
     """A sequence of steps that a user submits to the fleet."""
 

@@ -1,6 +1,6 @@
 """What a job did: its progress while it runs, and the record afterwards."""
 
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from pydantic import Field
 
@@ -52,6 +52,39 @@ class JobProgress(Model):
     remaining_s: float | None
     reason: str
     utc: str
+
+
+class QueuedJob(Protocol):
+    """What a record of a job in the queue, or its entry in a list, has."""
+
+    @property
+    def id(self) -> str: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def actor(self) -> str: ...
+
+    @property
+    def from_step(self) -> int: ...
+
+
+def make_queued_progress(job: QueuedJob, state: JobState, reason: str, utc: str, steps: int) -> JobProgress:
+    """The progress of a job that is not running. steps: of all its repeats."""
+    return JobProgress(
+        job_id=job.id,
+        name=job.name,
+        actor=job.actor,
+        state=state,
+        step=job.from_step,
+        steps=steps,
+        step_name="",
+        fraction=job.from_step / steps,
+        remaining_s=None,
+        reason=reason,
+        utc=utc,
+    )
 
 
 class SkewInterval(Model):

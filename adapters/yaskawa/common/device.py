@@ -134,8 +134,12 @@ class SmcDevice:
                 f"{self._format.axes} axes",
                 "correct `motors` in the fleet file, or the address of the controller",
             )
+        return await self._load_and_identify(revision)
+
+    async def _load_and_identify(self, revision: str) -> ControllerIdentity:
+        """Install the program and read the sample counter. revision: the reply to the query of the revision."""
         await self.install_program()
-        (serial,), _ = await session.read_numbers("_BN")
+        (serial,), _ = await self.session.read_numbers("_BN")
         await self._read_time()
         model, _, firmware = revision.partition(" ")
         return ControllerIdentity(model=model, firmware=firmware or revision, serial=str(int(serial)))

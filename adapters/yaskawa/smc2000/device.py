@@ -114,11 +114,7 @@ class SerialDevice(SmcDevice):
                 f"the fleet file uses motor {letter}; the controller has {present} axes",
                 "correct `motors`, or `address` of the link, in the fleet file",
             )
-        await self.install_program()
-        (serial,), _ = await session.read_numbers("_BN")
-        await self._read_time()
-        model, _, firmware = revision.partition(" ")
-        return ControllerIdentity(model=model, firmware=firmware or revision, serial=str(int(serial)))
+        return await self._load_and_identify(revision)
 
     async def close(self) -> None:
         self._polled_session = None

@@ -91,8 +91,6 @@ class PermitMonitor:
                 continue
             held = self._since_ns.get(name) is not None
             holds = self._describe_broken(name, permit) is None
-            if holds != held:
-                self.on_change()
             if holds and not held:
                 now_ns = self._since_ns[name] = self._clock.now_ns()
                 self._clock.call_at_ns(now_ns + permit.settle + 1, self.on_change)
@@ -100,6 +98,8 @@ class PermitMonitor:
                 self._since_ns[name] = None
                 self._losses[name] = self._losses.get(name, 0) + 1
                 lost = True
+            if holds != held:
+                self.on_change()
         if lost:
             for listener in list(self._listeners):
                 listener()

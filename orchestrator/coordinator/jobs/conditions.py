@@ -44,23 +44,24 @@ class JobNeeds:
 
 def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
     """What `steps` need before the first of them. Raises `UnknownName`."""
-    enabled, referenced = set[str](), set[str]()
+    enabled, referenced, moved = set[str](), set[str](), dict[str, None]()
     enabled_before, referenced_before = set[str](), set[str]()
     for step in steps:
         if isinstance(step, Enable):
             enabled |= set(find_axes(fleet, [step]))
         elif isinstance(step, Move | Home):
-            axes = set(find_axes(fleet, [step]))
+            in_order = find_axes(fleet, [step])
+            moved |= dict.fromkeys(in_order)
+            axes = set(in_order)
             manual = {axis for axis in axes if fleet.axis(axis).enable == "manual"}
             enabled_before |= manual - enabled
             if isinstance(step, Home):
                 referenced |= axes
             else:
                 referenced_before |= axes - referenced
-    moving = [step for step in steps if isinstance(step, Move | Home)]
     return JobNeeds(
         find_needed_controllers(fleet, steps),
-        tuple(find_axes(fleet, moving)),
+        tuple(moved),
         frozenset(enabled_before),
         frozenset(referenced_before),
         any(isinstance(step, Move | Home | Enable) for step in steps),

@@ -9,7 +9,7 @@ from orchestrator.coordinator.jobs.job_run import JobRun, JobServices
 from orchestrator.coordinator.jobs.queue import WaitingJob, sort_waiting
 from orchestrator.coordinator.journal.journal import JobRecord
 from orchestrator.model.queue import QueueStop
-from orchestrator.model.report import FINISHED_STATES, JobProgress, JobState, QueueEntry, QueueState
+from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState, make_queued_progress
 
 MAX_PUBLISHED_JOBS = 200  # entries of the queue on the bus; those after them wait long anyway
 FIRST_DELAY_NS = NS_PER_MS  # a job that has just been accepted is scheduled first
@@ -111,20 +111,3 @@ class QueuePublisher:
 def describe_stop(stop: QueueStop) -> str:
     """Why no job of the queue begins, for a job that waits."""
     return f"the queue is stopped ({stop.reason}): `tutti queue start`"
-
-
-def make_queued_progress(row: JobRecord, state: JobState, reason: str, utc: str, steps: int) -> JobProgress:
-    """The progress of a job that is not running."""
-    return JobProgress(
-        job_id=row.id,
-        name=row.name,
-        actor=row.actor,
-        state=state,
-        step=row.from_step,
-        steps=steps,
-        step_name="",
-        fraction=row.from_step / steps,
-        remaining_s=None,
-        reason=reason,
-        utc=utc,
-    )

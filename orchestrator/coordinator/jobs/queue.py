@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from orchestrator.coordinator.journal.journal import JobRecord
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Disable, Enable, Home, Job, Move, SetOutput, SetPosition, Step
+from orchestrator.model.job import Disable, Enable, Home, Job, Move, SetOutput, Step, named_axes
 
 
 @dataclass(slots=True)
@@ -111,12 +111,10 @@ def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
     """Axes that steps move, switch or set: those that their job must lease. Raises `UnknownName`."""
     names: list[str] = []
     for step in steps:
-        if isinstance(step, Move):
-            names += [*step.to, *step.by]
-        elif isinstance(step, Home | Enable | Disable):
-            names += fleet.expand_names(step.axes or list(fleet.controllers))
-        elif isinstance(step, SetPosition):
-            names += step.axes
+        named = named_axes(step)
+        if isinstance(step, Home | Enable | Disable):
+            named = fleet.expand_names(named or list(fleet.controllers))
+        names += named
     return list(dict.fromkeys(names))
 
 

@@ -30,7 +30,6 @@ class QueueGate:
         self._count_waiting = count_waiting
         self._on_change = on_change
         self._instances: dict[str, str] = {}
-        self._offline: set[str] = set()
         self._referenced: dict[str, set[str]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._remove_listener: Callable[[], None] = lambda: None
@@ -86,7 +85,6 @@ class QueueGate:
         name = state.controller
         if self._instances.get(name) != state.instance:
             self._instances[name] = state.instance
-            self._offline.discard(name)
             self._referenced.pop(name, None)
             self._spawn(self._store_instances())
             self.note_break(f"restart: the adapter of {name} has started again")

@@ -7,6 +7,7 @@ any begins; `job_run` executes one.
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from datetime import datetime, timedelta
+from itertools import chain
 from typing import Any, NamedTuple, ParamSpec
 
 from pydantic import ValidationError
@@ -16,7 +17,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.coordinator.jobs.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.conditions import JobNeeds, Obstacle, WorldConditions, find_needs
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
-from orchestrator.coordinator.jobs.publisher import QueuePublisher, describe_stop, make_queued_progress
+from orchestrator.coordinator.jobs.publisher import QueuePublisher, describe_stop
 from orchestrator.coordinator.jobs.queue import Schedule, WaitingJob, choose_jobs, expand_repeats, sort_waiting
 from orchestrator.coordinator.jobs.queue_gate import QueueGate
 from orchestrator.coordinator.journal.journal import JobHasEnded, JobRecord, JournalError
@@ -26,7 +27,7 @@ from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Job
 from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import QueueTerms, parse_utc
-from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry, QueueState
+from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry, QueueState, make_queued_progress
 
 P = ParamSpec("P")
 
@@ -271,8 +272,9 @@ class Scheduler:
             text = f"the queue is stopped since {stopped.utc}: {stopped.reason}"
             return Obstacle("queue-stopped", text, "start it: `tutti queue start`")
         busy = self._find_busy()
-        for controller in sorted(needs.controllers & busy.keys()):
-            return Obstacle("leased", f"{controller} is in use: {busy[controller]}", "wait for the end of that use")
+        in_use = min(needs.controllers & busy.keys(), default=None)
+        if in_use is not None:
+            return Obstacle("leased", f"{in_use} is in use: {busy[in_use]}", "wait for the end of that use")
         for each in [] if attended else sort_waiting(self._waiting):
             if not each.blocking_reason and needs.controllers & self._find_needs(each).controllers:
                 return Obstacle("queued", f"job {each.row.id} {each.row.name!r} comes first", "submit it without `now`")
@@ -488,10 +490,11 @@ class Scheduler:
         services = self._services
         while not services.leadership.over:
             await sleep_ns(services.clock, SESSION_POLL_NS)
-            rows = [run.row for run in self._running.values()] + [each.row for each in self._waiting.values()]
-            absent = self._sessions.find_absent(row.session for row in rows if row.session is not None)
-            for row in rows if absent else ():
-                if row.session in absent:
+            jobs = chain(self._running.values(), self._waiting.values())
+            attended = [(each.row.session, each.row) for each in jobs if each.row.session is not None]
+            absent = self._sessions.find_absent(session for session, _ in attended)
+            for session, row in attended:
+                if session in absent:
                     self._spawn(self._end_unattended, row)
 
     async def _end_unattended(self, row: JobRecord) -> None:

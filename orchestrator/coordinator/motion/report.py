@@ -8,13 +8,13 @@ from orchestrator.coordinator.motion.budget import judge_skew, measure_skew
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.start import StartState
+from orchestrator.model.interval import find_other_duration
 from orchestrator.model.messages import ArmedReply
 from orchestrator.model.report import MemberReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
 
 Verdict = Literal["green", "amber", "red", "none"]
 
-DURATION_TOLERANCE_S = 0.02  # beyond the evidence's own interval and the clock error, as at the prediction
 POSITION_TOLERANCE_COUNTS = 1  # rounding of the last count
 
 
@@ -55,12 +55,8 @@ def find_wrong_durations(agreement: StartAgreement, reports: Mapping[str, Member
             promised_s = report.lowered_s.get(axis)
             if promised_s is None or evidence.end is None:
                 continue
-            start = evidence.start_for_verdict
-            shortest_s = (evidence.end.earliest_ns - start.latest_ns) / NS_PER_S
-            longest_s = (evidence.end.latest_ns - start.earliest_ns) / NS_PER_S
-            margin_s = DURATION_TOLERANCE_S + promised_s * ppm * 1e-6
-            if not (shortest_s - margin_s <= promised_s <= longest_s + margin_s):
-                taken_s = (shortest_s + longest_s) / 2
+            taken_s = find_other_duration(evidence.start_for_verdict, evidence.end, promised_s, ppm)
+            if taken_s is not None:
                 found.append(f"{member}.{axis} took {taken_s:.3f} s, promised {promised_s:.3f} s")
     return found
 

@@ -1,13 +1,14 @@
-"""Signs of life of commands that a person waits for: what such a command moves stops when they are missing."""
+"""Signs of life of commands that a person waits for, in the processes that stop what such a command has begun."""
 
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.model.session import SESSION_TIMEOUT_NS
 
 REMEMBERED_NS = 60 * NS_PER_S
 
 
 class SessionSigns:
-    """When each session was last seen by this adapter host."""
+    """When each session was last seen by this process."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -22,6 +23,7 @@ class SessionSigns:
             self._seen_ns = {each: at_ns for each, at_ns in self._seen_ns.items() if now_ns - at_ns < REMEMBERED_NS}
         self._seen_ns[sample.key.rpartition("/")[2]] = now_ns
 
-    def seen_ns(self, session: str) -> int:
-        """When the session was last seen, host time; 0 if it was not seen yet."""
-        return self._seen_ns.get(session, 0)
+    def present_until_ns(self, session: str, since_ns: int) -> int:
+        """Until when the session counts as present without another sign, host time. since_ns: since when it has been
+        waited for; it has as long for its first sign."""
+        return max(since_ns, self._seen_ns.get(session, 0)) + SESSION_TIMEOUT_NS
