@@ -31,12 +31,12 @@ def test_the_fleet_is_homed_in_its_order_and_reports_its_progress() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client, said = fleet.make_client(), list[str]()
 
-        def hear(progress: JobProgress) -> None:
+        def receive(progress: JobProgress) -> None:
             if progress.step_name.startswith("homing") and progress.step_name not in said:
                 said.append(progress.step_name)
 
         await outcome(fleet, ENABLE)
-        report = await client.wait_for_job(await client.submit(HOME), hear)
+        report = await client.wait_for_job(await client.submit(HOME), receive)
         assert report.state == "done", report.reason
         assert said == [
             "homing stage.focus",

@@ -286,12 +286,12 @@ def test_enabling_by_policy_and_leases_on_the_bus() -> None:
         assert not any(axis.enabled for axis in states["gantry"].axes.values())
         client, holders = fleet.make_client(), list[tuple[str, bool]]()
 
-        def hear(sample: BusSample) -> None:
+        def receive(sample: BusSample) -> None:
             lease = LeaseState.model_validate_json(sample.payload)
             if lease.what.startswith("job"):
                 holders.append((lease.controller, lease.holder is not None))
 
-        await client.bus.subscribe(client.keys.leases, hear)
+        await client.bus.subscribe(client.keys.leases, receive)
         report = await client.wait_for_job(
             await client.submit(job("[{do: home}, {do: move, to: {gantry.x: 5, stage.u: 1}}]"))
         )

@@ -75,10 +75,10 @@ def test_a_job_waits_for_a_manual_lease_and_starts_when_it_is_released() -> None
         async with anna.manual_control(["gantry.x"], what="alignment"):
             waiting, free = await ben.submit(BOTH), await ben.submit(job("[{do: dwell, duration: 1 s}]"))
 
-            def hear(sample: BusSample) -> None:
+            def receive(sample: BusSample) -> None:
                 heard.extend(each.reason for each in QueueState.model_validate_json(sample.payload).jobs)
 
-            await ben.bus.subscribe(ben.keys.queue, hear)
+            await ben.bus.subscribe(ben.keys.queue, receive)
             assert (await ben.wait_for_job(free)).state == "done"
             assert (await entry(ben, waiting)).reason == "waits for gantry: in use by anna (alignment)"
         assert (await ben.wait_for_job(waiting)).state == "done"

@@ -70,7 +70,7 @@ class Bench:
     driver: PpSmcDriver
     config: Controller
 
-    async def somebody(self, *lines: str, wait_ms: int = 200) -> Client:
+    async def send_as_other_client(self, *lines: str, wait_ms: int = 200) -> Client:
         """Lines by a client of its own, executed."""
         client = Client(self.unit)
         client.send(*lines)

@@ -81,9 +81,9 @@ def test_the_same_targets_are_never_moved_to_twice() -> None:
         await bench.ready()
         assert (await bench.move({"x": 5000})).state == "done"
         await bench.driver.poll()
-        other = await bench.somebody("?tb")
+        other = await bench.send_as_other_client("?tb")
         assert b"1:r0;2:r0;3:r0;" in other.raw
-        await bench.somebody("tbg", wait_ms=2000)
+        await bench.send_as_other_client("tbg", wait_ms=2000)
         assert bench.steps("x") == 5000
 
     run(case)
@@ -143,7 +143,7 @@ def test_a_stop_does_not_wait_for_a_blocked_first_connection() -> None:
         await bench.ready()
         # The controller itself delays commands of this connection from now on (L2787).
         bench.wire.links[0].write(b"sleep20\r\n")
-        other = await bench.somebody("ffast1:20000", "goto1:80", wait_ms=300)
+        other = await bench.send_as_other_client("ffast1:20000", "goto1:80", wait_ms=300)
         assert bench.unit.is_moving("1") and other.raw
         asking = asyncio.get_running_loop().create_task(bench.driver.poll())
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
@@ -172,7 +172,7 @@ def test_a_blocked_controller_is_reported_and_a_reset_unblocks_it(stage: str) ->
             t0_ns, _ = await bench.start({"x": 90_000})
             following = asyncio.get_running_loop().create_task(bench.followed())
             await bench.until(t0_ns + 300 * NS_PER_MS)
-        await bench.somebody("block")
+        await bench.send_as_other_client("block")
         if stage == "armed":
             with pytest.raises(Refusal) as refused:
                 await bench.driver.verify_armed()
@@ -216,7 +216,7 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
             await sleep_ns(bench.clock, 100 * NS_PER_MS)
             bench.unit.set_power(on=True)
         else:
-            await bench.somebody(restart)
+            await bench.send_as_other_client(restart)
         if stage == "moving":
             with contextlib.suppress(ControllerFault, LinkClosed):
                 assert (await bench.driver.wait_for_end()).state == "fault"
@@ -329,7 +329,7 @@ def test_outputs_and_inputs_are_read_and_written() -> None:
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.somebody("dout2")
+        await bench.send_as_other_client("dout2")
         await bench.driver.set_output(5, on=True)
         assert bench.unit.output_level(5) and bench.unit.output_level(1)
         bench.unit.set_input(3, level=True)

@@ -156,7 +156,7 @@ def test_a_moving_controller_and_a_disabled_axis_are_refused() -> None:
             with pytest.raises(Refusal, match="enable"):
                 await call
         await bench.driver.set_enabled(["x"], on=True)
-        await bench.somebody("move3:5")
+        await bench.send_as_other_client("move3:5")
         with pytest.raises(Refusal, match="moves"):
             await bench.driver.home_axes(["x"], lambda _: None)
         await bench.rest()

@@ -85,18 +85,18 @@ def test_another_motion_a_program_a_block_and_the_input_gate_are_refused() -> No
     async def case(bench: Bench) -> None:
         await bench.ready()
         move = JogMove(5000.0, 40_000.0, None)
-        await bench.somebody("move1:30")
+        await bench.send_as_other_client("move1:30")
         with pytest.raises(Refusal, match="moving"):
             await bench.driver.jog_axis("x", move)
         await bench.rest(60 * NS_PER_S)
-        await bench.somebody("clr", "in0.1", "nl", "end", "start:")
+        await bench.send_as_other_client("clr", "in0.1", "nl", "end", "start:")
         with pytest.raises(Refusal, match="program"):
             await bench.driver.jog_axis("x", move)
-        await bench.somebody("q", "emips1:1")
+        await bench.send_as_other_client("q", "emips1:1")
         with pytest.raises(Refusal, match="does not move") as caught:
             await bench.driver.jog_axis("x", move)
         assert caught.value.code == "not-started" and "emips" in caught.value.remedy
-        await bench.somebody("emips1:-1", "block")
+        await bench.send_as_other_client("emips1:-1", "block")
         with pytest.raises(Refusal, match="blocked"):
             await bench.driver.jog_axis("x", move)
         await bench.driver.clear_faults()

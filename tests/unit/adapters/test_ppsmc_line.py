@@ -194,7 +194,7 @@ def test_a_program_that_may_not_start_is_refused_by_go() -> None:
             await bench.driver.go()
         assert caught.value.code == "not-waiting" and "iel1" in caught.value.remedy
         await bench.driver.disarm_move()
-        await bench.somebody("iel1")
+        await bench.send_as_other_client("iel1")
         t0_ns, _ = await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
         assert (await bench.followed())[1].state == "done"
@@ -243,7 +243,7 @@ def test_the_output_is_switched_within_the_reported_interval_and_back(
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.somebody("dout65")  # bit 6, which is active low, and bit 0 of another client
+        await bench.send_as_other_client("dout65")  # bit 6, which is active low, and bit 0 of another client
         edges: list[tuple[int, int, bool]] = []
         bench.unit.on_output(lambda bit, level: edges.append((bench.clock.now_ns(), bit, level)))
         how = StartOptions(drive=DRIVE.model_copy(update={"output": output}))
@@ -269,7 +269,7 @@ def test_the_output_is_switched_within_the_reported_interval_and_back(
 def test_an_output_that_is_active_already_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.somebody("dout8")
+        await bench.send_as_other_client("dout8")
         with pytest.raises(Refusal) as caught:
             await bench.arm({"x": 100}, StartOptions(drive=DRIVE))
         assert caught.value.code == "line-level" and "line" in caught.value.text

@@ -33,10 +33,10 @@ CLOSED: dict[str, Any] = {"encoder": True, "encoder_follows": True}
 @pytest.mark.parametrize("serial", [False, True], ids=["tcp", "serial"])
 def test_leftovers_never_move_and_do_no_harm(lines: Sequence[str], serial: bool) -> None:
     async def case(bench: Bench) -> None:
-        await bench.somebody(*lines)
+        await bench.send_as_other_client(*lines)
         await bench.ready()
         assert not bench.moved()
-        other = await bench.somebody("?tb")
+        other = await bench.send_as_other_client("?tb")
         assert b"1:r0;2:r0;3:r0;" in other.raw
         assert bench.unit.unit.local is False
         outcome = await bench.move({"x": 333})
@@ -68,13 +68,13 @@ def test_an_incomplete_line_on_the_serial_port_is_not_completed(half: str) -> No
 
 def test_a_moving_controller_and_a_running_program_are_waited_for_and_not_stopped() -> None:
     async def case(bench: Bench) -> None:
-        await bench.somebody("move1:1", "move2:-1")
+        await bench.send_as_other_client("move1:1", "move2:-1")
         assert bench.moving
         await bench.ready()
         assert bench.steps("x") == 1000 and bench.steps("y") == -1000
         await bench.driver.close()
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
-        await bench.somebody("clr", "1:3s500", "nl", "2:3s500", "nl", "end", "start:")
+        await bench.send_as_other_client("clr", "1:3s500", "nl", "2:3s500", "nl", "end", "start:")
         await bench.ready()
         assert bench.steps("x") == 4000 and bench.steps("y") == 2000
 
@@ -84,11 +84,11 @@ def test_a_moving_controller_and_a_running_program_are_waited_for_and_not_stoppe
 @pytest.mark.parametrize("lines", [("osc1:5",), ("clr", "in0.1", "nl", "end", "start:"), ("ccount",)], ids=str)
 def test_a_controller_that_never_comes_to_rest_is_named(lines: Sequence[str]) -> None:
     async def case(bench: Bench) -> None:
-        await bench.somebody(*lines)
+        await bench.send_as_other_client(*lines)
         with pytest.raises(ControllerFault) as caught:
             await bench.driver.connect()
         assert caught.value.code == "busy" and "`q`" in caught.value.remedy
-        await bench.somebody("q", wait_ms=1000)
+        await bench.send_as_other_client("q", wait_ms=1000)
         await bench.reached_again()
 
     options = {"busy_wait_s": 3}
@@ -105,7 +105,7 @@ def test_a_controller_that_never_comes_to_rest_is_named(lines: Sequence[str]) ->
 )
 def test_a_controller_of_another_configuration_is_refused(lines: Sequence[str], config: Any, named: str) -> None:
     async def case(bench: Bench) -> None:
-        await bench.somebody(*lines)
+        await bench.send_as_other_client(*lines)
         await bench.driver.connect()
         with pytest.raises(ControllerFault, match=named) as caught:
             await bench.driver.configure()
@@ -135,7 +135,7 @@ def test_another_make_is_named() -> None:
 def test_a_panel_that_was_unlocked_is_locked_again_before_a_step() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.somebody("local")
+        await bench.send_as_other_client("local")
         assert bench.unit.unit.local
         await bench.arm({"x": 50})
         assert not bench.unit.unit.local
@@ -166,12 +166,12 @@ def test_changes_by_others_between_arming_and_the_promise_are_detected(lines: Se
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 50_000})
-        await bench.somebody(*lines)
+        await bench.send_as_other_client(*lines)
         await bench.rest()
         with pytest.raises(Refusal) as caught:
             await bench.driver.verify_armed()
         assert caught.value.code == code
-        await bench.somebody("q")
+        await bench.send_as_other_client("q")
         await bench.driver.disarm_move()
         assert (await bench.move({"x": 20})).state == "done"
 
@@ -194,7 +194,7 @@ def test_a_start_that_the_controller_ignores_is_reported() -> None:
     """emips: an axis does not move while the input port has another value (L614); nothing else shows that."""
 
     async def case(bench: Bench) -> None:
-        await bench.somebody("emips2:1")
+        await bench.send_as_other_client("emips2:1")
         await bench.ready()
         await bench.start({"x": 5000, "y": 5000})
         with pytest.raises(ControllerFault) as caught:
@@ -231,7 +231,9 @@ def test_a_limit_that_changes_after_arming_is_detected() -> None:
 @pytest.mark.parametrize("stalled", [False, True])
 def test_closed_loop(stalled: bool) -> None:
     async def case(bench: Bench) -> None:
-        await bench.somebody(*(f"{name}1:{value}" for name, value in (("edev", 0.01), ("prt", 5), ("prst", 0.3))))
+        await bench.send_as_other_client(
+            *(f"{name}1:{value}" for name, value in (("edev", 0.01), ("prt", 5), ("prst", 0.3)))
+        )
         await bench.ready()
         if stalled:
             bench.unit.set_stalled("1", stalled=True)
@@ -256,7 +258,7 @@ def test_closed_loop(stalled: bool) -> None:
 
 def test_a_loop_mode_is_loaded_or_left() -> None:
     async def case(bench: Bench) -> None:
-        await bench.somebody("ecl1:1", "ecl2:1")
+        await bench.send_as_other_client("ecl1:1", "ecl2:1")
         await bench.ready()
         settings = [axis.settings.ecl for axis in bench.unit.machine.axes]
         assert settings == [0, 1, 0]
@@ -268,7 +270,7 @@ def test_an_axis_that_does_not_settle_is_a_fault() -> None:
     """The end never comes: the closed loop pauses for minutes between its attempts."""
 
     async def case(bench: Bench) -> None:
-        await bench.somebody("edev1:0.01", "prt1:5", "prst1:300")
+        await bench.send_as_other_client("edev1:0.01", "prt1:5", "prst1:300")
         await bench.ready()
         bench.unit.set_stalled("1", stalled=True)
         outcome = await bench.move({"x": 2000})
@@ -282,7 +284,7 @@ def test_an_axis_that_is_oscillated_by_others_is_read() -> None:
         await bench.ready()
         await bench.move({"x": 600})
         await bench.driver.poll()
-        await bench.somebody("osc1:5")
+        await bench.send_as_other_client("osc1:5")
         reading = await bench.driver.poll()
         assert reading.axes["x"].moving and reading.axes["x"].commanded_counts == 600
         with pytest.raises(Refusal):

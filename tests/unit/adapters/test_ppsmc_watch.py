@@ -60,7 +60,7 @@ def test_a_changed_setting_is_found_and_written_again(
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert (await bench.move({"x": 1000, "y": 1000, "z": 1000})).state == "done"
-        await bench.somebody(command)
+        await bench.send_as_other_client(command)
         if serial:
             # The lines of ?conf take long: arming compares those that it reads anyway.
             with pytest.raises(Refusal) as caught:
@@ -82,7 +82,7 @@ def test_a_changed_setting_is_found_and_written_again(
 def test_a_program_is_not_armed_with_changed_settings() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.somebody("emips1:7")
+        await bench.send_as_other_client("emips1:7")
         with pytest.raises(Refusal) as caught:
             await bench.arm({"x": 3000}, StartOptions(drive=TriggerDrive(output="flag", active_ns=50 * NS_PER_MS)))
         assert caught.value.code == "setting-changed" and "emips1" in caught.value.text
@@ -140,15 +140,3 @@ def test_a_search_has_not_ended_before_it_is_seen_to_begin(method: str, monkeypa
         assert at_rest == [True, True]
 
     run(case, simulate=SWITCHES, config=controller("x", axis={"homing": {"method": method, "speed": 10}}))
-
-
-def test_limit_switches_are_shown_at_rest() -> None:
-    async def case(bench: Bench) -> None:
-        await bench.ready()
-        for limit in ("forward", "reverse", "both", "none"):
-            for motor, name in (("1", "x"), ("2", "y"), ("3", "z")):
-                bench.unit.set_limit(motor, limit)
-                axis = (await bench.driver.poll()).axes[name]
-                assert (axis.limit, axis.moving, axis.velocity_counts_s) == (limit, False, 0.0)
-
-    run(case)

@@ -101,15 +101,3 @@ def test_the_check_costs_little_and_waits_for_no_completion() -> None:
         assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case)
-
-
-def test_limit_sensors_are_shown_at_rest() -> None:
-    async def case(bench: Bench) -> None:
-        await bench.ready()
-        for limit in ("forward", "reverse", "both", "none"):
-            for motor, name in (("1", "x"), ("2", "y"), ("3", "z")):
-                bench.unit.set_limit(motor, limit)
-                axis = (await bench.driver.poll()).axes[name]
-                assert (axis.limit, axis.moving, axis.velocity_counts_s) == (limit, False, 0.0)
-
-    run(case)

@@ -1,10 +1,10 @@
 """Settings of the SMC-2000 that another client changes: found before each step and at rest, and repaired by a reset."""
 
 import asyncio
-from typing import Any
 
 import pytest
-from unit.adapters.test_smc2000_bench import ChainWorld, World, run, run_chain, trapezoid
+from unit.adapters.settings_at_rest import find_at_rest
+from unit.adapters.test_smc2000_bench import ChainWorld, World, run, run_chain
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.errors import ControllerFault
@@ -12,29 +12,10 @@ from orchestrator.model.errors import ControllerFault
 TURNS = 300  # checks at rest that cover every part of the settings and of the program
 
 
-async def checked(world: World, turns: int = TURNS) -> dict[str, Any]:
-    """The differences of some checks at rest, by item."""
-    found: dict[str, Any] = {}
-    for _ in range(turns):
-        found |= {each.item: each for each in await world.driver.check_settings(everything=False)}
-    return found
-
-
 async def change(world: World, *commands: str) -> None:
     """Change settings as another client would, by a raw command."""
     for command in commands:
         assert "?" not in await world.driver.send_raw(command)
-
-
-def test_nothing_differs_after_connecting_and_after_the_adapters_own_changes():
-    async def main(world: World) -> None:
-        await world.ready()
-        await world.driver.load_soft_limits({"x": (-5000, 60_000), "y": None})
-        assert not await world.driver.check_settings(everything=True)
-        await world.moved({"x": trapezoid(0, 40_000, 80_000, 700_000)})
-        assert not await checked(world)
-
-    run(main)
 
 
 @pytest.mark.parametrize(
@@ -56,11 +37,11 @@ def test_a_changed_setting_is_found_and_a_reset_writes_it_again(
         await change(world, *commands)
         before = await world.driver.check_settings(everything=True)
         assert [each.item for each in before] == ([item] if at_arm else [])
-        (difference,) = (await checked(world)).values()
+        (difference,) = (await find_at_rest(world.driver, TURNS)).values()
         assert (difference.item, difference.found, difference.expected) == (item, found, expected)
         await world.driver.clear_faults()
         assert not await world.driver.check_settings(everything=True)
-        assert not await checked(world)
+        assert not await find_at_rest(world.driver, TURNS)
 
     run(main)
 
@@ -75,42 +56,12 @@ def test_another_sample_period_is_left_to_a_person():
     run(main)
 
 
-def test_gearing_that_was_left_on_is_switched_off_when_connecting_and_a_cam_is_refused():
+def test_a_cam_found_when_configuring_is_refused():
     async def main(world: World) -> None:
-        await world.talk("GA X")
-        await world.talk("GRY=0.5")
         await world.ready()
-        assert not await world.driver.check_settings(everything=True)
-        assert (await world.moved({"x": trapezoid(0, 40_000, 80_000, 700_000)}))[2].state == "done"
-        assert world.controller.position("Y") == 0
         await change(world, "EA X", "EM 1000,100", "EP 10,0", "EB 1")
         with pytest.raises(ControllerFault, match="cam mode"):
             await world.driver.configure()
-
-    run(main)
-
-
-def test_a_contour_mode_that_another_client_has_entered_does_not_refuse_a_step():
-    async def main(world: World) -> None:
-        await world.ready()
-        await change(world, "CM XY")
-        assert not await world.driver.check_settings(everything=True)
-        assert (await world.moved({"x": trapezoid(0, 4000, 20_000, 200_000)}))[2].state == "done"
-
-    run(main)
-
-
-def test_a_changed_program_is_found_at_rest_line_by_line_and_a_reset_loads_it_again():
-    async def main(world: World) -> None:
-        await world.ready(5)
-        program: Any = world.controller
-        lines = program.machine.program.lines
-        lines[9] = lines[9] + ";NO"
-        (difference,) = (await checked(world)).values()
-        assert difference.item == "line 9 of the resident program"
-        await world.driver.clear_faults()
-        assert not await checked(world)
-        assert (await world.moved({"x": trapezoid(0, 4000, 20_000, 200_000)}))[2].state == "done"
 
     run(main)
 
@@ -151,18 +102,6 @@ def test_checks_of_the_controllers_of_a_chain_find_their_own_settings():
         assert [[each.item for each in one] for one in found] == [[], ["ITX of axis x"], []]
 
     run_chain(main)
-
-
-def test_a_limit_switch_shows_at_rest_on_every_axis():
-    async def main(world: World) -> None:
-        await world.ready(5)
-        controller: Any = world.controller
-        for axis, letter in (("x", "X"), ("y", "Y")):
-            for side in ("forward", "reverse", "both", "none"):
-                controller.set_limit(letter, side)
-                assert (await world.driver.poll()).axes[axis].limit == side
-
-    run(main)
 
 
 def test_a_zero_that_is_redefined_shows_as_a_jump_of_both_counts():

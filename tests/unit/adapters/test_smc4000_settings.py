@@ -4,6 +4,7 @@ from contextvars import copy_context
 from typing import Any
 
 import pytest
+from unit.adapters.settings_at_rest import find_at_rest
 from unit.adapters.test_smc4000_bench import FLEET, World, run, trapezoid
 
 from adapters.contract import DriverSetup
@@ -20,28 +21,6 @@ from sim.core.controller import FirmwareTiming
 from sim.yaskawa import SMC4000
 
 TURNS = 80  # checks at rest that cover every part of the settings and of the program
-
-
-async def checked(world: World, turns: int = TURNS) -> dict[str, Any]:
-    """The differences of some checks at rest, by item."""
-    found: dict[str, Any] = {}
-    for _ in range(turns):
-        found |= {each.item: each for each in await world.driver.check_settings(everything=False)}
-    return found
-
-
-def test_nothing_differs_after_connecting_and_after_the_adapters_own_changes():
-    async def main(world: World) -> None:
-        await world.ready()
-        await world.driver.load_soft_limits({"x": (-5000, 60_000), "y": None})
-        assert not await world.driver.check_settings(everything=True)
-        await world.moved({"x": trapezoid(0, 40_000, 80_000, 700_000)})
-        assert not await checked(world)
-        await world.driver.load_soft_limits({"x": None})
-        assert not await world.driver.check_settings(everything=True)
-        assert not await checked(world)
-
-    run(main)
 
 
 @pytest.mark.parametrize(
@@ -75,10 +54,10 @@ def test_a_changed_setting_is_found_before_a_step_and_at_rest_and_a_reset_writes
         (difference,) = await world.driver.check_settings(everything=True)
         assert (difference.item, difference.found, difference.expected) == (item, found, expected)
         assert difference.repairable
-        assert set(await checked(world)) == {item}
+        assert set(await find_at_rest(world.driver, TURNS)) == {item}
         await world.driver.clear_faults()
         assert not await world.driver.check_settings(everything=True)
-        assert not await checked(world)
+        assert not await find_at_rest(world.driver, TURNS)
 
     run(main)
 
@@ -117,43 +96,6 @@ def test_a_cam_that_is_enabled_makes_positions_meaningless():
         assert (difference.item, difference.moves_reference) == ("EB", True)
         await world.driver.clear_faults()
         assert not await world.driver.check_settings(everything=True)
-
-    run(main)
-
-
-def test_a_changed_program_is_found_at_rest_line_by_line_and_a_reset_loads_it_again():
-    async def main(world: World) -> None:
-        await world.ready(5)
-        program: Any = world.controller
-        lines = program.machine.program.lines
-        lines[17] = lines[17] + ";SPX=100"
-        (difference,) = (await checked(world)).values()
-        assert difference.item == "line 17 of the resident program"
-        await world.driver.clear_faults()
-        assert not await checked(world)
-        assert (await world.moved({"x": trapezoid(0, 4000, 20_000, 200_000)}))[2].state == "done"
-
-    run(main)
-
-
-def test_a_contour_mode_that_another_client_has_entered_does_not_refuse_a_step():
-    async def main(world: World) -> None:
-        await world.ready()
-        await world.talk("CM XY")
-        assert not await world.driver.check_settings(everything=True)
-        assert (await world.moved({"x": trapezoid(0, 4000, 20_000, 200_000)}))[2].state == "done"
-
-    run(main)
-
-
-def test_gearing_that_was_left_on_is_switched_off_when_connecting():
-    async def main(world: World) -> None:
-        await world.talk("GAY=X")
-        await world.talk("GRY=0.5")
-        await world.ready()
-        assert not await world.driver.check_settings(everything=True)
-        assert (await world.moved({"x": trapezoid(0, 40_000, 80_000, 700_000)}))[2].state == "done"
-        assert world.controller.position("Y") == 0
 
     run(main)
 
@@ -213,18 +155,6 @@ def test_the_declared_arming_time_covers_the_check():
     run(main)
 
 
-def test_a_limit_switch_shows_at_rest_on_every_axis():
-    async def main(world: World) -> None:
-        await world.ready(5)
-        controller: Any = world.controller
-        for axis, letter in (("x", "X"), ("y", "Y")):
-            for side in ("forward", "reverse", "both", "none"):
-                controller.set_limit(letter, side)
-                assert (await world.driver.poll()).axes[axis].limit == side
-
-    run(main)
-
-
 def test_a_second_client_that_redefines_the_zero_shows_as_a_jump_of_both_counts():
     async def main(world: World) -> None:
         await world.ready()
@@ -273,9 +203,9 @@ def test_over_the_serial_port_the_critical_settings_are_checked_before_a_step_an
             found = [each.item for each in await driver.check_settings(everything=True)]
             assert clock.now_ns() - began_ns < driver.capabilities.costs.arm_ns
             assert found == ([f"{item} of axis x"] if at_arm else [])
-            assert set(await checked(world, 240)) == {f"{item} of axis x"}
+            assert set(await find_at_rest(world.driver, 240)) == {f"{item} of axis x"}
             await driver.clear_faults()
-            assert not await checked(world, 240)
+            assert not await find_at_rest(world.driver, 240)
 
     run_virtual(within)
 

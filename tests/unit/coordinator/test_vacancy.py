@@ -44,10 +44,10 @@ class Drowsy:
 
 def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
     async def main(clock: VirtualClock) -> None:
-        hear: list[Callable[[BusSample], None]] = []
+        subscribed: list[Callable[[BusSample], None]] = []
 
         async def subscribe(_: str, callback: Callable[[BusSample], None]) -> Any:
-            hear.append(callback)
+            subscribed.append(callback)
             return SimpleNamespace(undeclare=lambda: asyncio.sleep(0))
 
         drowsy: Any = Drowsy(clock, NS_PER_S)
@@ -57,7 +57,7 @@ def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
         for _ in range(50):
             await sleep_ns(clock, HEARTBEAT_NS)
             if not NS_PER_S < clock.now_ns() <= drowsy.until_ns + 50 * NS_PER_MS:
-                hear[0](BEAT)
+                subscribed[0](BEAT)
         assert not standing.done()
         last_ns = clock.now_ns()
         await standing
