@@ -60,9 +60,9 @@ test-fast: $(DEV)/.stamp
 	$(DEV)/bin/pytest -m "not live and not nightly" -n 2 --dist worksteal $(SLOWEST)
 
 # Live tests by themselves: their processes have to answer each other in time. They start hundreds of interpreters, so
-# compiled modules are kept even where the environment forbids it.
+# compiled modules are kept even where the environment forbids it. The tests of a file share one fleet.
 test-live: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly" -n 2 --dist loadgroup $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly" -n 2 --dist loadfile $(SLOWEST)
 
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check
@@ -70,7 +70,7 @@ test-docs: $(DEV)/.stamp
 
 test-nightly: $(DEV)/.stamp
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
-	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadgroup --timeout 3600 $(SLOWEST)
+	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
 
 # Simulated controllers against drivers from PyPI; a skipped test is a failed one.
 test-thirdparty: $(THIRDPARTY)/.stamp

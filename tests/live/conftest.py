@@ -20,10 +20,17 @@ def children(tmp_path: Path) -> Iterator[Children]:
 
 
 @pytest.fixture(scope="session")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
-    """The demo fleet for all tests that leave it working; they run one after the other."""
+def demo_fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
+    """The demo fleet, started once in each test process."""
     fleet = RunningFleet(tmp_path_factory.mktemp("shared"))
     try:
         yield fleet.started()
     finally:
         fleet.close()
+
+
+@pytest.fixture
+def shared(demo_fleet: RunningFleet) -> RunningFleet:
+    """The demo fleet for all tests that leave it working. Its queue is started: the test before may have stopped it."""
+    demo_fleet.ask(lambda tutti: tutti.start_queue())
+    return demo_fleet

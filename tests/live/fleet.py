@@ -21,9 +21,6 @@ from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.model.state import ControllerState
 
-# Two at once on two processors delay each other's answers, which no test is about.
-ONE_FLEET_AT_A_TIME = pytest.mark.xdist_group("fleet")
-
 T = TypeVar("T")
 Entry = dict[str, Any]
 Steps = list[dict[str, Any]]

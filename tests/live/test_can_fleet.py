@@ -9,9 +9,9 @@ from pathlib import Path
 import can
 import pytest
 from children import wait_until
-from fleet import ONE_FLEET_AT_A_TIME, RunningFleet, margin_s
+from fleet import RunningFleet, margin_s
 
-pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
+pytestmark = pytest.mark.live
 
 FLEET = """
 schema: tutti.fleet/1

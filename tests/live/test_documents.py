@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fleet import ONE_FLEET_AT_A_TIME, RunningFleet
+from fleet import RunningFleet
 
-pytestmark = [pytest.mark.live, pytest.mark.nightly, ONE_FLEET_AT_A_TIME]
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 ROOT = Path(__file__).parents[2]
 PAGE_S = 240.0

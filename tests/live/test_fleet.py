@@ -14,7 +14,6 @@ import pytest
 from children import LIMIT_S, wait_until
 from fleet import (
     EXAMPLES,
-    ONE_FLEET_AT_A_TIME,
     READY,
     SLOW_AXES,
     RunningFleet,
@@ -28,7 +27,7 @@ from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import RealtimePriority
 from orchestrator.coordinator.journal.journal import Journal
 
-pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
+pytestmark = pytest.mark.live
 
 # The declared times of the processes, in seconds, and a margin for a busy machine.
 HOST_DEAD_S = 0.3

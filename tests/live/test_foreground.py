@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import COMMAND, ONE_FLEET_AT_A_TIME, RunningFleet, margin_s
+from fleet import COMMAND, RunningFleet, margin_s
 
 from orchestrator.clock.live import raw_ns
 
-pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
+pytestmark = pytest.mark.live
 
 STOPPED_WITHIN_S = 1.0 + 0.3 + 1.5  # a session's timeout, a ramp, a busy machine
 SHORT = [{"do": "move", "by": {"gantry.y": 1}}]

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import EXAMPLES, ONE_FLEET_AT_A_TIME, RunningFleet, margin_s, run_tutti, wait_a_moment
+from fleet import EXAMPLES, RunningFleet, margin_s, run_tutti, wait_a_moment
 
 from orchestrator.clock.live import raw_ns
 from orchestrator.runtime.terminal_process import TerminalProcess
 
-pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
+pytestmark = pytest.mark.live
 
 COMMAND = "from orchestrator.cli.main import main; main(prog_name='tutti')"
 

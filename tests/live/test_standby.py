@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 from children import wait_until
-from fleet import EXAMPLES, ONE_FLEET_AT_A_TIME, RunningFleet, margin_s
+from fleet import EXAMPLES, RunningFleet, margin_s
 
 from orchestrator.clock.live import raw_ns
 
-pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
+pytestmark = pytest.mark.live
 
 TAKE_OVER_S = 2.0
 BUSY_S = 4.0  # margin for a busy machine, including an interpreter's start
