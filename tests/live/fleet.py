@@ -12,7 +12,6 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
 
-import pytest
 from children import LIMIT_S, wait_until
 
 from orchestrator.client import Tutti
