@@ -5,12 +5,11 @@ from collections.abc import Mapping
 
 from adapters.controller.status import ControllerStatus
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Axis
+from orchestrator.model.fleet import MAX_COUNTS, Axis
 from orchestrator.model.profile import Profile
 
 # Tolerance for the rounding of a plan that uses its limits to the full; lowering itself bounds the quantisation.
 LIMIT_TOLERANCE = 1e-6
-COUNT_RANGE = 2**31  # controllers and drives keep positions in 32 bits
 
 
 def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *, drives: bool) -> None:
@@ -75,10 +74,10 @@ def check_limits(name: str, axis: Axis, profile: Profile) -> None:
             f"axis {name}: {rate:g} {axis.unit}/s² exceeds its limit of {axis.limits.acceleration:g}",
         )
     low, high = profile.extent_counts
-    if low < -COUNT_RANGE or high >= COUNT_RANGE:
+    if low < -MAX_COUNTS or high >= MAX_COUNTS:
         raise Refusal(
             "position-range",
-            f"axis {name}: the move reaches {low:g} to {high:g} counts; positions are below ±{COUNT_RANGE} counts",
+            f"axis {name}: the move reaches {low:g} to {high:g} counts; positions are below ±{MAX_COUNTS} counts",
             "move the other way; for a rotary axis home it, which begins to count again",
         )
     limits = axis.soft_limits_counts

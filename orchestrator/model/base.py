@@ -1,5 +1,6 @@
 """The base of all models: strict, frozen, finite numbers only."""
 
+import re
 from fractions import Fraction
 from functools import lru_cache
 from typing import Annotated, Any
@@ -20,23 +21,44 @@ HostNs = Annotated[int, BeforeValidator(lambda value: int(value)), PlainSerializ
 """A host instant in ns. It can exceed 2^53 (104 days after boot), so it is sent over the bus as decimal text."""
 
 
+MAX_RATIONAL_LENGTH = 200  # characters; an exact offset of an axis can be long
+MAX_RATIONAL = Fraction(10**15)
+
+# Bounded in every part, because an exponent alone can make a number of gigabytes.
+_RATIONAL = re.compile(r"[-+]?(?:\d+(?:/\d+)?|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)")
+
+
 def parse_rational(value: object) -> Fraction:
-    """Parse an exact rational from an int, `"10000/3"` or `"0.25"`; a float counts as the decimal that it prints."""
+    """Parse an exact rational from an int, `"10000/3"` or `"0.25"`; a float counts as the decimal that it prints.
+
+    Raises `ValueError` for any other value, and beyond ±`MAX_RATIONAL`.
+    """
     # not isinstance: Fraction is an abstract number class, and isinstance costs more than the rest of this function
     if type(value) is Fraction:
         return value
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number, or a fraction in quotes such as "10000/3"')
+    text = value if isinstance(value, str) else str(value)
     try:
-        return _rational(str(value))
+        found = _rational(text)
     except (ValueError, ZeroDivisionError):
-        raise ValueError(f'{value!r} is not a number; write e.g. 400, 0.25, or "10000/3"') from None
+        raise ValueError(f'{_shorten(text)!r} is not a number; write e.g. 400, 0.25, or "10000/3"') from None
+    if not -MAX_RATIONAL <= found <= MAX_RATIONAL:
+        raise ValueError(f"{_shorten(text)} is out of range; the largest number is {float(MAX_RATIONAL):g}")
+    return found
+
+
+def _shorten(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:37]}…"
 
 
 @lru_cache(maxsize=1024)
 def _rational(text: str) -> Fraction:
     """Cached, because states repeat the same few offsets."""
-    return Fraction(text.replace(" ", ""))
+    plain = text[: MAX_RATIONAL_LENGTH + 1].replace(" ", "")
+    if len(text) > MAX_RATIONAL_LENGTH or _RATIONAL.fullmatch(plain) is None:
+        raise ValueError(text)
+    return Fraction(plain)
 
 
 Rational = Annotated[

@@ -6,24 +6,37 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
+from orchestrator.model.axis_units import convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
+from orchestrator.model.fleet_names import find_reference_problems
 from orchestrator.model.links import CanBusLink, Link, SerialLink, TcpLink, UdpLink
+from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
+from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.units import Quantity, Unit, parse_quantity
 
-Positive = Annotated[float, Field(gt=0)]
+MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
+MIN_SCALE, MAX_SCALE = Fraction(1, 10**6), 10**12  # counts per unit
 
 
 class AxisLimits(Model):
     """The maximum velocity, acceleration and jerk of an axis, in its unit per second (², ³)."""
 
-    velocity: Positive
-    acceleration: Positive
-    jerk: Positive | None = Field(
+    velocity: UnitNumber
+    acceleration: UnitNumber
+    jerk: UnitNumber | None = Field(
         default=None, description="Without it the axis is planned with trapezoidal velocity profiles."
     )
 
@@ -40,11 +53,11 @@ class HomingSettings(Model):
 
     method: str = Field(default="default", description="A homing method of the make; `default` is its usual one.")
     direction: Literal["negative", "positive"] = "negative"
-    speed: Positive | None = Field(default=None, description="Approach speed, unit/s; default: a tenth of the limit.")
-    search_speed: Positive | None = Field(
+    speed: UnitNumber | None = Field(default=None, description="Approach speed, unit/s; default: a tenth of the limit.")
+    search_speed: UnitNumber | None = Field(
         default=None, description="Speed of the fine search, where the make supports it."
     )
-    timeout_s: float = Field(default=60.0, gt=0, le=3600)
+    timeout_s: Seconds = Field(default=60.0, gt=0, le=3600)
     after: list[str] = Field(
         default=[], description="Axes `controller.axis` that must be referenced before this one is homed."
     )
@@ -53,10 +66,10 @@ class HomingSettings(Model):
 class JogSettings(Model):
     """The speeds at which an axis may be jogged, in unit/s."""
 
-    speed: Positive | None = Field(
+    speed: UnitNumber | None = Field(
         default=None, description="Maximum jog speed; default: a quarter of the velocity limit."
     )
-    slow_speed: Positive | None = Field(
+    slow_speed: UnitNumber | None = Field(
         default=None, description="Maximum jog speed while unreferenced; default: a fiftieth of the velocity limit."
     )
 
@@ -67,17 +80,17 @@ class HoldingBrake(Model):
     output: Id | None = Field(
         default=None, description="Named output of the same controller; active releases the brake."
     )
-    release_s: float = Field(
+    release_s: Seconds = Field(
         default=0.0, ge=0, le=10, description="After enabling: time until the brake is open; no motion before."
     )
-    engage_s: float = Field(default=0.0, ge=0, le=10, description="Before disabling: time until the brake holds.")
+    engage_s: Seconds = Field(default=0.0, ge=0, le=10, description="Before disabling: time until the brake holds.")
 
 
 class StartRate(Model):
     """For steppers: the speed range, in unit/s, in which the motor may start and stop without a ramp."""
 
     min: float = Field(ge=0)
-    max: Positive
+    max: UnitNumber
 
     @model_validator(mode="after")
     def _check_order(self) -> "StartRate":
@@ -86,12 +99,28 @@ class StartRate(Model):
         return self
 
 
+def _check_scale(scale: Fraction) -> Fraction:
+    if scale <= 0:
+        raise ValueError(f"scale is {scale}; it must be above 0 (use `sign: -1` to reverse the direction)")
+    if not MIN_SCALE <= scale <= MAX_SCALE:
+        raise ValueError(f"scale is {float(scale):g} counts per unit; it must be from {MIN_SCALE} to {MAX_SCALE}")
+    return scale
+
+
+MotorName = Annotated[str, BeforeValidator(lambda name: str(name) if type(name) is int else name)]
+"""The make's name of a motor; `[1]` is `['1']`."""
+
+Scale = Annotated[Rational, AfterValidator(_check_scale)]
+
+SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings)
+
+
 class Axis(Model):
     """One coordinate of the fleet."""
 
-    motors: list[str] = Field(min_length=1, description="The make's names of the motors, e.g. [X] or ['1'].")
+    motors: list[MotorName] = Field(min_length=1, description="The make's names of the motors, e.g. [X] or ['1'].")
     unit: Unit
-    scale: Rational = Field(default=Fraction(1), description='Counts per unit, exact: 2000, "10000/3".')
+    scale: Scale = Field(default=Fraction(1), description='Counts per unit, exact: 2000, "10000/3".')
     sign: Literal[1, -1] = Field(default=1, description="-1 if the controller counts in the opposite direction.")
     kind: Literal["linear", "rotary"] = "linear"
     wrap: Quantity | None = Field(default=None, description="Rotary axes: the length of one turn, e.g. 360.")
@@ -110,14 +139,20 @@ class Axis(Model):
     jog: JogSettings = JogSettings()
     homing: HomingSettings = HomingSettings()
     done: Literal["profile", "in_position"] = "profile"
-    in_position_window: Positive | None = Field(
-        default=None, description="In the axis's unit; required with `done: in_position`."
+    in_position_window: UnitNumber | None = Field(
+        default=None, validate_default=True, description="In the axis's unit; required with `done: in_position`."
     )
-    in_position_timeout_s: float = Field(default=2.0, gt=0, le=600)
-    following_error: Positive | None = Field(
+    in_position_timeout_s: Seconds = Field(default=2.0, gt=0, le=600)
+    following_error: UnitNumber | None = Field(
         default=None, description="In the axis's unit; a larger following error is a fault."
     )
-    max_deviation: Positive | None = Field(default=None, description="In the axis's unit; between coupled motors.")
+    max_deviation: UnitNumber | None = Field(default=None, description="In the axis's unit; between coupled motors.")
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _convert_units(cls, data: Any, handler: ModelWrapValidatorHandler["Axis"]) -> "Axis":
+        converted, problems = convert_rates(data)
+        return validate_with(problems, cls.__name__, lambda: handler(converted))
 
     @field_validator("motors")
     @classmethod
@@ -126,34 +161,66 @@ class Axis(Model):
             raise ValueError(f"{len(motors)} motors on one axis are not supported yet; define one axis per motor")
         return motors
 
-    @model_validator(mode="after")
-    def _check_consistency(self) -> "Axis":
-        if self.scale <= 0:
-            raise ValueError(f"scale is {self.scale}; it must be above 0 (use `sign: -1` to reverse the direction)")
-        if self.kind == "linear" and (self.wrap is not None or self.shortest_way):
+    # Each check belongs to the last of its fields, so that a mistake elsewhere in the axis does not hide it.
+
+    @field_validator("wrap")
+    @classmethod
+    def _check_wrap(cls, wrap: int | float | str | None, info: ValidationInfo) -> int | float | str | None:
+        if wrap is not None and info.data.get("kind") == "linear":
             raise ValueError("wrap and shortest_way need `kind: rotary`")
-        if self.shortest_way and self.wrap is None:
-            raise ValueError("shortest_way needs `wrap`, the length of one turn")
-        if self.wrap is not None and parse_quantity(self.wrap, self.unit) <= 0:
+        if wrap is not None and "unit" in info.data and parse_quantity(wrap, info.data["unit"]) <= 0:
             raise ValueError("wrap must be above 0")
-        for name, speed in (
-            ("homing.speed", self.homing.speed),
-            ("homing.search_speed", self.homing.search_speed),
-            ("jog.speed", self.jog.speed),
-            ("jog.slow_speed", self.jog.slow_speed),
-        ):
-            if speed is not None and speed > self.limits.velocity:
-                raise ValueError(f"{name} ({speed:g}) is above limits.velocity ({self.limits.velocity:g})")
-        if self.done == "in_position" and self.in_position_window is None:
+        return wrap
+
+    @field_validator("shortest_way")
+    @classmethod
+    def _check_shortest_way(cls, shortest_way: bool, info: ValidationInfo) -> bool:  # noqa: FBT001 - called by pydantic
+        if shortest_way and info.data.get("kind") == "linear":
+            raise ValueError("wrap and shortest_way need `kind: rotary`")
+        if shortest_way and info.data.get("wrap", 1) is None:
+            raise ValueError("shortest_way needs `wrap`, the length of one turn")
+        return shortest_way
+
+    @field_validator("soft_limits")
+    @classmethod
+    def _check_soft_limits(cls, limits: SoftLimits | None, info: ValidationInfo) -> SoftLimits | None:
+        if limits is None or "unit" not in info.data:
+            return limits
+        low, high = (parse_quantity(end, info.data["unit"]) for end in (limits.min, limits.max))
+        if low >= high:
+            raise ValueError(f"soft_limits.min ({limits.min}) is not below max ({limits.max})")
+        scale = info.data.get("scale", 1)
+        for name, end in (("min", low), ("max", high)):
+            if abs(end * scale) > MAX_COUNTS:
+                raise ValueError(
+                    f"soft_limits.{name} ({getattr(limits, name)}) is {float(end * scale):.4g} counts; positions are "
+                    f"within ±{MAX_COUNTS} counts"
+                )
+        return limits
+
+    @field_validator("homing", "jog")
+    @classmethod
+    def _check_speeds(cls, settings: SpeedSettings, info: ValidationInfo) -> SpeedSettings:
+        limits: AxisLimits | None = info.data.get("limits")
+        for name in ("speed", "search_speed", "slow_speed"):
+            speed = getattr(settings, name, None)
+            if limits is not None and speed is not None and speed > limits.velocity:
+                raise ValueError(f"{info.field_name}.{name} ({speed:g}) is above limits.velocity ({limits.velocity:g})")
+        return settings
+
+    @field_validator("in_position_window")
+    @classmethod
+    def _check_window(cls, window: float | None, info: ValidationInfo) -> float | None:
+        if window is None and info.data.get("done") == "in_position":
             raise ValueError("`done: in_position` needs in_position_window")
-        if self.max_deviation is not None and len(self.motors) < 2:
+        return window
+
+    @field_validator("max_deviation")
+    @classmethod
+    def _check_deviation(cls, deviation: float | None, info: ValidationInfo) -> float | None:
+        if deviation is not None and len(info.data.get("motors", ())) == 1:
             raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
-        if self.soft_limits is not None:
-            low = parse_quantity(self.soft_limits.min, self.unit)
-            high = parse_quantity(self.soft_limits.max, self.unit)
-            if low >= high:
-                raise ValueError(f"soft_limits.min ({self.soft_limits.min}) is not below max ({self.soft_limits.max})")
-        return self
+        return deviation
 
     @cached_property
     def counts_per_unit(self) -> Fraction:
@@ -207,14 +274,14 @@ class Axis(Model):
 class DigitalInput(Model):
     """A named digital input."""
 
-    number: int = Field(ge=1)
+    number: int = Field(ge=1, le=65_535)
     active: Literal["high", "low"] = "high"
 
 
 class DigitalOutput(Model):
     """A named digital output."""
 
-    number: int = Field(ge=1)
+    number: int = Field(ge=1, le=65_535)
     active: Literal["high", "low"] = "high"
     safe: bool | None = Field(
         default=None, description="State to set on an e-stop, true: active; none: leave unchanged."
@@ -224,10 +291,10 @@ class DigitalOutput(Model):
 class StateRates(Model):
     """How often a controller's state is read and published, in Hz."""
 
-    moving_hz: float = Field(
+    moving_hz: Hertz = Field(
         default=10.0, ge=3, le=200, description="A controller that is silent for 0.7 s in motion is stopped."
     )
-    idle_hz: float = Field(default=5.0, gt=0, le=200)
+    idle_hz: Hertz = Field(default=5.0, gt=0, le=200)
 
 
 class SimulationSettings(Model):
@@ -235,9 +302,9 @@ class SimulationSettings(Model):
     crystal."""
 
     options: dict[str, Any] = Field(default={}, description="The simulator's own options.")
-    decode_us: int = Field(default=500, ge=0, description="Time that the firmware takes for a command.")
-    spread_us: int = Field(default=0, ge=0, description="Random extra time, up to this.")
-    offset_s: float = Field(default=0.0, ge=0, description="The controller's clock at the start.")
+    decode_us: int = Field(default=500, ge=0, le=10_000_000, description="Time that the firmware takes for a command.")
+    spread_us: int = Field(default=0, ge=0, le=10_000_000, description="Random extra time, up to this.")
+    offset_s: float = Field(default=0.0, ge=0, le=1e9, description="The controller's clock at the start.")
     drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
     wander_ppm: float = Field(default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s.")
     hold_ms: float = Field(default=0.0, ge=0, le=100, description="Maximum receive delay of a USB serial adapter.")
@@ -256,35 +323,6 @@ class Controller(Model):
     inputs: dict[Id, DigitalInput] = Field(default={})
     outputs: dict[Id, DigitalOutput] = Field(default={})
     state: StateRates = StateRates()
-
-    @model_validator(mode="after")
-    def _check_motors_unique(self) -> "Controller":
-        seen: dict[str, str] = {}
-        for name, axis in self.axes.items():
-            for motor in axis.motors:
-                if motor in seen:
-                    raise ValueError(
-                        f"motor {motor} belongs to axis {seen[motor]} and to axis {name}; assign it to one axis"
-                    )
-                seen[motor] = name
-        for kind, points in (("input", self.inputs), ("output", self.outputs)):
-            numbers: dict[int, str] = {}
-            for name, point in points.items():
-                if point.number in numbers:
-                    raise ValueError(f"{kind} {point.number} has two names: {numbers[point.number]} and {name}")
-                numbers[point.number] = name
-        return self
-
-    @model_validator(mode="after")
-    def _check_brakes(self) -> "Controller":
-        for name, axis in self.axes.items():
-            output = axis.brake.output if axis.brake else None
-            if output is not None and output not in self.outputs:
-                known = ", ".join(self.outputs) or "none"
-                raise ValueError(
-                    f"axes.{name}.brake.output: the controller has no output {output}; known outputs: {known}"
-                )
-        return self
 
     @property
     def shares_port(self) -> bool:
@@ -309,9 +347,9 @@ class TriggerWire(Model):
 
     from_: str = Field(alias="from", description="controller.output")
     to: list[str] = Field(min_length=1, description="controller.input, one or more")
-    delay_us: tuple[int, int] = Field(
-        default=(0, 50), description="Minimum and maximum delay from the output to an input's terminal, µs."
-    )
+    delay_us: Annotated[
+        tuple[int, int], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+    ] = Field(default=(0, 50), description="Minimum and maximum delay from the output to an input's terminal, µs.")
 
     @model_validator(mode="after")
     def _check_possible(self) -> "TriggerWire":
@@ -379,44 +417,14 @@ class Fleet(Model):
     @field_validator("controllers")
     @classmethod
     def _check_shared_links(cls, controllers: dict[str, Controller]) -> dict[str, Controller]:
-        lines: dict[str, list[str]] = {}
-        for name, controller in controllers.items():
-            lines.setdefault(controller.link.endpoint, []).append(name)
-        for place, names in lines.items():
-            for name in names[1:]:
-                _require_shareable(place, names[0], controllers[names[0]], name, controllers[name])
-            units = [_address_of(controllers[name]) for name in names]
-            for number, unit in enumerate(units):
-                if unit in units[:number]:
-                    first = names[units.index(unit)]
-                    raise ValueError(
-                        f"{first} and {names[number]} both have address {unit} on {place}; give each its own address"
-                    )
+        raise_problems(_find_link_problems(controllers), cls.__name__)
         return controllers
 
-    @model_validator(mode="after")
-    def _check_references(self) -> "Fleet":
-        for group, members in self.groups.items():
-            if group in self.controllers:
-                raise ValueError(f"group {group} has the name of a controller; rename one of them")
-            for member in members:
-                self.axis(member)
-        for entry in self.home_order:
-            self.expand_name(entry)
-        self._check_homing_dependencies()
-        for permit in self.permits.values():
-            self._require_point(permit.input, "inputs")
-            for name in permit.axes or []:
-                self.expand_name(name)
-        fed: dict[str, str] = {}
-        for wire in self.wiring:
-            self._require_point(wire.from_, "outputs")
-            for end in wire.to:
-                self._require_point(end, "inputs")
-                if end in fed:
-                    raise ValueError(f"input {end} is wired to {fed[end]} and to {wire.from_}; wire it to one output")
-                fed[end] = wire.from_
-        return self
+    @model_validator(mode="wrap")
+    @classmethod
+    def _check_names(cls, data: Any, handler: ModelWrapValidatorHandler["Fleet"]) -> "Fleet":
+        """Check references by the names that the file has, also when other parts of it are wrong."""
+        return validate_with(find_reference_problems(data), cls.__name__, lambda: handler(data))
 
     @property
     def connections(self) -> list[WireConnection]:
@@ -429,27 +437,6 @@ class Fleet(Model):
                 driven_by, feeds = self.controllers[source].outputs[output], self.controllers[target].inputs[name]
                 found.append(WireConnection(source, output, driven_by, target, name, feeds, wire.delay_us))
         return found
-
-    def _check_homing_dependencies(self) -> None:
-        """Check that each `after` names an axis and that no axis waits for itself, directly or through others."""
-        after = {name: self.axis(name).homing.after for name in self.axis_names}
-        for name, others in after.items():
-            for other in others:
-                self.axis(other)
-            waits_for, todo = set[str](), list(others)
-            while todo:
-                other = todo.pop()
-                if other not in waits_for:
-                    waits_for.add(other)
-                    todo += after[other]
-            if name in waits_for:
-                raise ValueError(f"axis {name} waits for itself (homing.after); remove one of the entries")
-
-    def _require_point(self, name: str, side: Literal["inputs", "outputs"]) -> None:
-        controller, _, point = name.partition(".")
-        if controller not in self.controllers or point not in getattr(self.controllers[controller], side):
-            known = [f"{c}.{p}" for c, each in self.controllers.items() for p in getattr(each, side)]
-            raise UnknownName(name, f"the fleet has no {side[:-1]} {name}; known {side}: {', '.join(known) or 'none'}")
 
     def permits_of(self, axes: Iterable[str]) -> dict[str, Permit]:
         """The permits that bind any of `axes`, by name."""
@@ -491,22 +478,42 @@ def _address_of(controller: Controller) -> int | None:
     return controller.link.address if isinstance(controller.link, SerialLink | CanBusLink) else None
 
 
-def _require_shareable(place: str, first: str, one: Controller, second: str, other: Controller) -> None:
-    """Raises `ValueError` unless both controllers can be reached through one port."""
+def _find_link_problems(controllers: dict[str, Controller]) -> list[Problem]:
+    """Controllers on one port that cannot share it."""
+    lines: dict[str, list[str]] = {}
+    for name, controller in controllers.items():
+        lines.setdefault(controller.link.endpoint, []).append(name)
+    problems: list[Problem] = []
+    for place, names in lines.items():
+        first = names[0]
+        for number, name in enumerate(names[1:], 1):
+            text = _explain_unshareable(place, first, controllers[first], name, controllers[name])
+            address = _address_of(controllers[name])
+            same = next((other for other in names[:number] if _address_of(controllers[other]) == address), None)
+            if text is None and same is not None:
+                text = f"{same} and {name} both have address {address} on {place}; give each its own address"
+            if text is not None:
+                problems.append(Problem((name, "link"), text))
+    return problems
+
+
+def _explain_unshareable(place: str, first: str, one: Controller, second: str, other: Controller) -> str | None:
+    """Why both controllers cannot be reached through one port; None if they can."""
     both = f"{first} and {second} are both on {place}"
     for name, controller in ((first, one), (second, other)):
         if _address_of(controller) is None:
-            raise ValueError(
+            return (
                 f"{both}; a port can carry several controllers only if each has an address there, and {name} has none "
                 "(link.address)"
             )
     for field in ("adapter", "host"):
         found = getattr(one, field), getattr(other, field)
         if found[0] != found[1]:
-            raise ValueError(f"{both}, but have different `{field}`: {found[0]} and {found[1]}")
+            return f"{both}, but have different `{field}`: {found[0]} and {found[1]}"
     alike = one.link.model_copy(update={"address": None}), other.link.model_copy(update={"address": None})
     if alike[0] != alike[1]:
-        raise ValueError(f"{both}, but with different settings: {alike[0].to_plain()} and {alike[1].to_plain()}")
+        return f"{both}, but with different settings: {alike[0].to_plain()} and {alike[1].to_plain()}"
+    return None
 
 
 def group_by_link(fleet: Fleet) -> list[list[str]]:

@@ -6,6 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
+from orchestrator.model.numbers import Part
 from orchestrator.model.state import StartWish
 from orchestrator.model.units import Quantity
 
@@ -26,7 +27,7 @@ class Move(StepBase):
     do: Literal["move"]
     to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
     by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
-    speed: float = Field(default=1.0, gt=0, le=1, description="Fraction of each axis's velocity limit.")
+    speed: Part = Field(default=1.0, description="Fraction of each axis's velocity limit.")
     sync: Literal["time", "phase", "none"] = Field(
         default="time",
         description="time: all end together; phase: a straight line in axis space; none: each axis takes its "

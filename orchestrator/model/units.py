@@ -14,6 +14,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.numbers import MAX_TEXT, split_number, suggest_number
 
 
 class Unit(StrEnum):
@@ -52,9 +53,6 @@ _SIZE: dict[Unit, tuple[str, Fraction]] = {
     Unit.COUNTS: ("counts", Fraction(1)),
 }
 
-_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*([A-Za-zµ\"']*)\s*$")
-
-MAX_QUANTITY_LENGTH = 60  # maximum characters of a quantity
 MAX_QUANTITY = 1e15  # in any unit; its counts can still be computed for any axis
 
 
@@ -80,30 +78,68 @@ def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
     """
     if not isinstance(value, str):
         return Fraction(str(value))
-    found = _QUANTITY.match(value)
-    if not found:
-        raise UnitError(f'{value!r} is not a quantity; write a number, or a number and a unit, e.g. "12.5 {unit}"')
-    number, name = found.groups()
+    parts = split_number(value)
+    if parts is None:
+        raise UnitError(_explain_quantity(value, unit))
+    number, name = parts
     if not name:
         return Fraction(number)
+    return convert_units(Fraction(number), _parse_unit(name), unit)
+
+
+_PER_TIME = re.compile(r"(.+?)/(s|min)(?:\^?([23])|([²³]))?")
+_MARKS = {1: "", 2: "²", 3: "³"}
+
+
+def parse_rate(text: str, unit: Unit, order: int) -> float:
+    """Convert text such as `"200 mm/s"` to a number of `unit` per second (order 1), per second squared (2) or cubed (3).
+
+    `rpm` and `/min` are understood. order 0: a length or an angle. Raises `UnitError`.
+    """
+    wanted = f"{unit}/s{_MARKS[order]}" if order else unit
+    parts = split_number(text)
+    if parts is None:
+        raise UnitError(_explain_quantity(text, wanted))
+    number, name = parts
+    if not name:
+        raise UnitError(f"found text {text[:MAX_TEXT]!r}; write the number without quotes: {number}")
+    if order == 0:
+        return float(convert_units(Fraction(number), _parse_unit(name), unit))
+    found = _PER_TIME.fullmatch("rev/min" if name == "rpm" else name)
+    if found is None or _order_of(found) != order:
+        raise UnitError(f'{text[:MAX_TEXT]!r} is not in a unit of {wanted}; write e.g. "{number} {wanted}"')
+    seconds = 60**order if found[2] == "min" else 1
+    return float(convert_units(Fraction(number), _parse_unit(found[1]), unit) / seconds)
+
+
+def _order_of(found: re.Match[str]) -> int:
+    return int(found[3] or {"²": 2, "³": 3}.get(found[4], 1))
+
+
+def _parse_unit(name: str) -> Unit:
     try:
-        given = Unit(name.replace("µ", "u"))
+        return Unit(name.replace("µ", "u").replace("μ", "u"))
     except ValueError:
-        raise UnitError(f"unknown unit {name!r}; known units: {', '.join(Unit)}") from None
-    return convert_units(Fraction(number), given, unit)
+        raise UnitError(f"unknown unit {name[:20]!r}; known units: {', '.join(Unit)}") from None
+
+
+def _explain_quantity(text: str, unit: str) -> str:
+    hint = suggest_number(text) or f'write a number, or a number and a unit, e.g. "12.5 {unit}"'
+    return f"{text[:MAX_TEXT]!r} is not a quantity; {hint}"
 
 
 def _check_quantity(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number in the axis\'s unit, or text with a unit such as "12.5 um"')
-    found = _QUANTITY.match(value[:MAX_QUANTITY_LENGTH]) if isinstance(value, str) else None
-    if isinstance(value, str) and (found is None or len(value) > MAX_QUANTITY_LENGTH):
-        raise ValueError(
-            f'{value[:MAX_QUANTITY_LENGTH]!r} is not a quantity; write a number, or a number and a unit, e.g. "12.5 um"'
-        )
-    # An integer can exceed the range of a float.
-    if abs(float(found[1]) if found else value) > MAX_QUANTITY:  # pyright: ignore[reportArgumentType]
-        raise ValueError(f"{value!r} is out of range; the largest number is {MAX_QUANTITY:g}")
+    number: object = value
+    if isinstance(value, str):
+        parts = split_number(value)
+        if parts is None:
+            raise ValueError(_explain_quantity(value, "um"))
+        number = float(parts[0])
+    # An integer can exceed the range of a float. NaN is not below anything.
+    if not abs(number) <= MAX_QUANTITY:  # pyright: ignore[reportArgumentType]
+        raise ValueError(f"{str(value)[:MAX_TEXT]} is out of range; the largest number is {MAX_QUANTITY:g}")
     return value
 
 

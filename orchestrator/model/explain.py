@@ -1,0 +1,136 @@
+"""Errors of pydantic in the words of a file: the value found, and what is allowed."""
+
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, cast
+
+from orchestrator.model.base import Model
+from orchestrator.model.numbers import suggest_flag, suggest_number
+
+MAX_SHOWN = 60  # characters of a value
+
+_BOUNDS = {
+    "greater_than": ("gt", "above"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "below"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
+def explain_error(error: Mapping[str, Any], model: type[Model]) -> str:
+    """The text for one of pydantic's errors in a document for `model`."""
+    kind, context = str(error["type"]), cast(Mapping[str, Any], error.get("ctx", {}))
+    found = error.get("input")
+    match kind:
+        case "missing":
+            return "is missing"
+        case "extra_forbidden":
+            return _explain_unknown_field(error, model)
+        case "value_error":
+            return str(context.get("error", error["msg"]))
+        case "literal_error" | "enum":
+            return f"found {show_value(found)}; allowed: {context['expected']}{_suggest_choice(found, context)}"
+        case "union_tag_invalid":
+            tags, what = context["expected_tags"], context["discriminator"]
+            return f"found {context['tag']!r} for {what}; allowed: {tags}"
+        case "union_tag_not_found":
+            return f"needs the field {context['discriminator']}, which selects its kind"
+        case "string_pattern_mismatch":
+            return f"found {show_value(found)}; an id may contain only a-z, 0-9, _ and -"
+        case "too_short" | "string_too_short":
+            return f"found {show_value(found)}; at least {context['min_length']} must be given"
+        case "too_long" | "string_too_long":
+            return f"has {len(cast(str, found))} entries or characters; at most {context['max_length']}"
+        case "finite_number":
+            return f"found {show_value(found)}; the number must be finite"
+        case _ if kind in _BOUNDS:
+            field, words = _BOUNDS[kind]
+            return f"found {show_value(found)}; must be {words} {context[field]:g}"
+        case _:
+            return f"found {show_value(found)}; {_expect_type(kind, found) or _lower_first(str(error['msg']))}"
+
+
+def show_value(value: object) -> str:
+    """A value as a message shows it, shortened."""
+    try:
+        text = (
+            repr(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else json.dumps(value)
+        )
+    except (TypeError, ValueError):
+        text = str(type(value))
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 1]}…"
+
+
+def _expect_type(kind: str, found: object) -> str:
+    """What to write where a value of another type is expected; empty for other kinds of error."""
+    expected = kind.removesuffix("_type").removesuffix("_parsing").removesuffix("_from")
+    text = found if isinstance(found, str) else ""
+    if expected in ("float", "int"):
+        number = "a number" if expected == "float" else "a whole number"
+        return f"must be {number}" + (f"; {hint}" if (hint := suggest_number(text)) else "")
+    if expected == "bool":
+        return suggest_flag(text) if text else "must be true or false"
+    if expected == "string":
+        quoted = isinstance(found, int | float) and not isinstance(found, bool)
+        return "must be text" + (f'; write it in quotes: "{found}"' if quoted else "")
+    return {"list": "must be a list", "dict": "must be a mapping", "model": "must be a mapping"}.get(expected, "")
+
+
+def _suggest_choice(found: object, context: Mapping[str, Any]) -> str:
+    choices = [part.strip(" '") for part in str(context["expected"]).replace(" or ", ",").split(",")]
+    near = difflib.get_close_matches(found, choices, 1) if isinstance(found, str) else []
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _explain_unknown_field(error: Mapping[str, Any], model: type[Model]) -> str:
+    *place, name = cast(Sequence[str | int], error["loc"])
+    allowed = find_fields(model, place)
+    if not allowed:
+        return "unknown field; see `tutti schema` for the fields that are allowed here"
+    near = difflib.get_close_matches(str(name), allowed, 1)
+    return f"unknown field; {f'did you mean {near[0]}? ' if near else ''}allowed: {', '.join(allowed)}"
+
+
+def find_fields(model: type[Model], place: Sequence[str | int]) -> list[str]:
+    """The fields that `model` allows at `place`, a location of pydantic's; empty if the place is not known."""
+    schema = _schema_of(model)
+    here = _resolve(schema, schema)
+    for part in place:
+        here = _step_into(schema, here, part)
+        if here is None:
+            return []
+    return sorted(here.get("properties", {}))
+
+
+@lru_cache(maxsize=8)
+def _schema_of(model: type[Model]) -> dict[str, Any]:
+    return model.model_json_schema(by_alias=True)
+
+
+def _resolve(schema: dict[str, Any], here: dict[str, Any]) -> dict[str, Any]:
+    while "$ref" in here:
+        here = schema["$defs"][here["$ref"].rpartition("/")[2]]
+    return here
+
+
+def _step_into(schema: dict[str, Any], here: dict[str, Any], part: str | int) -> dict[str, Any] | None:
+    here = _resolve(schema, here)
+    tags: dict[str, str] = here.get("discriminator", {}).get("mapping", {})
+    if part in tags:
+        return _resolve(schema, {"$ref": tags[str(part)]})
+    options = [_resolve(schema, each) for each in here.get("anyOf", here.get("oneOf", [here]))]
+    for option in options:
+        if isinstance(part, int) and "items" in option:
+            return _resolve(schema, option["items"])
+        if part in option.get("properties", {}):
+            return _resolve(schema, option["properties"][part])
+        for below in (option.get("additionalProperties"), *option.get("patternProperties", {}).values()):
+            if isinstance(below, dict) and isinstance(part, str):
+                return _resolve(schema, cast(dict[str, Any], below))
+    return None
+
+
+def _lower_first(text: str) -> str:
+    return text[:1].lower() + text[1:]

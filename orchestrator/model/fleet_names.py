@@ -1,0 +1,190 @@
+"""References inside a fleet file, checked by the names that the file has.
+
+They are checked in the data as it was read, so that a mistake in one axis does not hide the wrong names elsewhere.
+"""
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+from orchestrator.model.base import Model
+from orchestrator.model.problems import Problem
+
+Place = tuple[str | int, ...]
+EACH = "*"
+MAX_LISTED = 20  # names in one message
+
+
+@dataclass(frozen=True, slots=True)
+class FleetNames:
+    """All names that a fleet file defines, as `controller.name` but for controllers and groups."""
+
+    controllers: list[str] = field(default_factory=list[str])
+    groups: list[str] = field(default_factory=list[str])
+    axes: list[str] = field(default_factory=list[str])
+    inputs: list[str] = field(default_factory=list[str])
+    outputs: list[str] = field(default_factory=list[str])
+
+    def explain_unknown(self, name: object, kind: str) -> str | None:
+        """Why `name` is no name of that kind: axis, axes (also groups and controllers), input or output; or None."""
+        known = {"axis": self.axes, "input": self.inputs, "output": self.outputs}.get(
+            kind, [*self.axes, *self.groups, *self.controllers]
+        )
+        if name in known or not isinstance(name, str):
+            return None  # another type is reported by the field itself
+        what = "axis, group or controller" if kind == "axes" else kind
+        listed = self.axes if kind == "axes" else known
+        return f"the fleet has no {what} {name[:80]}; {suggest_name(name, known)}{list_names(listed, kind)}"
+
+
+def suggest_name(name: str, known: Iterable[str]) -> str:
+    """The nearest of the known names, as the beginning of a remedy; empty if none is near."""
+    near = difflib.get_close_matches(name[:80], list(known), 1, 0.75)
+    return f"did you mean {near[0]}? " if near else ""
+
+
+def list_names(names: list[str], kind: str) -> str:
+    """`its axes are: …`, with at most `MAX_LISTED` names."""
+    plural = "axes" if kind in ("axis", "axes") else f"{kind}s"
+    shown = ", ".join(names[:MAX_LISTED]) + (f", … ({len(names)} in all)" if len(names) > MAX_LISTED else "")
+    return f"its {plural} are: {shown}" if names else f"it has no {plural}"
+
+
+def find_reference_problems(data: Any) -> list[Problem]:
+    """Every reference in a fleet file that leads nowhere, or to something that is used already."""
+    if not isinstance(data, Mapping):
+        return []
+    plain = {str(key): _make_plain(value) for key, value in cast(Mapping[str, Any], data).items()}
+    names = collect_names(plain)
+    return [
+        *_find_unknown(plain, names),
+        *_find_group_problems(plain, names),
+        *_find_double_use(plain),
+        *_find_homing_circles(plain),
+    ]
+
+
+def collect_names(plain: Mapping[str, Any]) -> FleetNames:
+    """The names of a fleet file."""
+    names = FleetNames()
+    for (_, controller), _ in select(plain, "controllers", EACH):
+        names.controllers.append(str(controller))
+    for kind, found in (("axes", names.axes), ("inputs", names.inputs), ("outputs", names.outputs)):
+        found += [f"{place[1]}.{place[3]}" for place, _ in select(plain, "controllers", EACH, kind, EACH)]
+    names.groups.extend(str(place[1]) for place, _ in select(plain, "groups", EACH))
+    return names
+
+
+def select(data: Any, *pattern: str) -> Iterator[tuple[Place, Any]]:
+    """All values at `pattern`, with their places; `*` stands for every key or index. What is not there is left out."""
+    if not pattern:
+        yield (), data
+        return
+    entries: Iterable[tuple[str | int, Any]] = ()
+    if isinstance(data, Mapping):
+        mapping = cast(Mapping[str, Any], data)
+        entries = mapping.items() if pattern[0] == EACH else [(k, mapping[k]) for k in pattern[:1] if k in mapping]
+    elif isinstance(data, list | tuple) and pattern[0] == EACH:
+        entries = enumerate(cast(list[Any], data))
+    for key, value in entries:
+        for place, found in select(value, *pattern[1:]):
+            yield (key, *place), found
+
+
+_REFERENCES: tuple[tuple[tuple[str, ...], str], ...] = (
+    (("groups", EACH, EACH), "axis"),
+    (("home_order", EACH), "axes"),
+    (("controllers", EACH, "axes", EACH, "homing", "after", EACH), "axis"),
+    (("permits", EACH, "input"), "input"),
+    (("permits", EACH, "axes", EACH), "axes"),
+    (("wiring", EACH, "from"), "output"),
+    (("wiring", EACH, "to", EACH), "input"),
+)
+
+
+def _find_unknown(plain: Mapping[str, Any], names: FleetNames) -> Iterator[Problem]:
+    for pattern, kind in _REFERENCES:
+        for place, name in select(plain, *pattern):
+            text = names.explain_unknown(name, kind)
+            if text is not None:
+                yield Problem(place, text, name)
+    for place, output in select(plain, "controllers", EACH, "axes", EACH, "brake", "output"):
+        if isinstance(output, str) and f"{place[1]}.{output}" not in names.outputs:
+            own = [name.partition(".")[2] for name in names.outputs if name.startswith(f"{place[1]}.")]
+            known = ", ".join(own) or "none"
+            yield Problem(place, f"the controller has no output {output}; known outputs: {known}", output)
+
+
+def _find_group_problems(plain: Mapping[str, Any], names: FleetNames) -> Iterator[Problem]:
+    for group in names.groups:
+        if group in names.controllers:
+            yield Problem(("groups", group), f"group {group} has the name of a controller; rename one of them")
+
+
+def _find_double_use(plain: Mapping[str, Any]) -> Iterator[Problem]:
+    """Motors, inputs and outputs that have two names or two purposes."""
+    for (_, controller), _ in select(plain, "controllers", EACH):
+        own = ("controllers", str(controller))
+        yield from _find_repeated(
+            select(plain, *own, "axes", EACH, "motors", EACH), "motor {0} belongs to axis {1} and to axis {2}", 3
+        )
+        for kind in ("input", "output"):
+            yield from _find_repeated(
+                select(plain, *own, f"{kind}s", EACH, "number"), kind + " {0} has two names: {1} and {2}", 3
+            )
+    wired: dict[str, str] = {}
+    for place, end in select(plain, "wiring", EACH, "to", EACH):
+        source = next((str(name) for _, name in select(plain["wiring"][place[1]], "from")), "?")
+        if isinstance(end, str) and end in wired and wired[end] != source:
+            text = f"input {end} is wired to {wired[end]} and to {source}; wire it to one output"
+            yield Problem(place, text, end)
+        wired.setdefault(str(end), source)
+    purposes: dict[str, str] = {}
+    brakes = select(plain, "controllers", EACH, "axes", EACH, "brake", "output")
+    for place, name, purpose in [
+        *((place, f"{place[1]}.{name}", f"the brake of {place[1]}.{place[3]}") for place, name in brakes if name),
+        *((place, str(name), "a trigger line") for place, name in select(plain, "wiring", EACH, "from")),
+    ]:
+        if purposes.get(name, purpose) != purpose:
+            yield Problem(place, f"output {name} is {purposes[name]} and {purpose}; use one output for each", name)
+        purposes.setdefault(name, purpose)
+
+
+def _find_repeated(found: Iterable[tuple[Place, Any]], text: str, owner: int) -> Iterator[Problem]:
+    """Values that two owners have; `owner`: the index of the owner's name in a place."""
+    first: dict[str, str] = {}
+    for place, value in found:
+        if isinstance(value, str | int) and not isinstance(value, bool):
+            key, name = str(value), str(place[owner])
+            if first.setdefault(key, name) != name:
+                yield Problem(place, text.format(key, first[key], name), value)
+
+
+def _find_homing_circles(plain: Mapping[str, Any]) -> Iterator[Problem]:
+    """Axes that wait for themselves by `homing.after`, directly or through others."""
+    after: dict[str, set[str]] = {}
+    for place, other in select(plain, "controllers", EACH, "axes", EACH, "homing", "after", EACH):
+        after.setdefault(f"{place[1]}.{place[3]}", set()).add(str(other))
+    for name in after:
+        waits_for, todo = set[str](), list(after[name])
+        while todo:
+            other = todo.pop()
+            if other not in waits_for:
+                waits_for.add(other)
+                todo += after.get(other, ())
+        if name in waits_for:
+            controller, axis = name.split(".", 1)
+            place = ("controllers", controller, "axes", axis, "homing", "after")
+            yield Problem(place, f"axis {name} waits for itself (homing.after); remove one of the entries")
+
+
+def _make_plain(value: Any) -> Any:
+    """Models that a program has built become what a file would have; anything else is as it is."""
+    if isinstance(value, Model):
+        return value.to_plain()
+    if isinstance(value, Mapping):
+        return {str(key): _make_plain(each) for key, each in cast(Mapping[str, Any], value).items()}
+    if isinstance(value, list | tuple):
+        return [_make_plain(each) for each in cast(list[Any], value)]
+    return value

@@ -1,0 +1,87 @@
+"""Numbers as people write them in files: with the unit that is expected, or explained."""
+
+import re
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+MAX_NUMBER = 1e12  # of any number in a file, in its unit
+MAX_TEXT = 60  # characters of a number with its unit
+
+_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*([^\d\s.,:_+-][^\s,:_]*)?\s*", re.ASCII)
+_SEXAGESIMAL = re.compile(r"[-+]?\d+(:[0-5]?\d)+(\.\d*)?")
+_GROUPED = re.compile(r"[-+]?\d[\d_]*_[\d_]*(\.[\d_]*)?")
+_DECIMAL_COMMA = re.compile(r"([-+]?\d+),(\d+)(\s*\S*)")
+_YES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false", "n": "false"}
+
+
+def split_number(text: str) -> tuple[str, str] | None:
+    """Split text such as `"200 mm/s"` into its number and its unit, which may be empty; None if it is neither."""
+    found = _WITH_UNIT.fullmatch(text[:MAX_TEXT])
+    return None if found is None or len(text) > MAX_TEXT else (found[1], found[2] or "")
+
+
+def suggest_number(text: str) -> str:
+    """What to write instead of `text`, where a number is expected; empty if nothing is obvious."""
+    text = text.strip()[:MAX_TEXT]
+    if _SEXAGESIMAL.fullmatch(text):
+        total, sign = Fraction(0), -1 if text.startswith("-") else 1
+        for part in text.lstrip("+-").split(":"):
+            total = total * 60 + Fraction(part)
+        return f"if {float(sign * total):g} is meant, write {float(sign * total):g}"
+    if _GROUPED.fullmatch(text):
+        return f"write {text.replace('_', '')}"
+    if (comma := _DECIMAL_COMMA.fullmatch(text)) is not None:
+        return f"write the number with a point: {comma[1]}.{comma[2]}{comma[3]}"
+    if split_number(text) is not None:
+        return f"write it without quotes: {text}" if text[-1].isdigit() else ""
+    return ""
+
+
+def suggest_flag(text: str) -> str:
+    """What to write instead of `text`, where true or false is expected."""
+    return f"write {_YES.get(text.strip().lower(), 'true or false')}"
+
+
+def accept_units(sizes: Mapping[str, Fraction]) -> BeforeValidator:
+    """Accept text with one of the units of `sizes`, each by its size in the field's own unit, beside a plain number."""
+    units = ", ".join(sizes)
+
+    def convert(value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        parts = split_number(value)
+        if parts is None or parts[1] not in sizes:
+            hint = suggest_number(value) if parts is None or not parts[1] else ""
+            example = f'write a number, or a number with its unit, e.g. "10 {next(iter(sizes))}" (units: {units})'
+            raise ValueError(f"found {value[:MAX_TEXT]!r}; {hint or example}")
+        return float(Fraction(parts[0]) * sizes[parts[1]])
+
+    return BeforeValidator(convert)
+
+
+_NUMBER_OR_TEXT = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]})
+_SECONDS = {
+    "s": Fraction(1),
+    "ms": Fraction(1, 1000),
+    "us": Fraction(1, 10**6),
+    "min": Fraction(60),
+    "h": Fraction(3600),
+}
+
+Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Positive = Annotated[float, Field(gt=0, le=MAX_NUMBER)]
+
+UnitNumber = Annotated[Positive, _NUMBER_OR_TEXT]
+"""A number in the unit of its axis; text with a unit is converted by the axis."""
+
+Part = Annotated[float, accept_units({"%": Fraction(1, 100)}), Field(gt=0, le=1), _NUMBER_OR_TEXT]
+"""A fraction, above 0 to 1; in a file also `"50%"`."""
+
+Seconds = Annotated[float, accept_units(_SECONDS), _NUMBER_OR_TEXT]
+"""Seconds; in a file also text with a unit, `"500 ms"`."""
+
+Hertz = Annotated[float, accept_units({"Hz": Fraction(1), "kHz": Fraction(1000)}), _NUMBER_OR_TEXT]
+"""Hz; in a file also text with the unit, `"10 Hz"`."""
