@@ -13,17 +13,18 @@ Everything common to all makes (the bus, polling, fencing, limits, the e-stop la
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar, cast
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import Refusal, TuttiError
+from orchestrator.model.explain import explain_error
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions
 from orchestrator.model.profile import Profile
@@ -475,6 +476,40 @@ class Driver(ABC):
         """Close the links. The controller stays as it is."""
 
 
+class ConfigError(TuttiError, ValueError):
+    """A controller's part of the fleet file that its make cannot drive.
+
+    texts: one per mistake, each beginning with its field, `axes.x.limits.velocity: …`.
+    """
+
+    def __init__(self, texts: Sequence[str]) -> None:
+        super().__init__("\n".join(texts))
+        self.texts = tuple(texts)
+
+
+Options = TypeVar("Options", bound=BaseModel)
+
+
+def validate_options(model: type[Options], config: Controller) -> Options:
+    """Return the `options` of a controller. Raises `ConfigError` with every mistake."""
+    try:
+        return model.model_validate(config.options)
+    except ValidationError as error:
+        raise ConfigError(
+            [
+                f"options.{'.'.join(map(str, each['loc']))}: {explain_error(cast(Mapping[str, Any], each), model)}"
+                for each in error.errors(include_url=False)
+            ]
+        ) from None
+
+
+def require_no_problems(texts: Iterable[str]) -> None:
+    """Raise `ConfigError` if there is any problem."""
+    found = list(texts)
+    if found:
+        raise ConfigError(found)
+
+
 class Make(Protocol):
     """One make and model that can be driven: the object that an entry point of group `tutti.adapters` names."""
 
@@ -489,8 +524,13 @@ class Make(Protocol):
     def check_config(self, config: Controller) -> None:
         """Check a controller's part of the fleet file offline (motor names, input numbers, link kind).
 
-        Raises `ValueError` that names the field, the value found and the values allowed.
+        Raises `ConfigError` with every mistake: the field, the value found and the values allowed.
         """
+        ...
+
+    @property
+    def serial_defaults(self) -> Mapping[str, Any]:
+        """The fields of a serial link that the fleet file may leave out, as the make is delivered."""
         ...
 
     def create_driver(self, setup: DriverSetup) -> Driver: ...

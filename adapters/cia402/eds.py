@@ -1,8 +1,9 @@
 """The optional EDS file of a drive: its objects are known before the connection, and the product can be verified."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from configparser import Error as NoIniFile
 from dataclasses import dataclass
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from adapters.cia402.fleetaxes import needs_stream
 from adapters.cia402.objects import DictionaryObject
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import PdoMapping, parameter_values, required_pdos
+from adapters.contract import require_no_problems
 from orchestrator.model.fleet import Controller
 
 _READ = (o.DEVICE_TYPE, o.STATUSWORD, o.MODE_DISPLAY, o.DEMAND, o.ACTUAL, o.INPUTS)
@@ -41,28 +43,52 @@ class DriveProduct:
 
 def read_product(path: str, config: Controller, options: Cia402Options) -> DriveProduct:
     """Return the product of an EDS file that contains everything that the adapter maps, reads and writes. Raises
-    `ValueError`."""
-    dictionary = _read_dictionary(path)
-    pdos = required_pdos(options, outputs=bool(config.outputs), followed=_find_followed(dictionary, config))
-    for pdo in pdos:
+    `ConfigError`."""
+    require_no_problems(find_problems(path, config, options))
+    device = _read_dictionary(path).device_information
+    return DriveProduct(device.vendor_number, device.product_number)
+
+
+def find_problems(path: str, config: Controller, options: Cia402Options) -> list[str]:
+    """Everything that the adapter maps, reads or writes, and that the EDS file lacks."""
+    try:
+        dictionary = _read_dictionary(path)
+    except ValueError as error:
+        return [str(error)]
+    problems: list[str] = []
+    for check in _make_checks(path, dictionary, config, options):
+        try:
+            check()
+        except ValueError as error:
+            problems.append(str(error))
+    return list(dict.fromkeys(problems))
+
+
+def _make_checks(
+    path: str, dictionary: ObjectDictionary, config: Controller, options: Cia402Options
+) -> Iterator[Callable[[], object]]:
+    """One check for each object."""
+    for pdo in required_pdos(options, outputs=bool(config.outputs), followed=_find_followed(dictionary, config)):
         for obj in pdo.carries:
-            _require_mappable(path, dictionary, pdo, obj)
+            yield partial(_require_mappable, path, dictionary, pdo, obj)
         # Inhibit time and event timer need not exist.
         for obj, _ in parameter_values(pdo, 0):
             if obj.sub not in (3, 5) or obj.index == pdo.mapping:
-                _require_object(path, dictionary, obj, f"and {pdo.title} must be set up")
+                yield partial(_require_object, path, dictionary, obj, f"and {pdo.title} must be set up")
     for obj in _READ:
-        _require_object(path, dictionary, obj, "which the adapter reads")
+        yield partial(_require_object, path, dictionary, obj, "which the adapter reads")
     for name, pair in (("encoder", o.ENCODER), ("gear", o.GEAR), ("feed", o.FEED)):
         if getattr(options, name) is not None:
             for obj in pair:
-                _require_object(path, dictionary, obj, f"which option `{name}` compares")
+                yield partial(_require_object, path, dictionary, obj, f"which option `{name}` compares")
     for obj, why in _written_objects(config, options, dictionary):
-        access = _require_object(path, dictionary, obj, why)
-        if "w" not in access:
-            raise ValueError(f"options.eds: according to {path} {obj} cannot be written ({access}), {why}")
-    device = dictionary.device_information
-    return DriveProduct(device.vendor_number, device.product_number)
+        yield partial(_require_writable, path, dictionary, obj, why)
+
+
+def _require_writable(path: str, dictionary: ObjectDictionary, obj: DictionaryObject, why: str) -> None:
+    access = _require_object(path, dictionary, obj, why)
+    if "w" not in access:
+        raise ValueError(f"options.eds: according to {path} {obj} cannot be written ({access}), {why}")
 
 
 def _read_dictionary(path: str) -> ObjectDictionary:

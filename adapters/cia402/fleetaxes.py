@@ -1,5 +1,6 @@
 """The fleet file's part in the drive's own terms: one node, one axis, whole units."""
 
+from collections.abc import Iterator
 from math import ceil, floor
 
 from adapters.cia402.options import Cia402Options
@@ -81,18 +82,23 @@ def passive_outputs(config: Controller) -> int:
     return sum(1 << (15 + point.number) for point in config.outputs.values() if point.active == "low")
 
 
-def check_fleet(config: Controller, options: Cia402Options) -> None:
-    """Check the fleet file offline. Raises `ValueError`."""
+def find_problems(config: Controller, options: Cia402Options) -> Iterator[str]:
+    """Every mistake in the fleet file that can be found offline."""
     if config.link.kind != "can":
-        raise ValueError(f"link.kind: {config.link.kind!r} cannot reach a CiA 402 drive; allowed: can")
+        yield f"link.kind: {config.link.kind!r} cannot reach a CiA 402 drive; allowed: can"
+    for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
+        for point_name, point in points.items():
+            if point.number not in POINTS:
+                yield f"{kind}.{point_name}.number: {point.number} does not exist; allowed: 1 to 16"
     if len(config.axes) != 1:
-        raise ValueError(f"axes: a drive has one axis, not {len(config.axes)}; define a controller for each node")
+        yield f"axes: a drive has one axis, not {len(config.axes)}; define a controller for each node"
+        return
     name, axis = only_axis(config)
     if axis.motors[0] != MOTOR:
-        raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '{MOTOR}'")
+        yield f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '{MOTOR}'"
     method = axis.homing.method
     if method not in _NAMED_METHODS and not (method.lstrip("-").isdigit() and -128 <= int(method) <= 37):
-        raise ValueError(
+        yield (
             f"axes.{name}.homing.method: {method!r} is unknown; allowed: {', '.join(_NAMED_METHODS)}, or a number of "
             "6098h from -128 to 37"
         )
@@ -102,11 +108,7 @@ def check_fleet(config: Controller, options: Cia402Options) -> None:
         ("acceleration", limits.acceleration * own.acceleration),
     ):
         if not 1 <= value <= WORD_MAX:
-            raise ValueError(
+            yield (
                 f"axes.{name}.limits.{what}: {ceil(value)} in the drive's units; allowed: 1 to {WORD_MAX}. See "
                 "`scale`, `velocity_units` and `acceleration_units`"
             )
-    for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
-        for point_name, point in points.items():
-            if point.number not in POINTS:
-                raise ValueError(f"{kind}.{point_name}.number: {point.number} does not exist; allowed: 1 to 16")

@@ -1,5 +1,8 @@
 """The make for the entry point."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import BaseModel
 
 from adapters.cia402 import eds, fleetaxes, states
@@ -8,7 +11,7 @@ from adapters.cia402.driver import Cia402Driver
 from adapters.cia402.objects import CONTROLWORD, OUTPUTS
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import quick_stop_by_sdo
-from adapters.contract import DriverSetup
+from adapters.contract import DriverSetup, require_no_problems, validate_options
 from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.fleet import Controller
 
@@ -25,10 +28,15 @@ class Cia402Make:
         return Cia402Options
 
     def check_config(self, config: Controller) -> None:
-        options = Cia402Options.model_validate(config.options)
-        fleetaxes.check_fleet(config, options)
-        if options.eds is not None:
-            eds.read_product(options.eds, config, options)
+        options = validate_options(Cia402Options, config)
+        problems = list(fleetaxes.find_problems(config, options))
+        if options.eds is not None and not problems:
+            problems += eds.find_problems(options.eds, config, options)
+        require_no_problems(problems)
+
+    @property
+    def serial_defaults(self) -> Mapping[str, Any]:
+        return {}
 
     def create_driver(self, setup: DriverSetup) -> Cia402Driver:
         options = setup.options

@@ -1,6 +1,7 @@
 """An adapter host: the controller supervisors of one machine, and the messages for all of them (leadership, e-stop)."""
 
 import asyncio
+import re
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -9,7 +10,7 @@ from typing import Any, cast
 
 from pydantic import ValidationError
 
-from adapters.contract import DriverSetup, Make, TimedWriter
+from adapters.contract import ConfigError, DriverSetup, Make, TimedWriter, validate_options
 from adapters.controller.context import ControllerContext
 from adapters.controller.log import ControllerLog
 from adapters.controller.store import AdapterStore, PersistentMemory
@@ -33,8 +34,9 @@ from orchestrator.clock.executor import Executor
 from orchestrator.clock.fleet import FleetScale, TimeExchange, estimate_scale, exact_scale
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
-from orchestrator.model.fleet import Controller, Fleet
+from orchestrator.model.fleet import Controller, Fleet, SerialLink
 from orchestrator.model.messages import EstopMessage, LeaderHeartbeat, TimeReply
+from orchestrator.model.problems import Problem
 from orchestrator.model.state import EstopLatch
 
 # A coordinator that is silent for this long (five of its heartbeats) is lost. Then armed steps are unloaded, and moving
@@ -49,25 +51,62 @@ BACKLOG_LIMIT = 200  # samples; some seconds of states and events
 def find_make(name: str) -> Make:
     """Return the make that the entry points of `tutti.adapters` provide for `name`; `ValueError` lists the known
     ones."""
-    known = entry_points(group="tutti.adapters")
-    for entry in known:
+    for entry in entry_points(group="tutti.adapters"):
         if entry.name == name:
             return cast(Make, entry.load())
-    raise ValueError(f"no adapter {name!r}; known adapters: {', '.join(sorted(each.name for each in known))}")
+    raise ValueError(f"no adapter {name[:80]!r}; known adapters: {', '.join(known_makes())}")
 
 
-def check_controller(name: str, config: Controller) -> None:
-    """Check a controller's part of the fleet file with its make. `ValueError` names controller, field and remedy."""
+def known_makes() -> list[str]:
+    """Return the names of all makes that can be driven."""
+    return sorted(entry.name for entry in entry_points(group="tutti.adapters"))
+
+
+def apply_make_defaults(fleet: Fleet) -> Fleet:
+    """Return the fleet with the serial settings that its file leaves to the makes, e.g. odd parity for an SMC30."""
+    controllers: dict[str, Controller] = {}
+    for name, config in fleet.controllers.items():
+        controllers[name] = config
+        if isinstance(config.link, SerialLink) and config.adapter in known_makes():
+            given = config.link.model_fields_set
+            missing = {k: v for k, v in find_make(config.adapter).serial_defaults.items() if k not in given}
+            if missing:
+                controllers[name] = config.model_copy(update={"link": config.link.model_copy(update=missing)})
+    return fleet.model_copy(update={"controllers": controllers})
+
+
+def find_controller_problems(name: str, config: Controller) -> list[Problem]:
+    """Return every mistake in a controller's part of the fleet file by the rules of its make, with its place."""
+    own: tuple[str, ...] = ("controllers", name)
     try:
         make = find_make(config.adapter)
-        make.options_model.model_validate(config.options)
-        make.check_config(config)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(map(str, first["loc"]))
-        raise ValueError(f"controllers.{name}.options.{field}: {first['msg']}") from None
     except ValueError as error:
-        raise ValueError(f"controllers.{name}: {error}") from None
+        return [Problem((*own, "adapter"), str(error), config.adapter)]
+    texts: list[str] = []
+    try:
+        validate_options(make.options_model, config)
+    except ConfigError as error:
+        texts += error.texts
+        wrong = {text.split(":")[0].split(".")[1] for text in error.texts}
+        # Without them, so that the rest of the controller is checked too.
+        kept = {name: value for name, value in config.options.items() if name not in wrong}
+        config = config.model_copy(update={"options": kept})
+    try:
+        make.check_config(config)
+    except ConfigError as error:
+        texts += error.texts
+    except ValueError as error:  # of a make outside this project
+        texts.append(str(error))
+    return [_locate_problem(own, text) for text in dict.fromkeys(texts)]
+
+
+_FIELD = re.compile(r"([a-z_][\w.-]*): ")
+
+
+def _locate_problem(own: tuple[str, ...], text: str) -> Problem:
+    """The place of a mistake whose text begins with its field."""
+    found = _FIELD.match(text)
+    return Problem(own, text) if found is None else Problem((*own, *found[1].split(".")), text[found.end() :])
 
 
 def stops_by_line(controllers: Mapping[str, Controller]) -> list[tuple[list[str], bytes]]:

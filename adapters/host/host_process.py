@@ -22,7 +22,7 @@ from uuid import uuid4
 
 from adapters.controller.store import FileStore
 from adapters.host.firing_process import ProcessTimedWriter
-from adapters.host.host import AdapterHost, HostEnvironment, check_controller
+from adapters.host.host import AdapterHost, HostEnvironment, apply_make_defaults, find_controller_problems
 from adapters.link.open import make_link_opener
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import LogSink, ProcessLog
@@ -33,7 +33,7 @@ from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.files import FileError, load_fleet
+from orchestrator.model.files import FileError, parse_file, read_file
 from orchestrator.model.fleet import Controller, Fleet
 
 HEARTBEAT_S = 0.05
@@ -71,14 +71,14 @@ def load_host(path: Path, host: str) -> tuple[Fleet, dict[str, Controller]]:
     """Return the fleet, and those of its controllers that belong to the host, checked with their makes. Raises
     `InvalidInput`."""
     try:
-        fleet = load_fleet(path)
+        source = read_file(path)
+        fleet = apply_make_defaults(parse_file(source, Fleet))
         mine = {name: config for name, config in fleet.controllers.items() if config.host == host}
-        for name, config in mine.items():
-            check_controller(name, config)
+        problems = [each for name, config in mine.items() for each in find_controller_problems(name, config)]
+        if problems:
+            raise FileError(source.problem(each.place, each.text) for each in problems)
     except FileError as error:
         raise InvalidInput(str(error)) from None
-    except ValueError as error:
-        raise InvalidInput(f"{path}: {error}") from None
     if not mine:
         hosts = ", ".join(sorted({config.host for config in fleet.controllers.values()}))
         raise InvalidInput(f"{path}: no controller has `host: {host}`; existing hosts: {hosts}")

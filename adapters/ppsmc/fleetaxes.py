@@ -1,5 +1,6 @@
 """The fleet file's part in the controller's own terms: axis numbers, steps, limits in steps per second."""
 
+from collections.abc import Iterator
 from fractions import Fraction
 from math import ceil, floor
 from typing import Literal
@@ -95,49 +96,47 @@ def limit_of(state: int) -> Literal["none", "forward", "reverse", "both"]:
     return "forward" if forward else "reverse" if reverse else "none"
 
 
-def check_fleet(config: Controller, options: PpSmcOptions) -> None:
-    """Check the fleet file offline. Raises `ValueError`."""
+def find_problems(config: Controller, options: PpSmcOptions) -> Iterator[str]:
+    """Every mistake in the fleet file that can be found offline."""
     if config.shares_port:
-        raise ValueError("link.address: an SMC has no address, and needs a port of its own; remove it")
+        yield "link.address: an SMC has no address, and needs a port of its own; remove it"
     if config.link.kind == "udp":
-        raise ValueError("link.kind: udp is not supported; allowed: tcp, serial")
+        yield "link.kind: udp is not supported; allowed: tcp, serial"
     for name, axis in config.axes.items():
-        _check_axis(name, axis)
+        yield from _find_axis_problems(name, axis)
     for field, names in (("loop", list(options.loop)), ("encoders", options.encoders)):
         for name in names:
             if name not in config.axes:
-                raise ValueError(f"options.{field}: no axis {name}; axes are {', '.join(config.axes)}")
-    _check_points(config, options)
+                yield f"options.{field}: no axis {name}; axes are {', '.join(config.axes)}"
+    yield from _find_point_problems(config, options)
 
 
-def _check_axis(name: str, axis: Axis) -> None:
+def _find_axis_problems(name: str, axis: Axis) -> Iterator[str]:
     if not axis.motors[0].isdecimal() or int(axis.motors[0]) not in AXES:
-        raise ValueError(
-            f"axes.{name}.motors: {axis.motors[0]!r} is not an axis of the controller; allowed: '1' to '16'"
-        )
+        yield (f"axes.{name}.motors: {axis.motors[0]!r} is not an axis of the controller; allowed: '1' to '16'")
     if axis.homing.method not in METHODS:
-        raise ValueError(f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}")
+        yield f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}"
     if axis.homing.method == "ref" and axis.homing.direction != "negative":
-        raise ValueError(f"axes.{name}.homing.direction: method ref searches in negative direction; use org")
+        yield f"axes.{name}.homing.direction: method ref searches in negative direction; use org"
     limits = axis_bounds(axis)
     if limits.speed < 1:
-        raise ValueError(
+        yield (
             f"axes.{name}.limits.velocity: {axis.limits.velocity:g} {axis.unit}/s is below the "
             "controller's lowest speed of one step per second"
         )
     if limits.start_min > limits.start_max or limits.start_min > limits.speed:
-        raise ValueError(
+        yield (
             f"axes.{name}.start_rate: no whole number of steps per second lies between its min and its max, "
             f"and below limits.velocity; allowed: 1 to {floor(limits.speed)} steps per second"
         )
 
 
-def _check_points(config: Controller, options: PpSmcOptions) -> None:
+def _find_point_problems(config: Controller, options: PpSmcOptions) -> Iterator[str]:
     for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
         if points and not options.io_port:
-            raise ValueError(
+            yield (
                 f"{kind}: the i/o port is an option of the controller; set `options.io_port: true` if it is installed"
             )
         for name, point in points.items():
             if point.number not in PORT_BITS:
-                raise ValueError(f"{kind}.{name}.number: {point.number} does not exist; allowed: bits 0 to 7")
+                yield f"{kind}.{name}.number: {point.number} does not exist; allowed: bits 0 to 7"

@@ -1,8 +1,11 @@
 """The make for the entry point."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import BaseModel
 
-from adapters.contract import DriverSetup
+from adapters.contract import DriverSetup, require_no_problems, validate_options
 from adapters.ppsmc import fleetaxes
 from adapters.ppsmc.driver import PpSmcDriver
 from adapters.ppsmc.options import PpSmcOptions
@@ -25,7 +28,11 @@ class PpSmcMake:
         return PpSmcOptions
 
     def check_config(self, config: Controller) -> None:
-        fleetaxes.check_fleet(config, PpSmcOptions.model_validate(config.options))
+        require_no_problems(fleetaxes.find_problems(config, validate_options(PpSmcOptions, config)))
+
+    @property
+    def serial_defaults(self) -> Mapping[str, Any]:
+        return {}
 
     def create_driver(self, setup: DriverSetup) -> PpSmcDriver:
         options = setup.options

@@ -1,5 +1,6 @@
 """The fleet file's part in the controller's own terms: motors, pulses, limits in pulses per second."""
 
+from collections.abc import Iterator
 from math import ceil, floor
 from typing import Literal
 
@@ -65,31 +66,29 @@ def limit_of(word: int, cw: str) -> Literal["none", "forward", "reverse", "both"
     return "forward" if on_cw == (cw == "forward") else "reverse"
 
 
-def check_fleet(config: Controller) -> None:
-    """Check the fleet file offline. Raises `ValueError`."""
+def find_problems(config: Controller) -> Iterator[str]:
+    """Every mistake in the fleet file that can be found offline."""
     if config.shares_port:
-        raise ValueError("link.address: an SHRC-203 has no address, and needs a port of its own; remove it")
+        yield "link.address: an SHRC-203 has no address, and needs a port of its own; remove it"
     for name, axis in config.axes.items():
         if axis.motors[0] not in ("1", "2", "3"):
-            raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '1', '2', '3'")
+            yield f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '1', '2', '3'"
         if axis.homing.method not in METHODS:
-            raise ValueError(
-                f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}"
-            )
+            yield (f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}")
         if axis.limits.velocity * float(axis.scale) < 1:
-            raise ValueError(
+            yield (
                 f"axes.{name}.limits.velocity: {axis.limits.velocity:g} {axis.unit}/s is below the controller's "
                 f"lowest speed of one pulse per second"
             )
         limits = axis_bounds(axis)
         if limits.start_min > limits.start_max or limits.start_min > limits.speed:
-            raise ValueError(
+            yield (
                 f"axes.{name}.start_rate: no whole number of pulses per second lies between its min and its max, "
                 f"and below limits.velocity; allowed: 1 to {floor(limits.speed)} pulses per second"
             )
     for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
         for name, point in points.items():
             if point.number not in INPUTS:
-                raise ValueError(f"{kind}.{name}.number: {point.number} does not exist; allowed: 1 to 6")
+                yield f"{kind}.{name}.number: {point.number} does not exist; allowed: 1 to 6"
     if config.link.kind == "serial" and config.link.data_bits != 8:
-        raise ValueError(f"link.data_bits: {config.link.data_bits} is not supported; allowed: 8")
+        yield f"link.data_bits: {config.link.data_bits} is not supported; allowed: 8"

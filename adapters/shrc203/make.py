@@ -1,8 +1,11 @@
 """The make for the entry point."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import BaseModel
 
-from adapters.contract import DriverSetup
+from adapters.contract import DriverSetup, require_no_problems
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.driver import ShrcDriver
 from adapters.shrc203.options import ShrcOptions
@@ -24,7 +27,12 @@ class Shrc203Make:
         return ShrcOptions
 
     def check_config(self, config: Controller) -> None:
-        fleetaxes.check_fleet(config)
+        require_no_problems(fleetaxes.find_problems(config))
+
+    @property
+    def serial_defaults(self) -> Mapping[str, Any]:
+        # The manual's volume on interfaces is another one; this is what published clients use.
+        return {"baud": 38400}
 
     def create_driver(self, setup: DriverSetup) -> ShrcDriver:
         options = setup.options

@@ -1,8 +1,11 @@
 """The make for the entry point."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import BaseModel
 
-from adapters.contract import DriverSetup
+from adapters.contract import DriverSetup, require_no_problems, validate_options
 from adapters.smc30 import unitaxis
 from adapters.smc30.driver import Smc30Driver
 from adapters.smc30.frames import CR, frame_line, line_checksum
@@ -22,7 +25,12 @@ class Smc30Make:
         return Smc30DriverOptions
 
     def check_config(self, config: Controller) -> None:
-        unitaxis.check_fleet(config)
+        validate_options(Smc30DriverOptions, config)
+        require_no_problems(unitaxis.find_problems(config))
+
+    @property
+    def serial_defaults(self) -> Mapping[str, Any]:
+        return {"baud": 9600, "data_bits": 7, "parity": "odd"}
 
     def create_driver(self, setup: DriverSetup) -> Smc30Driver:
         options = setup.options

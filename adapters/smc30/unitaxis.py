@@ -1,9 +1,9 @@
 """The fleet file's part in the controller's own terms: its one motor, steps, rates, inputs and outputs."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil, floor
 
-from adapters.smc30.options import Smc30DriverOptions
 from orchestrator.model.fleet import Axis, Controller, SerialLink
 
 START_MIN, START_MAX = 16, 2000  # steps/s, L2260-L2264
@@ -59,49 +59,51 @@ def homing_rate(axis: Axis) -> int:
     return max(START_MIN, min(START_MAX, floor(speed * float(axis.scale))))
 
 
-def check_fleet(config: Controller) -> None:
-    """Check the fleet file offline. Raises `ValueError`."""
-    _check_link(config)
+def find_problems(config: Controller) -> Iterator[str]:
+    """Every mistake in the fleet file that can be found offline."""
+    yield from _find_link_problems(config)
+    yield from _find_axis_problems(config)
+    for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
+        for point_name, point in points.items():
+            if point.number not in POINTS:
+                yield f"{kind}.{point_name}.number: {point.number} does not exist; allowed: 1 to 3"
+
+
+def _find_axis_problems(config: Controller) -> Iterator[str]:
     if len(config.axes) != 1:
-        raise ValueError(f"axes: {len(config.axes)} are named ({', '.join(config.axes)}); an SMC30 has one motor")
-    Smc30DriverOptions.model_validate(config.options)
+        yield f"axes: {len(config.axes)} are named ({', '.join(config.axes)}); an SMC30 has one motor"
+        return
     name, axis = only_axis(config)
     if axis.motors[0] != "1":
-        raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '1'")
+        yield f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '1'"
     if axis.homing.method not in METHODS:
-        raise ValueError(f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}")
+        yield f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}"
     limits = axis_bounds(axis)
     if limits.top < TOP_MIN:
-        raise ValueError(
+        yield (
             f"axes.{name}.limits.velocity: {axis.limits.velocity:g} {axis.unit}/s is below the lowest rate of "
             f"{TOP_MIN} steps/s"
         )
     if limits.start_min > limits.start_max:
-        raise ValueError(
+        yield (
             f"axes.{name}.start_rate: no whole rate at which the controller can start is between its min "
             f"and its max; allowed: {START_MIN} to {START_MAX} steps/s"
         )
-    for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
-        for point_name, point in points.items():
-            if point.number not in POINTS:
-                raise ValueError(f"{kind}.{point_name}.number: {point.number} does not exist; allowed: 1 to 3")
 
 
-def _check_link(config: Controller) -> None:
+def _find_link_problems(config: Controller) -> Iterator[str]:
     link = config.link
     if isinstance(link, SerialLink):
         if (link.data_bits, link.parity, link.stop_bits) != (7, "odd", 1):
-            raise ValueError(
+            yield (
                 f"link: {link.data_bits} data bits, parity {link.parity}, {link.stop_bits} stop bits; an "
                 "SMC30 uses 7 data bits, odd parity, 1 stop bit: set `data_bits: 7` and `parity: odd`"
             )
         if link.baud not in BAUDS:
-            raise ValueError(f"link.baud: {link.baud} is not possible; allowed: {', '.join(map(str, BAUDS))}")
+            yield f"link.baud: {link.baud} is not possible; allowed: {', '.join(map(str, BAUDS))}"
         if link.rtscts:
-            raise ValueError("link.rtscts: an SMC30 has no handshake lines; remove it")
+            yield "link.rtscts: an SMC30 has no handshake lines; remove it"
         if link.address is not None and link.address not in LINE_ADDRESSES:
-            raise ValueError(
-                f"link.address: {link.address} is not an address; allowed: 1 to 7, or none for a controller alone"
-            )
+            yield (f"link.address: {link.address} is not an address; allowed: 1 to 7, or none for a controller alone")
     elif link.kind == "udp":
-        raise ValueError("link.kind: udp is not possible; allowed: serial, or tcp for a bridge to a serial port")
+        yield "link.kind: udp is not possible; allowed: serial, or tcp for a bridge to a serial port"

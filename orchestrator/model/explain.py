@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, cast
 
-from orchestrator.model.base import Model
+from pydantic import BaseModel
+
 from orchestrator.model.numbers import suggest_flag, suggest_number
 
 MAX_SHOWN = 60  # characters of a value
@@ -19,7 +20,7 @@ _BOUNDS = {
 }
 
 
-def explain_error(error: Mapping[str, Any], model: type[Model]) -> str:
+def explain_error(error: Mapping[str, Any], model: type[BaseModel]) -> str:
     """The text for one of pydantic's errors in a document for `model`."""
     kind, context = str(error["type"]), cast(Mapping[str, Any], error.get("ctx", {}))
     found = error.get("input")
@@ -84,7 +85,7 @@ def _suggest_choice(found: object, context: Mapping[str, Any]) -> str:
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
-def _explain_unknown_field(error: Mapping[str, Any], model: type[Model]) -> str:
+def _explain_unknown_field(error: Mapping[str, Any], model: type[BaseModel]) -> str:
     *place, name = cast(Sequence[str | int], error["loc"])
     allowed = find_fields(model, place)
     if not allowed:
@@ -93,7 +94,7 @@ def _explain_unknown_field(error: Mapping[str, Any], model: type[Model]) -> str:
     return f"unknown field; {f'did you mean {near[0]}? ' if near else ''}allowed: {', '.join(allowed)}"
 
 
-def find_fields(model: type[Model], place: Sequence[str | int]) -> list[str]:
+def find_fields(model: type[BaseModel], place: Sequence[str | int]) -> list[str]:
     """The fields that `model` allows at `place`, a location of pydantic's; empty if the place is not known."""
     schema = _schema_of(model)
     here = _resolve(schema, schema)
@@ -105,7 +106,7 @@ def find_fields(model: type[Model], place: Sequence[str | int]) -> list[str]:
 
 
 @lru_cache(maxsize=8)
-def _schema_of(model: type[Model]) -> dict[str, Any]:
+def _schema_of(model: type[BaseModel]) -> dict[str, Any]:
     return model.model_json_schema(by_alias=True)
 
 

@@ -99,7 +99,7 @@ def parse_document(text: str, model: type[M], name: str) -> M:
 
 def parse_file(file: LoadedFile, model: type[M]) -> M:
     """Make a model of what was read. Raises `FileError` with every mistake."""
-    if not isinstance(file.root.value, dict):
+    if not isinstance(file.root.children, dict):
         text = f"must be a mapping that starts with `schema:`, e.g. {_example_line(model)}"
         raise FileError([FileProblem(file.name, 1, "", text)])
     try:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -22,7 +22,7 @@ from orchestrator.model.axis_units import convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import find_reference_problems
-from orchestrator.model.links import CanBusLink, Link, SerialLink, TcpLink, UdpLink
+from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.units import Quantity, Unit, parse_quantity
@@ -338,8 +338,15 @@ class Controller(Model):
     def digest(self) -> str:
         """A digest of this configuration: equal digests mean equal configuration on both sides of the bus."""
         plain = {name: value for name, value in self.to_plain().items() if name != "simulate"}
+        # Line settings concern the adapter alone, which completes them by its make.
+        plain["link"] = {name: value for name, value in plain["link"].items() if name not in LINE_SETTINGS}
         text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _make_tuple(value: Any) -> Any:
+    """A list of a file; a strict tuple would refuse it."""
+    return tuple(cast(list[Any], value)) if isinstance(value, list) else value
 
 
 class TriggerWire(Model):
@@ -347,9 +354,9 @@ class TriggerWire(Model):
 
     from_: str = Field(alias="from", description="controller.output")
     to: list[str] = Field(min_length=1, description="controller.input, one or more")
-    delay_us: Annotated[
-        tuple[int, int], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-    ] = Field(default=(0, 50), description="Minimum and maximum delay from the output to an input's terminal, µs.")
+    delay_us: Annotated[tuple[int, int], BeforeValidator(_make_tuple)] = Field(
+        default=(0, 50), description="Minimum and maximum delay from the output to an input's terminal, µs."
+    )
 
     @model_validator(mode="after")
     def _check_possible(self) -> "TriggerWire":

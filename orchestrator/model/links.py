@@ -11,7 +11,7 @@ class TcpLink(Model):
     """A controller behind a TCP port."""
 
     kind: Literal["tcp"] = "tcp"
-    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
+    host: str = Field(min_length=1, max_length=253, description="Address of the controller, e.g. 192.168.1.20.")
     port: int = Field(ge=1, le=65535)
 
     @property
@@ -24,7 +24,7 @@ class UdpLink(Model):
     """A controller behind a UDP port."""
 
     kind: Literal["udp"]
-    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
+    host: str = Field(min_length=1, max_length=253, description="Address of the controller, e.g. 192.168.1.20.")
     port: int = Field(ge=1, le=65535)
 
     @property
@@ -33,12 +33,15 @@ class UdpLink(Model):
         return f"udp {self.host}:{self.port}"
 
 
+LINE_SETTINGS = ("baud", "data_bits", "parity", "stop_bits", "rtscts")
+
+
 class SerialLink(Model):
-    """A controller on a serial port."""
+    """A controller on a serial port. A fleet file may leave out the line settings: they are then those of the make."""
 
     kind: Literal["serial"]
     device: str = Field(description="The port, preferably by a stable name, e.g. /dev/serial/by-id/….")
-    baud: int = Field(default=38400, gt=0)
+    baud: int = Field(default=38400, gt=0, le=10_000_000, description="Default: that of the make.")
     data_bits: Literal[7, 8] = 8
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1

@@ -71,7 +71,6 @@ _SECONDS = {
     "h": Fraction(3600),
 }
 
-Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Positive = Annotated[float, Field(gt=0, le=MAX_NUMBER)]
 
 UnitNumber = Annotated[Positive, _NUMBER_OR_TEXT]

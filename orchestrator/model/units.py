@@ -92,7 +92,7 @@ _MARKS = {1: "", 2: "²", 3: "³"}
 
 
 def parse_rate(text: str, unit: Unit, order: int) -> float:
-    """Convert text such as `"200 mm/s"` to a number of `unit` per second (order 1), per second squared (2) or cubed (3).
+    """Convert text such as `"200 mm/s"` to a number of `unit` per second (order 1), second² (2) or second³ (3).
 
     `rpm` and `/min` are understood. order 0: a length or an angle. Raises `UnitError`.
     """

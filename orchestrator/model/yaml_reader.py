@@ -190,16 +190,14 @@ class _DocumentReader:
     def take(self, event: Event) -> None:
         """Take the next event of the parser."""
         if isinstance(event, NodeEvent):
-            self._take_node(event, cast(int, event.start_mark.line) + 1)
+            self._take_node(event, _line_of(event))
         elif isinstance(event, CollectionEndEvent):
             self._close_block()
         elif isinstance(event, DocumentStartEvent):
             self._documents += 1
             if self._documents > 1:
-                line = event.start_mark.line + 1
-                raise _BoundExceeded(
-                    YamlProblem(line, (), "a second document begins here; write one document per file")
-                )
+                text = "a second document begins here; write one document per file"
+                raise _BoundExceeded(YamlProblem(_line_of(event), (), text))
 
     def _take_node(self, event: NodeEvent, line: int) -> None:
         block = self._open[-1] if self._open else None
@@ -330,6 +328,11 @@ class _DocumentReader:
             elif block.key is not None:
                 parts.append(block.key)
         return tuple(parts)
+
+
+def _line_of(event: Event) -> int:
+    mark = event.start_mark
+    return 1 if mark is None else mark.line + 1
 
 
 def _single(line: int, text: str) -> YamlError:

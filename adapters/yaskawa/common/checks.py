@@ -1,42 +1,43 @@
-"""Checks of a controller's part of the fleet file that both models share. All raise `ValueError`."""
+"""Checks of a controller's part of the fleet file that both models share: generators of what is wrong."""
 
-from collections.abc import Collection, Mapping
-from typing import TypeVar
-
-from pydantic import ValidationError
+from collections.abc import Iterator, Sequence
 
 from adapters.yaskawa.common import homing
+from adapters.yaskawa.common.dialect import find_motor
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.model.fleet import Controller
 
-_Options = TypeVar("_Options", bound=YaskawaOptions)
+
+def find_motor_problems(config: Controller, names: Sequence[str], known: str) -> Iterator[str]:
+    """Motors that the model does not have, and two names for one. names: alphabets; known: the same as text."""
+    indices: dict[int, str] = {}
+    for name, axis in config.axes.items():
+        index = find_motor(axis.motors[0], names)
+        if index is None:
+            yield f"axes.{name}.motors: there is no motor {axis.motors[0]!r}; motors are {known}"
+        elif index in indices:
+            yield f"axes.{name}.motors: {axis.motors[0]} is another name for the motor of another axis"
+        else:
+            indices[index] = name
 
 
-def check_points(config: Controller, inputs: int, outputs: int) -> None:
-    """Check the numbers of inputs and outputs; `inputs` and `outputs` are the largest ones."""
+def find_point_problems(config: Controller, inputs: int, outputs: int) -> Iterator[str]:
+    """Numbers of inputs and outputs that do not exist; `inputs` and `outputs` are the largest ones."""
     for kind, points, most in (("inputs", config.inputs, inputs), ("outputs", config.outputs, outputs)):
         for name, point in points.items():
             if point.number > most:
-                raise ValueError(f"{kind}.{name}.number: {point.number}; the controller has {kind} 1 to {most}")
+                yield f"{kind}.{name}.number: {point.number}; the controller has {kind} 1 to {most}"
 
 
-def check_homing(config: Controller) -> None:
-    """Check the methods of the reference searches."""
+def find_homing_problems(config: Controller) -> Iterator[str]:
+    """Methods of reference searches that this make does not have."""
     for name, axis in config.axes.items():
         if axis.homing.method not in homing.METHODS:
-            raise ValueError(
-                f"axes.{name}.homing.method: {axis.homing.method!r}; this make has {', '.join(homing.METHODS)}"
-            )
+            yield f"axes.{name}.homing.method: {axis.homing.method!r}; this make has {', '.join(homing.METHODS)}"
 
 
-def check_options(config: Controller, model: type[_Options], motors: Mapping[str, int] | Collection[str]) -> _Options:
-    """Return the validated options; `motors` are the axes of the controller."""
-    try:
-        options = model.model_validate(config.options)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"options.{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-    unknown = [name for name in options.motor_type if name not in motors]
-    if unknown:
-        raise ValueError(f"options.motor_type: no axis {unknown[0]}; axes are {', '.join(motors)}")
-    return options
+def find_option_problems(config: Controller, options: YaskawaOptions) -> Iterator[str]:
+    """Options for axes that the controller does not have."""
+    for name in options.motor_type:
+        if name not in config.axes:
+            yield f"options.motor_type.{name}: no axis {name}; axes are {', '.join(config.axes)}"

@@ -8,22 +8,20 @@ from orchestrator.model.fleet import Controller
 MAX_LINE = 80  # characters (SMC-4000: L12254; SMC-2000: L13982)
 
 
-def motor_indices(config: Controller, names: Sequence[str], known: str) -> dict[str, int]:
-    """Return the motor index of each axis of the fleet file. names: alphabets with one letter per motor. known: the
-    alphabets as text.
-
-    Raises `ValueError`.
-    """
+def motor_indices(config: Controller, names: Sequence[str]) -> dict[str, int]:
+    """Return the motor index of each axis of a checked fleet file. names: alphabets with one letter per motor."""
     motors: dict[str, int] = {}
     for name, axis in config.axes.items():
-        letter = axis.motors[0]
-        index = max(alphabet.find(letter) for alphabet in names) if len(letter) == 1 else -1
-        if index < 0:
-            raise ValueError(f"axes.{name}.motors: there is no motor {letter!r}; motors are {known}")
-        if index in motors.values():
-            raise ValueError(f"axes.{name}.motors: {letter} is another name for the motor of another axis")
+        index = find_motor(axis.motors[0], names)
+        assert index is not None, "checked when the fleet file was loaded"
         motors[name] = index
     return motors
+
+
+def find_motor(letter: str, names: Sequence[str]) -> int | None:
+    """Return the index of a motor by any of its names; None: there is no such motor."""
+    index = max(alphabet.find(letter) for alphabet in names) if len(letter) == 1 else -1
+    return None if index < 0 else index
 
 
 async def send_raw(line: str, query_all: Callable[[str], Awaitable[list[str]]], not_exchanges: Sequence[str]) -> str:

@@ -1,15 +1,30 @@
 """The SMC-2000: its driver, and the check of its part of the fleet file."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
+from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.contract import AxisReading, ControllerReading, Driver, DriverCapabilities, DriverSetup, Lowered
+from adapters.contract import (
+    AxisReading,
+    ControllerReading,
+    Driver,
+    DriverCapabilities,
+    DriverSetup,
+    Lowered,
+    require_no_problems,
+    validate_options,
+)
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
-from adapters.yaskawa.common.checks import check_homing, check_options, check_points
+from adapters.yaskawa.common.checks import (
+    find_homing_problems,
+    find_motor_problems,
+    find_option_problems,
+    find_point_problems,
+)
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import (
@@ -74,7 +89,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         link = setup.config.link
         assert isinstance(link, SerialLink)
         options = Smc2000DriverOptions.model_validate(setup.options.model_dump())
-        motors = motor_indices(setup.config, NAMES, MOTORS)
+        motors = motor_indices(setup.config, NAMES)
         self._options = options
         self._char_ns = 10 * NS_PER_S // link.baud
         self._serial_line: SharedSerialLine = setup.shared.setdefault(SHARED, SharedSerialLine())
@@ -223,35 +238,37 @@ class SMC2000Make:
     name = "smc2000"
     options_model: type[BaseModel] = Smc2000DriverOptions
 
+    @property
+    def serial_defaults(self) -> Mapping[str, Any]:
+        return {"baud": 19200}  # with the jumper as delivered (L176)
+
     def check_config(self, config: Controller) -> None:
+        require_no_problems(self._find_problems(config))
+
+    def _find_problems(self, config: Controller) -> Iterator[str]:
         link = config.link
         if not isinstance(link, SerialLink):
-            raise ValueError(f"link.kind: {link.kind}; an SMC-2000 needs `kind: serial`")
-        if (link.data_bits, link.parity, link.stop_bits) != (8, "none", 1):
-            raise ValueError("link: an SMC-2000 has 8 data bits, no parity and 1 stop bit (L177)")
-        if link.address is not None and link.address not in CHAIN_ADDRESSES:
-            raise ValueError(
+            yield f"link.kind: {link.kind}; an SMC-2000 needs `kind: serial`"
+        elif (link.data_bits, link.parity, link.stop_bits) != (8, "none", 1):
+            yield "link: an SMC-2000 has 8 data bits, no parity and 1 stop bit (L177)"
+        elif link.address is not None and link.address not in CHAIN_ADDRESSES:
+            yield (
                 f"link.address: {link.address}; the addresses of a daisy chain are {CHAIN_ADDRESSES.start} to "
                 f"{CHAIN_ADDRESSES.stop - 1}"
             )
-        motors = motor_indices(config, NAMES, MOTORS)
-        if len(motors) > AXES_MOST:
-            raise ValueError(f"axes: {len(motors)}; at most {AXES_MOST} axes of one SMC-2000 can be driven")
-        check_points(config, INPUTS, OUTPUTS)
-        options = check_options(config, Smc2000DriverOptions, motors)
-        check_homing(config)
+        if len(config.axes) > AXES_MOST:
+            yield f"axes: {len(config.axes)}; at most {AXES_MOST} axes of one SMC-2000 can be driven"
+        options = validate_options(Smc2000DriverOptions, config)
+        yield from find_motor_problems(config, NAMES, MOTORS)
+        yield from find_point_problems(config, INPUTS, OUTPUTS)
+        yield from find_homing_problems(config)
+        yield from find_option_problems(config, options)
         for name, axis in config.axes.items():
             stepper = abs(options.motor_type.get(name, 1.0)) >= STEPPER_TYPE
-            most = (
-                (STEPPER_SPEED_MAX if stepper else SMC2000.speed_max)
-                / float(axis.scale)
-                * 1000
-                / options.servo_period_us
-            )
+            counts_ms = STEPPER_SPEED_MAX if stepper else SMC2000.speed_max
+            most = counts_ms / float(axis.scale) * 1000 / options.servo_period_us
             if axis.limits.velocity > most:
-                raise ValueError(
-                    f"axes.{name}.limits.velocity: {axis.limits.velocity:g}; the maximum is {most:g} {axis.unit}/s"
-                )
+                yield f"axes.{name}.limits.velocity: {axis.limits.velocity:g}; the maximum is {most:g} {axis.unit}/s"
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return SMC2000Driver(setup)

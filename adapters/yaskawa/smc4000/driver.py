@@ -1,12 +1,27 @@
 """The SMC-4000: its driver, and the check of its part of the fleet file."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.contract import AxisReading, ControllerReading, Driver, DriverCapabilities, DriverSetup, Lowered
+from adapters.contract import (
+    AxisReading,
+    ControllerReading,
+    Driver,
+    DriverCapabilities,
+    DriverSetup,
+    Lowered,
+    require_no_problems,
+    validate_options,
+)
 from adapters.toolkit.refusals import log_refusals
-from adapters.yaskawa.common.checks import check_homing, check_options, check_points
+from adapters.yaskawa.common.checks import (
+    find_homing_problems,
+    find_motor_problems,
+    find_option_problems,
+    find_point_problems,
+)
 from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
@@ -57,7 +72,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         if isinstance(setup.config.link, SerialLink):
             wire_us = LONGEST_EXCHANGE * 10 * 1_000_000 // setup.config.link.baud
             options = options.model_copy(update={"round_trip_us": options.round_trip_us + wire_us})
-        motors = motor_indices(setup.config, NAMES, MOTORS)
+        motors = motor_indices(setup.config, NAMES)
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
         handles = HandleTraits(goodbye, shared=isinstance(setup.config.link, SerialLink))
         device = SmcDevice(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
@@ -162,13 +177,20 @@ class SMC4000Make:
     name = "smc4000"
     options_model: type[BaseModel] = YaskawaOptions
 
+    @property
+    def serial_defaults(self) -> Mapping[str, Any]:
+        return {"baud": BAUD_RATES[-1]}
+
     def check_config(self, config: Controller) -> None:
+        require_no_problems(self._find_problems(config))
+
+    def _find_problems(self, config: Controller) -> Iterator[str]:
         if isinstance(config.link, SerialLink) and config.link.baud not in BAUD_RATES:
-            raise ValueError(f"link.baud: {config.link.baud}; the serial port has {' or '.join(map(str, BAUD_RATES))}")
-        motors = motor_indices(config, NAMES, MOTORS)
-        check_points(config, POINTS, POINTS)
-        check_homing(config)
-        check_options(config, YaskawaOptions, motors)
+            yield f"link.baud: {config.link.baud}; the serial port has {' or '.join(map(str, BAUD_RATES))}"
+        yield from find_motor_problems(config, NAMES, MOTORS)
+        yield from find_point_problems(config, POINTS, POINTS)
+        yield from find_homing_problems(config)
+        yield from find_option_problems(config, validate_options(YaskawaOptions, config))
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return SMC4000Driver(setup)
