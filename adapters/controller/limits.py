@@ -41,6 +41,13 @@ def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *,
         _check_limit_switch(name, now.limit, profile)
 
 
+def check_path_limits(status: ControllerStatus, profiles: Mapping[str, Profile]) -> None:
+    """Raise `Refusal` when profiles exceed a limit, wherever their axes are now."""
+    status.require_known(profiles)
+    for name, profile in profiles.items():
+        check_limits(name, status.config.axes[name], profile)
+
+
 def _check_limit_switch(name: str, active: str, profile: Profile) -> None:
     """Raise `Refusal` when the axis is on a limit switch in the direction of motion."""
     low, high = profile.extent_counts

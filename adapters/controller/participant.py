@@ -139,7 +139,8 @@ class StepParticipant:
         async with self._lowering_lock:
             await asyncio.sleep(0)
             self._check(request)
-            self._requested_ns = self._clock.now_ns()
+            if not request.rehearsal:
+                self._requested_ns = self._clock.now_ns()
             mapping = self._driver.clock_mapping()
             lowered = self._driver.lower_profiles(request.profiles, request.start, mapping)
         at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"

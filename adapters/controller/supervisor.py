@@ -16,7 +16,7 @@ from adapters.controller.context import ControllerContext
 from adapters.controller.fencing import EpochFence
 from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
-from adapters.controller.limits import check_profiles
+from adapters.controller.limits import check_path_limits, check_profiles
 from adapters.controller.motors import MotorControl
 from adapters.controller.participant import ArmedStep, StepParticipant, StepPhase, StepServices
 from adapters.controller.publisher import StatePublisher, StepActivity
@@ -486,7 +486,9 @@ class ControllerSupervisor:
 
     def _check_step(self, request: ProposeRequest | ArmRequest) -> None:
         """Check everything that must hold before profiles are executed. Raises `Refusal`."""
-        self._fence.require_no_estop()
+        rehearsal = isinstance(request, ProposeRequest) and request.rehearsal
+        if not rehearsal:
+            self._fence.require_no_estop()
         status = self._status
         status.require_online()
         if request.digest != self._config.digest:
@@ -495,6 +497,9 @@ class ControllerSupervisor:
                 f"the coordinator uses configuration {request.digest}, the adapter {self._config.digest}",
                 "use the same fleet file on all hosts and restart",
             )
+        if rehearsal:
+            check_path_limits(status, request.profiles)
+            return
         if isinstance(request, ArmRequest):
             self._leases.require_lease(request.job, request.profiles)
         if status.homing | status.jogging:

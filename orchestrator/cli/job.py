@@ -1,7 +1,7 @@
 """`tutti job …` and `tutti submit`."""
 
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
@@ -15,9 +15,13 @@ from orchestrator.cli.base.common import (
     print_json,
     with_fleet,
 )
+from orchestrator.cli.job_check import check
 from orchestrator.cli.job_history import list_jobs, prune
 from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
 from orchestrator.cli.job_terms import TermsOptions, make_entry_lines, make_terms, print_accepted, terms_options
+
+if TYPE_CHECKING:
+    from orchestrator.client import Tutti
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 
@@ -33,7 +37,11 @@ def job() -> None:
 @json_option
 @click.option("--wait", is_flag=True, help="Wait for the end and print the report; exit 1 unless the job is done.")
 @click.option("--cancel-on-interrupt", is_flag=True, help="With --wait: Ctrl-C cancels the job instead of leaving it.")
-@click.option("--dry-run", is_flag=True, help="Only report what each move would take from the current positions.")
+@click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Only check all steps from the current positions, and show what each controller would be sent.",
+)
 @click.option("--key", default=None, help="Client key: repeating a key returns the same job, never a second one.")
 @terms_options
 def submit(
@@ -64,10 +72,10 @@ def submit(
     wanted = make_terms(terms)
 
     async def submit_job(tutti: Tutti) -> None:
-        loaded = load_job(file)
         if dry_run:
-            _show_dry_run(await tutti.dry_run(loaded), as_json=as_json)
+            await _show_dry_run(tutti, file, as_json=as_json)
             return
+        loaded = load_job(file)
         entry = await tutti.enqueue_job(loaded, key, wanted)
         if not wait:
             print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else print_accepted(entry)
@@ -90,7 +98,7 @@ def submit(
 
 
 job.add_command(submit)
-for command in (list_jobs, prune, hold, release, reorder, pause, resume, retry):
+for command in (check, list_jobs, prune, hold, release, reorder, pause, resume, retry):
     job.add_command(command)
 
 
@@ -196,13 +204,23 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
     with_fleet(connect, fleet, plot_job)
 
 
-def _show_dry_run(steps: dict[str, dict[str, Any]], *, as_json: bool) -> None:
+async def _show_dry_run(tutti: "Tutti", file: Path, *, as_json: bool) -> None:
+    """Run a job forward from the present positions and print what every controller would be sent."""
+    from orchestrator.cli.job_check import describe_totals, make_plain, print_steps, show_progress
+    from orchestrator.model.files import FileError, parse_file, read_file
+    from orchestrator.model.job import Job
+
+    source = read_file(file)
+    loaded = parse_file(source, Job)
+    with show_progress(len(loaded.steps), hidden=as_json) as on_steps:
+        forecast = await tutti.dry_run(loaded, on_steps)
     if as_json:
-        print_json(steps)
-        return
-    for index, step in steps.items():
-        console.print(f"step {index}: {step['duration_s']:.4f} s", highlight=False)
-        commands: dict[str, list[str]] = step["commands"]
-        for member, lines in commands.items():
-            for line in lines:
-                console.print(f"  {member}: {line}", highlight=False, markup=False)
+        print_json(make_plain(forecast))
+    elif forecast.problems:
+        raise FileError(source.problem(each.place, each.text) for each in forecast.problems)
+    else:
+        totals = describe_totals(loaded, forecast)
+        console.print(f"{file}: {totals}", highlight=False, markup=False, soft_wrap=True)
+        print_steps(forecast, commands=True)
+    if forecast.problems:
+        raise SystemExit(FAILED)

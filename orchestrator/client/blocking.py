@@ -12,13 +12,14 @@ gives up waiting, and leaves the job alone.
 
 import asyncio
 import threading
-from collections.abc import Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from typing import Any, Self, TypeVar
 
 from orchestrator.client.api import Tutti
 from orchestrator.client.connection import DEFAULT_ENDPOINT
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.model.errors import Refusal
+from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport, JobState, JobTransition, LeaseState, QueueState
@@ -139,9 +140,9 @@ class BlockingTutti:
         """A job by its id."""
         return BlockingJob(self._tutti.job(job_id), self._loop_thread)
 
-    def dry_run(self, job: Job) -> dict[str, Any]:
-        """Plan each motion step from the current positions, without motion. Raises `Refusal`."""
-        return self._run(self._tutti.dry_run(job))
+    def dry_run(self, job: Job, on_steps: Callable[[int], None] | None = None) -> JobForecast:
+        """Run a job forward from the present positions, without motion; see `Tutti.dry_run`. Raises `Refusal`."""
+        return self._run(self._tutti.dry_run(job, on_steps))
 
     def list_jobs(self, limit: int = 50, state: JobState | None = None, name: str = "") -> QueueState:
         """The newest jobs, newest first. Raises `Refusal`."""

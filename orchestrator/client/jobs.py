@@ -2,12 +2,13 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable
-from typing import Any, Self
+from typing import Self
 
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
-from orchestrator.client.connection import FleetConnection
+from orchestrator.client.connection import ANSWER_S, FleetConnection
 from orchestrator.model.errors import Refusal
+from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.queue import QueueTerms
@@ -23,6 +24,8 @@ from orchestrator.model.report import (
     make_queued_progress,
 )
 from orchestrator.model.service import (
+    DryRun,
+    DryRunDone,
     JobReference,
     JobReferences,
     JobRetried,
@@ -40,7 +43,9 @@ from orchestrator.model.service import (
 )
 
 POLL_S = 1.0  # period of reading the journal while the bus is silent
-DRY_RUN_S = 30.0
+DRY_RUN_STEPS = 50  # in one request, so that other requests get their turn
+DRY_RUN_S = 30.0  # for such a part
+SUBMIT_STEP_S = 0.01
 PRUNE_S = 60.0
 
 
@@ -78,14 +83,33 @@ class JobRequests(FleetConnection):
         request = SubmitJob(
             **self.request_fields(), job=job, client_key=client_key or self.new_id(), terms=terms or QueueTerms()
         )
-        entry = (await self.request_service("submit", request, JobSubmitted)).entry
+        # Every step is planned before the job is accepted.
+        timeout_s = ANSWER_S + SUBMIT_STEP_S * len(job.steps) * request.terms.repeat
+        entry = (await self.request_service("submit", request, JobSubmitted, timeout_s)).entry
         assert entry is not None
         return entry
 
-    async def dry_run(self, job: Job) -> dict[str, Any]:
-        """Plan each motion step from the present positions, without moving. Raises `Refusal`."""
-        request = SubmitJob(**self.request_fields(), job=job, client_key=self.new_id(), dry_run=True)
-        return (await self.request_service("submit", request, JobSubmitted, DRY_RUN_S)).dry_run or {}
+    async def dry_run(self, job: Job, on_steps: Callable[[int], None] | None = None) -> JobForecast:
+        """Run a job forward from the present positions, each step from where the one before it leaves its axes, and
+        ask every controller what it would be sent. Nothing moves. Raises `Refusal`.
+
+        on_steps: called with the number of steps that are done. The work ends with this call: the job is sent in parts.
+        """
+        steps: list[StepForecast] = []
+        problems: list[StepProblem] = []
+        conditions: dict[str, None] = {}
+        axes: dict[str, AxisForecast] | None = None
+        for first in range(0, len(job.steps), DRY_RUN_STEPS):
+            part = job.model_copy(update={"steps": job.steps[first : first + DRY_RUN_STEPS]})
+            request = DryRun(**self.request_fields(), job=part, first=first, begin=axes)
+            done = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
+            axes = done.end
+            steps += done.forecast.steps
+            problems += done.forecast.problems
+            conditions |= dict.fromkeys(done.forecast.conditions)
+            if on_steps is not None:
+                on_steps(len(steps))
+        return JobForecast(steps=steps, problems=problems, conditions=list(conditions))
 
     async def list_jobs(
         self, limit: int = 50, state: JobState | None = None, name: str = "", since: str | None = None

@@ -12,6 +12,7 @@ from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
+from orchestrator.coordinator.jobs.rehearsal import JobRehearsal
 from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.journal.journal import JournalError
 from orchestrator.coordinator.maintenance.reload import FleetReload
@@ -24,6 +25,8 @@ from orchestrator.model.report import QueueState
 from orchestrator.model.service import (
     AcquireAxes,
     AxesAcquired,
+    DryRun,
+    DryRunDone,
     FleetReloaded,
     JobReference,
     JobReferences,
@@ -76,6 +79,7 @@ class UserRequests:
         self._answers = AnswerCache()
         self._verbs = {
             "submit": Verb(SubmitJob, JobSubmitted, intake.submit_job),
+            "dry-run": Verb(DryRun, DryRunDone, JobRehearsal(services).dry_run, cached=False),
             "list": Verb(ListJobs, QueueState, self._list_jobs, cached=False),
             "show": Verb(JobReference, JobShown, self._show_job, cached=False),
             "recording": Verb(RecordingReference, RecordingReply, self._load_recording, cached=False),

@@ -21,7 +21,7 @@ from pydantic import (
 from orchestrator.model.axis_units import convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
-from orchestrator.model.fleet_names import find_reference_problems
+from orchestrator.model.fleet_names import FleetNames, find_reference_problems
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
@@ -454,11 +454,20 @@ class Fleet(Model):
             if permit.axes is None or wanted & {axis for each in permit.axes for axis in self.expand_name(each)}
         }
 
+    @cached_property
+    def names(self) -> FleetNames:
+        """All names of the fleet."""
+        names = FleetNames(controllers=list(self.controllers), groups=list(self.groups), axes=self.axis_names)
+        for name, controller in self.controllers.items():
+            names.inputs.extend(f"{name}.{point}" for point in controller.inputs)
+            names.outputs.extend(f"{name}.{point}" for point in controller.outputs)
+        return names
+
     def axis(self, name: str) -> Axis:
         """The axis `controller.axis`. Raises `UnknownName`, which lists the known axes."""
         controller, _, axis = name.partition(".")
         if controller not in self.controllers or axis not in self.controllers[controller].axes:
-            raise UnknownName(name, f"the fleet has no axis {name}; its axes are: {', '.join(self.axis_names)}")
+            raise UnknownName(name, self.names.explain_unknown(name, "axis") or name)
         return self.controllers[controller].axes[axis]
 
     @property
@@ -472,7 +481,9 @@ class Fleet(Model):
             return list(self.groups[name])
         if name in self.controllers:
             return [f"{name}.{axis}" for axis in self.controllers[name].axes]
-        self.axis(name)
+        text = self.names.explain_unknown(name, "axes")
+        if text is not None:
+            raise UnknownName(name, text)
         return [name]
 
     def expand_names(self, names: Iterable[str]) -> list[str]:

@@ -172,12 +172,16 @@ class StartOptions(Model):
 
 
 class ProposeRequest(StepRequest):
-    """Ask whether a member can execute these profiles. digest: the configuration that the coordinator assumes."""
+    """Ask whether a member can execute these profiles. digest: the configuration that the coordinator assumes.
+
+    rehearsal: the profiles begin where earlier steps will leave the axes, so their present state is not compared.
+    """
 
     digest: str
     duration_s: float
     profiles: dict[str, Profile]
     start: StartOptions = StartOptions()
+    rehearsal: bool = False
 
 
 class BudgetTerm(Model):

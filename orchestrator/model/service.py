@@ -5,6 +5,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from orchestrator.model.base import Model
+from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.queue import MAX_STEPS, QueueTerms, Utc
@@ -20,7 +21,6 @@ class SubmitJob(Request):
     job: Job
     client_key: str = Field(min_length=1, max_length=200)
     terms: QueueTerms = QueueTerms()
-    dry_run: bool = False
 
 
 class JobSubmitted(Reply):
@@ -28,7 +28,25 @@ class JobSubmitted(Reply):
 
     job_id: str = ""
     entry: QueueEntry | None = None
-    dry_run: dict[str, Any] | None = None
+
+
+class DryRun(Request):
+    """Run steps of a job forward and ask the controllers what they would be sent; nothing moves.
+
+    A client sends the steps of a long job in parts. first: the number of the first step in the job. begin: the axes
+    after the part before; None: from where they are now.
+    """
+
+    job: Job
+    first: int = Field(default=0, ge=0, le=MAX_STEPS)
+    begin: dict[str, AxisForecast] | None = None
+
+
+class DryRunDone(Reply):
+    """end: the axes after these steps, where the next part begins."""
+
+    forecast: JobForecast = JobForecast()
+    end: dict[str, AxisForecast] = Field(default={})
 
 
 class RetryJob(Request):

@@ -37,11 +37,13 @@ EXAMPLES: dict[str, Any] = {
     "axes": ["gantry.x"],
     "after": None,
     "before": "none",
+    "begin": None,
     "check": True,
     "client_key": "of mine",
     "command": "MG TIME",
     "dry_run": False,
     "event": None,
+    "first": 0,
     "from_step": 0,
     "holder": "manual-reader",
     "i_know": True,
@@ -161,7 +163,7 @@ def test_every_key_of_the_page_is_published_while_a_job_runs_and_contains_what_i
         assert (await client.wait_for_job(await client.submit(run))).state == "done"
         # One that ends badly is warned of.
         assert (
-            await client.wait_for_job(await client.submit(job("[{do: move, to: {gantry.x: 9999}}]")))
+            await client.wait_for_job(await client.submit(job("[{do: wait, input: gantry.door, timeout: 100 ms}]")))
         ).state != "done"
         for key, cell in rows:
             models = models_of(cell)

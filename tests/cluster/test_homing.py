@@ -269,5 +269,5 @@ def test_a_homing_whose_link_is_closed_is_stopped(name: str) -> None:
 
 
 def test_a_homing_order_that_names_an_unknown_axis() -> None:
-    with pytest.raises(ValueError, match=r"the fleet has no axis stage\.z"):
+    with pytest.raises(ValueError, match=r"the fleet has no axis, group or controller stage\.z; did you mean stage\.v"):
         Fleet.model_validate({**demo_fleet().to_plain(), "home_order": ["stage.z"]})

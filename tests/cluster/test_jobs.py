@@ -1,6 +1,7 @@
 """Jobs on the virtual demo fleet: what they do, what is refused, and the contents of a report."""
 
 import asyncio
+import re
 
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, outcome, refusal, run_fleet
@@ -71,9 +72,7 @@ def test_refusals_before_the_fleet_is_prepared(steps: str, code: str, text: str)
 @pytest.mark.parametrize(
     ("steps", "code", "text"),
     [
-        ("[{do: move, to: {gantry.x: 401}}]", "soft-limit", "target 401 mm is beyond its soft limits -10 to 400 mm"),
-        ("[{do: move, by: {gantry.x: 300}}, {do: move, by: {gantry.x: 300}}]", "soft-limit", "target 600 mm is beyond"),
-        ("[{do: move, to: {gantry.x: 10 deg}}]", "bad-unit", "deg is a unit of angle"),
+        ("[{do: move, by: {gantry.x: 405}}]", "soft-limit", "target 405 mm is beyond its soft limits -10 to 400 mm"),
         ("[{do: move, to: {gantry.x: 10, stage.u: 1}, max_start_skew: 10 us}]", "start-skew", "predicted start skew"),
         ("[{do: move, to: {gantry.x: 10, stage.u: 1}, start: clock}]", "start-class", "no readable clock to start by"),
         (
@@ -101,12 +100,24 @@ def test_a_job_that_names_unknown_axes_is_not_accepted() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         for steps, text in (
-            ("[{do: move, to: {gantry.q: 1}}]", "no axis gantry.q; its axes are: gantry.x, gantry.y, stage.u"),
-            ("[{do: output, output: gantry.horn, value: true}]", "no output gantry.horn; known: gantry.lamp"),
-            ("[{do: wait, input: stage.x, timeout: 1 s}]", "no input stage.x; known: gantry.door"),
-            ("[{do: home, axes: [nothing]}]", "no axis nothing"),
+            (
+                "[{do: move, to: {gantry.q: 1}}]",
+                "no axis gantry.q; did you mean gantry.y? its axes are: gantry.x, gantry.y, stage.u",
+            ),
+            ("[{do: output, output: gantry.horn, value: true}]", "no output gantry.horn; its outputs are: gantry.lamp"),
+            ("[{do: wait, input: stage.x, timeout: 1 s}]", "no input stage.x; its inputs are: gantry.door"),
+            ("[{do: home, axes: [nothing]}]", "no axis, group or controller nothing"),
+            (
+                "[{do: move, to: {gantry.x: 401}}]",
+                "steps[0] (move): axis gantry.x: target 401 mm is beyond its soft limits -10 to 400 mm",
+            ),
+            (
+                "[{do: move, by: {gantry.x: 300}}, {do: move, by: {gantry.x: 300}}]",
+                "steps[1] (move): axis gantry.x: the moves from step 0 on cover 600 mm; its soft limits are 410 mm apart",
+            ),
+            ("[{do: move, to: {gantry.x: 10 deg}}]", "deg is a unit of angle"),
         ):
-            with pytest.raises(Refusal, match=text.replace(".", r"\.")):
+            with pytest.raises(Refusal, match=re.escape(text)):
                 await client.submit(job(steps))
         assert (await client.list_jobs()).jobs == []
 
@@ -149,11 +160,49 @@ def test_cancel_queued_and_running() -> None:
 def test_dry_run_reports_what_would_be_sent() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        shown = await fleet.make_client().dry_run(job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]"))
-        assert shown["0"]["duration_s"] > 0.1
-        assert any("PA" in line for line in shown["0"]["commands"]["gantry"])
-        assert any(line.startswith(("AP", "MP")) for line in shown["0"]["commands"]["stage"])
+        steps = "[{do: move, to: {gantry.x: 10, stage.u: 1}}, {do: move, by: {gantry.x: 5, stage.u: -1}}]"
+        shown = await fleet.make_client().dry_run(job(steps))
+        first, second = shown.steps
+        assert first.least_s == first.most_s > 0.1
+        assert "PA 10000" in first.commands["gantry"] and "PA 15000" in second.commands["gantry"]
+        assert [step.commands["stage"][0].partition(",")[0] for step in shown.steps] == ["MP:1+P10000", "MP:1-P10000"]
         assert not any(c.is_moving(a) for c in fleet.controllers.values() for a in c.axis_names)
+
+    run_fleet(main)
+
+
+def test_a_dry_run_follows_the_axes_from_step_to_step() -> None:
+    """Four moves of 100 mm from 50 mm: the fourth leaves the soft limits, which the present position does not show."""
+    done: list[int] = []
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        prepared = await client.dry_run(job("[{do: move, to: {gantry.x: 10}}]"))
+        assert [problem.code for problem in prepared.problems] == ["not-enabled", "not-referenced"]
+        whole = "{do: enable, axes: [gantry]}, {do: home, axes: [gantry]}, {do: move, to: {gantry.x: 50}}"
+        good = await client.dry_run(job(f"[{whole}]"))
+        assert not good.problems and "PA 50000" in good.steps[2].commands["gantry"]
+        shown = await client.dry_run(job(f"[{whole}" + ", {do: move, by: {gantry.x: 100}}" * 4 + "]"))
+        (problem,) = shown.problems
+        assert (problem.place, problem.code) == (["steps", 6, "by", "gantry.x"], "soft-limit")
+        back = ", ".join(f"{{do: move, to: {{gantry.x: {k % 2}}}}}" for k in range(120))
+        long = await client.dry_run(job(f"[{whole}, {back}]"), done.append)
+        assert len(long.steps) == 123 and done == [50, 100, 123] and not long.problems
+        assert not any(c.is_moving(a) for c in fleet.controllers.values() for a in c.axis_names)
+
+    run_fleet(main)
+
+
+def test_a_dry_run_beside_an_offline_controller_says_which_was_not_asked() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        fleet.wires["stage"].cut = True
+        await fleet.wait_until(lambda states: states["stage"].mode == "offline")
+        shown = await fleet.make_client().dry_run(
+            job("[{do: move, to: {gantry.x: 10, stage.u: 1}}, {do: move, to: {gantry.x: 20}}]")
+        )
+        assert shown.problems == [] and "stage" in " ".join(shown.conditions)
+        assert not shown.steps[0].commands and "PA 20000" in shown.steps[1].commands["gantry"]
 
     run_fleet(main)
 
@@ -230,9 +279,9 @@ def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> 
         await asyncio.sleep(3.0)
         report = await outcome(fleet, job("[{do: home, axes: [gantry]}]"))
         assert report.state == "failed" and "gantry: the coordinator uses configuration" in report.reason
-        with pytest.raises(Refusal) as caught:
-            await fleet.make_client().dry_run(job("[{do: move, to: {gantry.x: 1}}]"))
-        assert caught.value.code == "other-configuration"
+        await fleet.wait_until(lambda states: states["gantry"].axes["x"].enabled)
+        shown = await fleet.make_client().dry_run(job("[{do: move, to: {gantry.x: 1}}]"))
+        assert [problem.code for problem in shown.problems] == ["other-configuration"]
 
     run_fleet(main)
 

@@ -408,7 +408,7 @@ def test_a_target_beyond_the_counts_of_controllers_is_refused_when_it_is_propose
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         before = motions(fleet)
-        refused = (await outcome(fleet, job("[{do: move, to: {gantry.x: 300}, speed: 0.001}]"))).steps[-1].refused
+        refused = (await outcome(fleet, job("[{do: move, by: {gantry.x: 300}, speed: 0.001}]"))).steps[-1].refused
         assert refused is not None
         assert (refused.code, motions(fleet)) == ("position-range", before)
 

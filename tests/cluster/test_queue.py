@@ -159,13 +159,15 @@ def test_after_another_job() -> None:
         assert await begins(client, first, then) == [first, then]
         late = await client.submit(STAGE, terms=QueueTerms(after=first))
         assert (await client.wait_for_job(late)).state == "done"
-        failing = await client.submit(job("[{do: dwell, duration: 1 s}, {do: move, to: {gantry.x: 999}}]"))
+        failing = await client.submit(
+            job("[{do: dwell, duration: 1 s}, {do: wait, input: gantry.door, timeout: 100 ms}]")
+        )
         one = await client.submit(SHORT, terms=QueueTerms(after=failing))
         two = await client.submit(SHORT, terms=QueueTerms(after=one))
         report = await client.wait_for_job(two)
         assert report.state == "cancelled"
         assert report.reason.startswith(f"job {one}, which must be done before, is cancelled: job {failing}")
-        assert "soft limits" in report.reason
+        assert "did not become active" in report.reason
         for unknown, code in ((failing, "not-done"), ("nothing", "unknown-job")):
             with pytest.raises(Refusal) as caught:
                 await client.submit(SHORT, terms=QueueTerms(after=unknown))

@@ -22,7 +22,8 @@ HEAD = {"request_id": "r", "actor": "mallory"}
 
 # A valid request for every key, to begin with. A key that is not listed is requested with the head alone.
 SERVICE: dict[str, dict[str, Any]] = {
-    "submit": {"job": SHORT.to_plain(), "client_key": "k", "terms": {"priority": 1}, "dry_run": False},
+    "submit": {"job": SHORT.to_plain(), "client_key": "k", "terms": {"priority": 1}},
+    "dry-run": {"job": SHORT.to_plain(), "first": 0, "begin": {"gantry.y": {"known": True}}},
     "list": {"limit": 5, "state": "done", "name": "x", "since": "2026-01-01T00:00:00Z"},
     "show": {"job_id": "x"},
     "recording": {"job_id": "x", "step": 0},

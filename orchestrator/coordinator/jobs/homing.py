@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet, group_by_controller
+from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import HomeReply, HomeRequest, RefusalDetails
+from orchestrator.plan.homing_order import find_prerequisites, homing_order
 from orchestrator.plan.step import ExactTargets
 
 ANSWER_S = 3.0
@@ -15,52 +16,6 @@ POLL_S = 0.05
 
 ProgressCallback = Callable[[float, str], None]
 """Receives the fraction that is done, 0 to 1, and what is being done."""
-
-
-@dataclass(frozen=True, slots=True)
-class HomingOrder:
-    """entries: axes homed in parallel, each entry after all entries before it. loners: axes without an order, homed
-    one by one after the entries, whether the one before has succeeded or not."""
-
-    entries: list[list[str]]
-    loners: list[str]
-
-
-def homing_order(fleet: Fleet, axes: list[str] | None) -> HomingOrder:
-    """The given axes in the given order; else the fleet's `home_order`, followed by all axes that are not in it."""
-    seen, entries = set[str](), list[list[str]]()
-    for entry in fleet.home_order if axes is None else axes:
-        fresh = [axis for axis in fleet.expand_name(entry) if axis not in seen]
-        seen.update(fresh)
-        if fresh:
-            entries.append(fresh)
-    return HomingOrder(entries, [axis for axis in fleet.axis_names if axis not in seen] if axes is None else [])
-
-
-def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
-    """By axis, the axes that must be referenced before it begins: all earlier entries, and its `homing.after`.
-
-    Raises `Refusal` if the two contradict each other.
-    """
-    waits: dict[str, set[str]] = {}
-    earlier: set[str] = set()
-    for entry in [*order.entries, order.loners]:
-        for axis in entry:
-            waits[axis] = earlier | set(fleet.axis(axis).homing.after)
-        earlier = earlier | set(entry)
-    left = dict(waits)
-    while free := [axis for axis, others in left.items() if not others & left.keys()]:
-        for axis in free:
-            del left[axis]
-    if left:
-        first = min(left)
-        raise Refusal(
-            "homing-order",
-            f"{first} must be homed after {', '.join(sorted(left[first] & left.keys()))} (homing.after), "
-            "but comes before it in the given order",
-            "change the order, or home_order in the fleet file",
-        )
-    return waits
 
 
 @dataclass(slots=True)

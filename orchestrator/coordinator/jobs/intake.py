@@ -2,15 +2,12 @@
 
 from collections.abc import Callable
 from datetime import timedelta
-from typing import Any
 
+from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
-from orchestrator.coordinator.jobs.steps import check_job
 from orchestrator.coordinator.journal import journal
-from orchestrator.coordinator.motion.planning import StepRequest
-from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Move, Step
 from orchestrator.model.queue import MAX_STEPS, QueueTerms, format_utc, parse_utc
@@ -30,24 +27,13 @@ class JobIntake:
         self._new_id = new_id
 
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
-        """Accept a job: it is in the journal when this returns. With `dry_run` only plan it. Raises `Refusal`."""
-        check_job(self._services.view.fleet, list(request.job.steps))
-        if request.dry_run:
-            return JobSubmitted(dry_run=await self._dry_run(request.job))
+        """Accept a job: it is in the journal when this returns. Raises `Refusal`."""
         _check_length(request.job, request.terms)
+        await check_job(self._services.view.fleet, request.job.steps, request.terms.repeat)
         await self._check_terms(request.terms, request.client_key)
         if request.terms.now:
             await self._require_free_way(request)
         return await self._accept_job(request.client_key, request.job, request.terms, None)
-
-    async def _dry_run(self, job: Job) -> dict[str, Any]:
-        """The plan of each motion step, from the present positions of the axes."""
-        steps: dict[str, Any] = {}
-        for index, step in enumerate(job.steps):
-            if isinstance(step, Move):
-                request = StepRequest("dry-run", job, index, step)
-                steps[str(index)] = await MotionStep(self._services.motion, request).dry_run()
-        return steps
 
     async def retry_job(self, request: RetryJob) -> JobRetried:
         """Re-run a finished job from a step on; or report what that would do. Raises `Refusal`, `UnknownName`."""
@@ -65,8 +51,8 @@ class JobIntake:
         if not steps:
             text = f"job {record.id} has the steps 0 to {len(all_steps) - 1}"
             raise Refusal("no-step", text, "choose one of them with --from-step")
-        check_job(services.view.fleet, list(job.steps))
         _check_length(job, terms)
+        await check_job(services.view.fleet, job.steps, terms.repeat, request.from_step)
         await self._check_terms(terms, request.client_key)
         described = enumerate(steps[:MAX_DESCRIBED_STEPS], request.from_step)
         reply = JobRetried(

@@ -13,8 +13,9 @@ from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.queue import expand_repeats, find_axes
-from orchestrator.coordinator.jobs.steps import PlainSteps, check_job
+from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.journal import JobRecord, Journal, JournalError
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.planning import StepRequest
@@ -221,7 +222,8 @@ class JobRun:
         state: JobState = "done"
         reason, actor = "", self.row.actor
         try:
-            check_job(services.view.fleet, self.steps_to_run)
+            # Again, because the fleet may have changed since the job was accepted.
+            await check_job(services.view.fleet, self.steps_to_run)
             axes = find_axes(services.view.fleet, self.steps_to_run)
             since_ns = services.clock.now_ns()
             user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.requests import FencedFields
-from orchestrator.coordinator.jobs.homing import HomingSequence, ProgressCallback, find_prerequisites, homing_order
+from orchestrator.coordinator.jobs.homing import HomingSequence, ProgressCallback
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet, group_by_controller
-from orchestrator.model.job import Disable, Dwell, Enable, Home, Move, SetOutput, SetPosition, Step, WaitInput
+from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.job import Disable, Dwell, Enable, Home, SetOutput, SetPosition, Step, WaitInput
 from orchestrator.model.messages import (
     EnableRequest,
     LeasedRequest,
@@ -18,7 +18,6 @@ from orchestrator.model.messages import (
     SetPositionRequest,
     raise_first_refusal,
 )
-from orchestrator.model.units import parse_quantity
 from orchestrator.plan.step import ExactTargets
 
 ANSWER_S = 3.0
@@ -97,34 +96,3 @@ class PlainSteps:
 
     def _request_fields(self, actor: str) -> FencedFields:
         return self._fleet.requests.request_fields(actor)
-
-
-def check_job(fleet: Fleet, steps: list[Step]) -> None:
-    """Check that the fleet has all names of a job, before it is accepted. Raises `Refusal`."""
-    for index, step in enumerate(steps):
-        try:
-            if isinstance(step, Move):
-                for axis in step.to | step.by:
-                    fleet.axis(axis)
-            elif isinstance(step, SetPosition):
-                for name, position in step.axes.items():
-                    axis = fleet.axis(name)
-                    if position is not None:
-                        parse_quantity(position, axis.unit)
-            elif isinstance(step, Enable | Disable | Home):
-                fleet.expand_names(step.axes or [])
-                if isinstance(step, Home):
-                    find_prerequisites(fleet, homing_order(fleet, step.axes))
-            elif isinstance(step, SetOutput):
-                _require_point(step.output, "output", {c: set(each.outputs) for c, each in fleet.controllers.items()})
-            elif isinstance(step, WaitInput):
-                _require_point(step.input, "input", {c: set(each.inputs) for c, each in fleet.controllers.items()})
-        except ValueError as error:
-            raise Refusal("unknown-name", f"steps[{index}] ({step.do}): {error}", "correct the job file") from None
-
-
-def _require_point(name: str, kind: str, points: Mapping[str, set[str]]) -> None:
-    controller, _, point = name.partition(".")
-    if point not in points.get(controller, set()):
-        known = sorted(f"{c}.{p}" for c, names in points.items() for p in names)
-        raise ValueError(f"the fleet has no {kind} {name}; known: {', '.join(known) or 'none'}")

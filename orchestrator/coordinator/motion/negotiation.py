@@ -272,7 +272,8 @@ class StartNegotiation:
                 agreement.plan = agreement.plan.stretch_to(longest_s)
         if synchronised:
             self._require_same_duration(durations, agreement.plan.duration_s)
-        self._estimator.last_leads_ns[movers] = agreement.lead_ns
+        if not self._planned.rehearsal:
+            self._estimator.last_leads_ns[movers] = agreement.lead_ns
         self.judge(agreement, agreement.proposals)
 
     def _require_same_duration(self, durations: Mapping[str, float], planned_s: float) -> None:
@@ -317,6 +318,7 @@ class StartNegotiation:
                 duration_s=agreement.plan.duration_s,
                 profiles=agreement.profiles(member),
                 start=options,
+                rehearsal=self._planned.rehearsal,
             )
             for member, options in self.start_options(agreement, members).items()
         }

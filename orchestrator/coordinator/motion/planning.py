@@ -44,12 +44,16 @@ class StepRequest:
 
 @dataclass(frozen=True, slots=True)
 class PlannedStep:
-    """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller."""
+    """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller.
+
+    rehearsal: it starts where the steps before it will leave its axes; it is proposed, and never armed.
+    """
 
     request: StepRequest
     resolved: ResolvedMove
     plan: StepPlan
     instances: Mapping[str, str]
+    rehearsal: bool = False
 
 
 async def plan_request(

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Protocol
 
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
@@ -30,6 +30,11 @@ class StepObserver(Protocol):
     def on_started(self) -> Callable[[int, float], None]:
         """Called with T0 (fleet ns) and the planned duration (s) once all members are released."""
         ...
+
+
+async def rehearse_step(services: MotionServices, planned: PlannedStep) -> StartAgreement:
+    """What the members make of a planned step: durations, budget, commands. Raises `Refusal`."""
+    return await StartNegotiation(services, planned).agree()
 
 
 class MotionStep:
@@ -64,18 +69,6 @@ class MotionStep:
             for axis, (exact, counts) in planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)
         return report
-
-    async def dry_run(self) -> dict[str, Any]:
-        """Duration, budget, and the commands that each controller would receive. Raises `Refusal`."""
-        planned = await plan_request(self._services, self._request, {}, None)
-        agreement = StartAgreement(planned.plan)
-        if planned.plan.profiles:
-            agreement = await StartNegotiation(self._services, planned).agree()
-        return {
-            "duration_s": agreement.plan.duration_s,
-            "budget": agreement.budget.to_plain() if agreement.budget else None,
-            "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},
-        }
 
     async def feed_hold(self, actor: str) -> None:
         """Brake the step if it is being started or moving; `run` then reports it as stopped."""

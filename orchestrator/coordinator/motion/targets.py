@@ -1,17 +1,17 @@
 """Convert the targets of a move, in units, to counts for the planner."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from math import floor
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Move
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.step import AxisMove, ExactTargets
+from orchestrator.plan.targets import choose_turn, explain_beyond_limits, make_axis_move
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,42 +51,17 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
         if name in goal:
             target = goal[name]
         else:
-            target = here + amount if name in step.by else _choose_turn(axis, here, amount - state.offset, state.offset)
+            target = here + amount if name in step.by else choose_turn(axis, here, amount - state.offset, state.offset)
         counts = axis.to_counts(target)
-        _require_within_limits(name, axis, counts, target + state.offset, state.offset)
+        beyond = explain_beyond_limits(name, axis, target, state.offset)
+        if beyond is not None:
+            remedy = "change the target, or the soft limits in the fleet file"
+            raise Refusal("soft-limit", beyond, remedy, controller)
         exact[name] = (target, counts)
-        scale = float(axis.scale)
-        moves.append(
-            AxisMove(
-                axis=name,
-                start_counts=state.commanded_counts,
-                target_counts=counts,
-                velocity=axis.limits.velocity * scale,
-                acceleration=axis.limits.acceleration * scale,
-                jerk=None if axis.limits.jerk is None else axis.limits.jerk * scale,
-                order=max(context.infos[controller].orders),
-                soft_limits=axis.soft_limits_counts,
-            )
-        )
+        order = max(context.infos[controller].orders)
+        move = make_axis_move(name, axis, state.commanded_counts, counts, order)
+        moves.append(replace(move, soft_limits=axis.soft_limits_counts))
     return ResolvedMove(moves, exact)
-
-
-def _choose_turn(axis: Axis, here: Fraction, target: Fraction, offset: Fraction) -> Fraction:
-    """The motor position of an absolute target. On an axis that wraps it exists once per turn; taken is the one in
-    the present turn of user positions or, with `shortest_way`, the one nearest to `here`; inside the soft limits
-    if possible."""
-    turn = axis.turn_length
-    if turn is None:
-        return target
-    if axis.shortest_way:
-        turned = target + turn * round((here - target) / turn)
-    else:
-        turned = target + turn * (floor((here + offset) / turn) - floor((target + offset) / turn))
-    limits = axis.soft_limits_counts
-    if limits is None or limits[0] <= axis.to_counts(turned) <= limits[1]:
-        return turned
-    inside = [way for way in (turned - turn, turned + turn) if limits[0] <= axis.to_counts(way) <= limits[1]]
-    return min(inside, key=lambda way: abs(way - here), default=turned)
 
 
 def _require_ready(name: str, state: AxisState, controller: str) -> None:
@@ -94,18 +69,3 @@ def _require_ready(name: str, state: AxisState, controller: str) -> None:
         raise Refusal("not-enabled", f"axis {name} is not enabled", "add a step `do: enable` before it", controller)
     if not state.referenced:
         raise Refusal("not-referenced", f"axis {name} is not referenced", "add a step `do: home` before it", controller)
-
-
-def _require_within_limits(name: str, axis: Axis, counts: int, user_target: Fraction, offset: Fraction) -> None:
-    """Soft limits are motor positions; the message uses user positions, like the target."""
-    limits = axis.soft_limits_counts
-    if limits is None or limits[0] <= counts <= limits[1]:
-        return
-    low, high = sorted(axis.to_unit(limit) + float(offset) for limit in limits)
-    raise Refusal(
-        "soft-limit",
-        f"axis {name}: target {float(user_target):g} {axis.unit} is beyond its soft limits {low:g} to "
-        f"{high:g} {axis.unit}",
-        "change the target, or the soft limits in the fleet file",
-        controller_of(name),
-    )

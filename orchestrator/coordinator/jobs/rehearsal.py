@@ -1,0 +1,100 @@
+"""Dry runs: jobs are run forward on paper, and the controllers asked what they would be sent."""
+
+import asyncio
+from contextlib import suppress
+from typing import Literal
+
+from orchestrator.bus.base import BusError
+from orchestrator.coordinator.jobs.check import STEPS_AT_ONCE
+from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
+from orchestrator.coordinator.motion.step import rehearse_step
+from orchestrator.coordinator.motion.targets import ResolvedMove
+from orchestrator.model.errors import Refusal
+from orchestrator.model.forecast import AxisForecast, StepForecast, StepProblem
+from orchestrator.model.job import Job, Move
+from orchestrator.model.service import DryRun, DryRunDone
+from orchestrator.plan.forecast import JobForecaster
+
+# What a controller refuses because of the state of the world now, which may be another one when the job runs.
+_WORLD = {"absent", "offline", "no-answer", "start-skew", "no-scale"}
+
+
+class JobRehearsal:
+    """Dry runs. A client sends the steps of a job in parts, each with the forecast after the part before."""
+
+    def __init__(self, services: JobServices) -> None:
+        self._services = services
+
+    async def dry_run(self, request: DryRun) -> DryRunDone:
+        """Check some steps of a job and ask each controller what it would be sent. Raises `Refusal`."""
+        view = self._services.view
+        axes = request.begin if request.begin is not None else self._look_at_axes()
+        orders: dict[str, Literal[2, 3]] = {}
+        for name in view.fleet.controllers:
+            # A controller that does not answer is planned by the fleet file.
+            with suppress(BusError):
+                orders[name] = max((await view.query_info(name)).orders)
+        forecaster = JobForecaster(view.fleet, axes, orders)
+        steps: list[StepForecast] = []
+        for number, step in enumerate(request.job.steps):
+            if number % STEPS_AT_ONCE == 0:
+                await asyncio.sleep(0)
+            index = request.first + number
+            forecast = forecaster.take(index, step)
+            if isinstance(step, Move) and forecaster.motion is not None:
+                forecast = await self._rehearse(request.job, index, step, forecaster, forecast)
+            steps.append(forecast)
+        return DryRunDone(forecast=forecaster.finish(steps), end=forecaster.axes)
+
+    async def _rehearse(
+        self, job: Job, index: int, step: Move, forecaster: JobForecaster, forecast: StepForecast
+    ) -> StepForecast:
+        motion = forecaster.motion
+        if motion is None or not motion.plan.profiles:
+            return forecast
+        request = StepRequest("dry-run", job, index, step)
+        planned = PlannedStep(request, ResolvedMove(motion.moves, motion.exact), motion.plan, {}, rehearsal=True)
+        try:
+            agreement = await rehearse_step(self._services.motion, planned)
+        except Refusal as error:
+            if error.code in _WORLD:
+                return forecast.model_copy(update={"conditions": [*forecast.conditions, error.text]})
+            forecaster.problems.append(
+                StepProblem(
+                    place=["steps", index],
+                    code=error.code,
+                    text=error.text,
+                    remedy=error.remedy,
+                    controller=error.controller,
+                )
+            )
+            return forecast
+        duration_s = round(agreement.plan.duration_s, 6)
+        return forecast.model_copy(
+            update={
+                "least_s": duration_s,
+                "most_s": duration_s,
+                "budget": agreement.budget.to_plain() if agreement.budget else None,
+                "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},
+            }
+        )
+
+    def _look_at_axes(self) -> dict[str, AxisForecast]:
+        """All axes as they are now; those of silent controllers are unknown."""
+        view, targets = self._services.view, self._services.motion.targets
+        axes: dict[str, AxisForecast] = {}
+        for name in view.fleet.axis_names:
+            controller, _, own = name.partition(".")
+            state = view.last_state(controller)
+            if state is None or view.is_silent(controller) or state.mode == "offline" or own not in state.axes:
+                continue
+            now, axis = state.axes[own], view.fleet.axis(name)
+            axes[name] = AxisForecast(
+                motor=targets.exact_position(name, now.commanded_counts, axis.counts_per_unit),
+                known=True,
+                offset=now.offset,
+                enabled=now.enabled or axis.enable != "manual",
+                referenced=now.referenced,
+            )
+        return axes
