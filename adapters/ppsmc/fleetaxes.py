@@ -116,8 +116,8 @@ def _find_axis_problems(name: str, axis: Axis) -> Iterator[str]:
         yield (f"axes.{name}.motors: {axis.motors[0]!r} is not an axis of the controller; allowed: '1' to '16'")
     if axis.homing.method not in METHODS:
         yield f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}"
-    if axis.homing.method == "ref" and axis.homing.direction != "negative":
-        yield f"axes.{name}.homing.direction: method ref searches in negative direction; use org"
+    if axis.homing.method == "ref" and axis.homing_sign > 0:
+        yield f"axes.{name}.homing.direction: method ref searches towards lower step counts only; use org"
     limits = axis_bounds(axis)
     if limits.speed < 1:
         yield (

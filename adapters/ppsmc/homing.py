@@ -129,11 +129,11 @@ async def _prepare_searches(unit: PpSmcState, searches: Sequence[_ReferenceSearc
 
 def _make_search(config: Controller, unit: PpSmcState, name: str) -> _ReferenceSearch:
     axis = config.axes[name]
-    motor, method, direction = fleetaxes.axis_number(axis), axis.homing.method, axis.homing.direction
+    motor, method, backwards = fleetaxes.axis_number(axis), axis.homing.method, axis.homing_sign < 0
     s, f, ramp, fine = _search_speeds(axis)
-    sign = "-" if direction == "negative" else "+"
-    jog = f"jg{'-' if direction == 'negative' else ''}{f}"
-    free = f"{'hr' if direction == 'negative' else 'hm'}0;vl{fine}"
+    sign = "-" if backwards else "+"
+    jog = f"jg{'-' if backwards else ''}{f}"
+    free = f"{'hr' if backwards else 'hm'}0;vl{fine}"
     commands = {
         "default": f"org{motor}{sign}",
         "org": f"org{motor}{sign}",

@@ -172,7 +172,7 @@ def homing_program(axis: Axis) -> tuple[str, ...]:
     """Return the homing program: H, at the start rate to the input that it watches (L2076-L2086); or continuous motion,
     without ramps, until a user input is 1 (L2132-L2138), and the counter to 0 (L1829-L1846)."""
     rate = homing_rate(axis)
-    sign = "+" if axis.homing.direction == "positive" else "-"
+    sign = "+" if axis.homing_sign > 0 else "-"
     if axis.homing.method == "default":
         return f"S{rate}", f"T{max(rate, TOP_MIN)}", "R1", f"H{sign}"
     number = axis.homing.method[-1]

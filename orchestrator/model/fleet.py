@@ -52,7 +52,9 @@ class HomingSettings(Model):
     """How an axis finds its reference."""
 
     method: str = Field(default="default", description="A homing method of the make; `default` is its usual one.")
-    direction: Literal["negative", "positive"] = "negative"
+    direction: Literal["negative", "positive"] = Field(
+        default="negative", description="Direction of the search, by positions in the axis's unit."
+    )
     speed: UnitNumber | None = Field(default=None, description="Approach speed, unit/s; default: a tenth of the limit.")
     search_speed: UnitNumber | None = Field(
         default=None, description="Speed of the fine search, where the make supports it."
@@ -226,6 +228,11 @@ class Axis(Model):
     def counts_per_unit(self) -> Fraction:
         """Signed counts of the controller per unit."""
         return self.scale * self.sign
+
+    @property
+    def homing_sign(self) -> Literal[1, -1]:
+        """The direction of its reference search in counts; `homing.direction` is that of its unit."""
+        return 1 if (self.homing.direction == "positive") == (self.sign > 0) else -1
 
     def jog_speed(self, *, referenced: bool) -> float:
         """The maximum jog speed, unit/s; lower while the axis is unreferenced."""

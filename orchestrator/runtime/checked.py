@@ -5,6 +5,7 @@ from pathlib import Path
 from adapters.host.host import apply_make_defaults, find_controller_problems
 from orchestrator.model.files import FileError, parse_file, read_file
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.simulated import find_simulation_problems
 
 
 def load_checked_fleet(file: Path) -> Fleet:
@@ -17,7 +18,7 @@ def load_checked_fleet(file: Path) -> Fleet:
     problems = [
         source.problem(each.place, each.text)
         for name, config in fleet.controllers.items()
-        for each in find_controller_problems(name, config)
+        for each in [*find_controller_problems(name, config), *find_simulation_problems(name, config)]
     ]
     if problems:
         raise FileError(problems)

@@ -24,6 +24,7 @@ from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
+from orchestrator.runtime.simulated import make_simulator_options
 from sim.link.arguments import NEXT
 
 READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
@@ -239,9 +240,7 @@ class LiveFleet:
         return {
             "name": name,
             "address": link.address if isinstance(link, SerialLink | CanBusLink) else None,
-            "options": {"bitrate": link.bitrate, **simulate.options}
-            if isinstance(link, CanBusLink)
-            else simulate.options,
+            "options": make_simulator_options(config),
             "timing": {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000},
             "oscillator": {
                 "offset_ns": round(simulate.offset_s * 1e9),

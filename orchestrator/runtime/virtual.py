@@ -31,6 +31,7 @@ from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, WireConnection, group_by_link
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.bridge import network_wire
+from orchestrator.runtime.simulated import make_simulator_options
 from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator
@@ -170,7 +171,7 @@ class VirtualFleet:
         link, simulate, seed = config.link, config.simulate, self._draw.getrandbits(32)
         return DeviceSpec(
             address=link.address if isinstance(link, SerialLink | CanBusLink) else None,
-            options={"bitrate": link.bitrate, **simulate.options} if isinstance(link, CanBusLink) else simulate.options,
+            options=make_simulator_options(config),
             oscillator=Oscillator(round(simulate.offset_s * NS_PER_S), simulate.drift_ppm, simulate.wander_ppm, seed),
             timing=FirmwareTiming(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
             seed=seed,

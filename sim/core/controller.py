@@ -8,11 +8,14 @@ modelled elsewhere. Each simulator is written from the manual alone.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
+
+from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.link.supply import PowerSupply
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.fleet import Controller
 from sim.core.oscillator import Oscillator
 
 SendBytes = Callable[[bytes], None]
@@ -168,6 +171,16 @@ class Simulator(Protocol):
     ) -> SimulatedController:
         """Build a powered-up controller. `options` are the model's own; `ValueError` names a wrong one and lists the
         allowed ones."""
+        ...
+
+    @property
+    def options_model(self) -> type[BaseModel]:
+        """The model of `simulate.options` in the fleet file."""
+        ...
+
+    def make_options(self, config: Controller, expected: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The options with which it fits a controller's part of a fleet file. expected: the options of the adapter,
+        defaults included, by name."""
         ...
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> "VectorBench":

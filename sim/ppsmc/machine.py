@@ -204,4 +204,6 @@ def _build_axis(number: int, options: PpsmcOptions) -> StepperAxis:
             switches.zones[switch] = zones[key]
     per_step = options.increments_per_step if options.encoder_follows else None
     encoder = IncrementalEncoder(per_step) if options.encoder else None
-    return StepperAxis(number, AxisSettings(dcpl=options.dcpl), switches, encoder)
+    above, below = options.gears.get(str(number), (1, 1))
+    settings = AxisSettings(dcpl=options.dcpl, gnum=Fraction(above), gden=Fraction(below))
+    return StepperAxis(number, settings, switches, encoder)

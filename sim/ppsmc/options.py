@@ -6,7 +6,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, model_validator
 
 Hardware = Literal["io_port", "counter", "filter", "half_screen", "eib7", "fbwf", "full_step", "pc_board"]
 AxisKey = Annotated[str, Field(pattern=r"^(?:[1-9]|1[0-6])$")]
@@ -30,6 +30,8 @@ class PpsmcOptions(BaseModel):
     """The encoders are coupled to the motors; otherwise they keep the loaded value."""
     increments_per_step: Annotated[float, Field(gt=0)] = 1.0
     """Encoder increments per motor step with signal multiplication 1."""
+    gears: dict[AxisKey, tuple[PositiveInt, PositiveInt]] = {}
+    """Stored `gnum` and `gden` of axes: steps per unit of distance (L871)."""
     hardware: list[Hardware] = []
     """Installed options; commands of others are ignored (decision 20)."""
     link: Literal["tcp", "serial"] = "tcp"

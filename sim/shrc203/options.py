@@ -9,6 +9,7 @@ AxisNumber = Literal[1, 2, 3]
 AxisKey = Literal["1", "2", "3"]
 Config = Literal["off", "ok", "error", "missing"]
 Speed = Annotated[int, Field(ge=1, le=1_000_000)]
+BaseRate = Annotated[int, Field(ge=1, le=1_000_000)]
 RampMs = Annotated[int, Field(ge=1, le=1000)]
 
 _COARSE = (1, 2, 3, 4, 5, 6, 8, 10, 12, 20, 25, 30, 40, 50, 60, 80, 100, 120, 125, 200, 250, 300, 400, 600, 800)
@@ -26,8 +27,9 @@ class Shrc203Options(BaseModel):
 
     controllable: list[AxisNumber] = [1, 2, 3]
     """Controllable axes: memory switch GENERAL-AXIS (L2206-L2222)."""
-    base_rate: Annotated[int, Field(ge=1, le=1_000_000)] = 200
-    """Memory switch AXIS-BASE RATE of all axes; one pulse is BASE RATE x 10 / DIVIDE nm (L807-L811)."""
+    base_rate: BaseRate | dict[AxisKey, BaseRate] = 200
+    """Memory switch AXIS-BASE RATE of all axes, or by axis (others: 200); one pulse is BASE RATE x 10 / DIVIDE nm
+    (L807-L811)."""
     divide: int = 2000
     """Memory switch MOTOR DRIVER-DIVIDE of all axes (L2520)."""
     deg_per_pulse: dict[AxisKey, Annotated[float, Field(gt=0)]] = {}
@@ -97,6 +99,11 @@ class Shrc203Options(BaseModel):
     """Decision 46: FMT:HIT is answered NG."""
     overflow_pls: Annotated[int, Field(ge=1)] = 10_000
     """Closed loop: the deviation from the command that is an overflow error S4, pulses."""
+
+    def base_rates(self) -> list[int]:
+        """BASE RATE of the axes 1 to 3."""
+        rates = self.base_rate
+        return [rates.get(key, 200) if isinstance(rates, dict) else rates for key in ("1", "2", "3")]
 
     @model_validator(mode="after")
     def _check_consistency(self) -> "Shrc203Options":

@@ -45,7 +45,7 @@ def _build_contents(options: Shrc203Options) -> Items:
         [str(AXIS_CODES.index(tuple(options.controllable))), "0", "1", "1", "0", "1", "0", "0", "0"],
         ["0"] * _INTERFACE_SIZE,
         ["0"] * _SENSOR_SIZE,
-        [*names, *[str(options.base_rate)] * 3, *configs, *[emergency] * 3, *["0"] * 3],
+        [*names, *map(str, options.base_rates()), *configs, *[emergency] * 3, *["0"] * 3],
         [str(options.divide)] * 3,
         ["1", *speed * 12],
         [*["3"] * 3, *["0"] * 6, *origin * 3],

@@ -1,14 +1,19 @@
 """The simulated JVL SMC30 step motor controller, alone or up to seven on one serial bus."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
+from orchestrator.model.fleet import Controller
 from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.smc30.bench import Smc30Bench
 from sim.smc30.bus import BusDevice, build_bus
+from sim.smc30.commissioning import make_options
 from sim.smc30.controller import Smc30Controller, build_controller
-from sim.smc30.options import read_options
+from sim.smc30.options import Smc30Options, read_options
 
 
 class Smc30Simulator:
@@ -29,6 +34,14 @@ class Smc30Simulator:
     ) -> Smc30Controller:
         """Build a powered-up controller; `ValueError` for a wrong option."""
         return build_controller(clock, read_options(options), oscillator, timing, seed)
+
+    @property
+    def options_model(self) -> type[BaseModel]:
+        return Smc30Options
+
+    def make_options(self, config: Controller, expected: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The options with which it fits a controller's part of a fleet file."""
+        return make_options(config, expected)
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> Smc30Bench:
         """Build a controller whose firmware takes no time unless the options say otherwise."""

@@ -1,8 +1,12 @@
 """The SMC-4000: up to four axes, TCP, UDP and serial (L24-L55, L1719)."""
 
 from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
+from orchestrator.model.fleet import Controller
 from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
@@ -11,6 +15,7 @@ from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import Smc4000Options
 from sim.yaskawa.base.timebase import ServoTimebase
 from sim.yaskawa.commands.dialect import COMMANDS, OPERANDS
+from sim.yaskawa.commissioning import make_options
 from sim.yaskawa.language import parameters
 from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.language.properties import BurnTimes
@@ -106,6 +111,15 @@ class Smc4000Simulator:
         machine.ports.strict_packets = chosen.strict_packets
         machine.run_ready()
         return YaskawaController(machine, usual)
+
+    @property
+    def options_model(self) -> type[BaseModel]:
+        return Smc4000Options
+
+    def make_options(self, config: Controller, expected: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The options with which it fits a controller's part of a fleet file."""
+        del expected
+        return make_options(config, (2, 4))
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> YaskawaBench:
         """Build the same controller, ideal in time, with the handles that test vectors need."""

@@ -114,9 +114,9 @@ async def _load_homing(device: SmcDevice, index: int, axis: Axis) -> None:
     await session.send_command(f"DC{letter}={ramp}")
     if command == "FI":
         search = axis.homing.search_speed * scale if axis.homing.search_speed else min(speed, INDEX_SPEED_MAX)
-        # The direction refers to the axis's unit of measure; the controller may count in the opposite direction.
-        sign = axis.sign if axis.homing.direction == "positive" else -axis.sign
-        await session.send_command(f"JG{letter}={sign * max(SMC4000.speed_step, speed_register(search, tick_s))}")
+        await session.send_command(
+            f"JG{letter}={axis.homing_sign * max(SMC4000.speed_step, speed_register(search, tick_s))}"
+        )
     else:
         await session.send_command(f"SP{letter}={max(SMC4000.speed_step, speed_register(speed, tick_s))}")
     await session.send_command(f"{command}{letter}")

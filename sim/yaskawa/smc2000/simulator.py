@@ -1,8 +1,12 @@
 """The SMC-2000: one to eight axes, two serial ports, daisy chain (L5-L63, L829-L995)."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
+from orchestrator.model.fleet import Controller
 from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
@@ -11,6 +15,7 @@ from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import HOP_NS, ChainOptions, Smc2000Options
 from sim.yaskawa.base.timebase import ServoTimebase
 from sim.yaskawa.commands.dialect import COMMANDS, OPERANDS
+from sim.yaskawa.commissioning import make_options
 from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.language.properties import BurnTimes
 from sim.yaskawa.language.registry import SMC2000_COMMANDS, SMC2000_OPERANDS
@@ -151,6 +156,15 @@ class Smc2000Simulator:
         if "chain" in options:
             return self.build_chain(clock, options, oscillator, timing, seed)
         return self.build_single(clock, options, oscillator, timing, seed)
+
+    @property
+    def options_model(self) -> type[BaseModel]:
+        return Smc2000Options
+
+    def make_options(self, config: Controller, expected: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The options with which it fits a controller's part of a fleet file."""
+        del expected
+        return make_options(config, (1, 2, 4, 8))
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> VectorBench:
         """Build the same controller, ideal in time, with the handles that test vectors need."""
