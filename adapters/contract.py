@@ -510,6 +510,23 @@ def require_no_problems(texts: Iterable[str]) -> None:
         raise ConfigError(found)
 
 
+@dataclass(frozen=True, slots=True)
+class ExamplePlace:
+    """Where a controller of an example fleet is.
+
+    number: among those of its make, from 0. port: a number that no other make of the file has, the first of as many as
+    the make has controllers.
+    """
+
+    number: int
+    port: int
+
+    @property
+    def own_port(self) -> int:
+        """The number of a port that no other controller has."""
+        return self.port + self.number
+
+
 class Make(Protocol):
     """One make and model that can be driven: the object that an entry point of group `tutti.adapters` names."""
 
@@ -526,6 +543,10 @@ class Make(Protocol):
 
         Raises `ConfigError` with every mistake: the field, the value found and the values allowed.
         """
+        ...
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        """Return a commented example of a controller's part of a fleet file, which passes `check_config`."""
         ...
 
     @property

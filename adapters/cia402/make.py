@@ -11,9 +11,23 @@ from adapters.cia402.driver import Cia402Driver
 from adapters.cia402.objects import CONTROLWORD, OUTPUTS
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import quick_stop_by_sdo
-from adapters.contract import DriverSetup, require_no_problems, validate_options
+from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.fleet import Controller
+
+_EXAMPLE = """\
+adapter: cia402
+link: {{kind: can, interface: slcan, channel: /dev/ttyACM{port}, address: {address}}} # or: socketcan, can0
+# options: {{eds: drive.eds}} # the drive's EDS file: compared with the drive, and with what the adapter needs
+axes:
+  r:
+    motors: ["1"] # the only one; every drive is a controller of its own
+    unit: mm
+    scale: 1000 # position units (6064h) per mm
+    soft_limits: {{min: -200, max: 200}}
+    limits: {{velocity: 80 mm/s, acceleration: 400 mm/s²}} # with `jerk`: positions are streamed
+    homing: {{method: "37"}} # of 6098h; 37: the present position becomes the reference
+"""
 
 
 class Cia402Make:
@@ -33,6 +47,9 @@ class Cia402Make:
         if options.eds is not None and not problems:
             problems += eds.find_problems(options.eds, config, options)
         require_no_problems(problems)
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        return _EXAMPLE.format(port=place.port, address=place.number + 1)
 
     @property
     def serial_defaults(self) -> Mapping[str, Any]:

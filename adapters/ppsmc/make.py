@@ -5,12 +5,28 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.contract import DriverSetup, require_no_problems, validate_options
+from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from adapters.ppsmc import fleetaxes
 from adapters.ppsmc.driver import PpSmcDriver
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.session import EOL, SPOILER
 from orchestrator.model.fleet import Controller
+
+_EXAMPLE = """\
+adapter: ppsmc
+link: {{kind: tcp, host: 192.168.1.{host}, port: 1234}}
+axes:
+  turn:
+    motors: ["1"] # 1 to 16
+    unit: deg
+    kind: rotary
+    scale: 1000 # steps per degree, which is compared with gnum / gden
+    soft_limits: {{min: -200, max: 200}}
+    limits: {{velocity: 40 deg/s, acceleration: 100 deg/s²}}
+    start_rate: {{min: 0.1 deg/s, max: 2 deg/s}}
+    homing: {{method: default, speed: 10 deg/s, timeout_s: 60}} # the ORG switch; or: ref, index, switch, limit, here
+# options: {{io_port: true}} # the option with 8 inputs and 8 outputs is installed
+"""
 
 
 class PpSmcMake:
@@ -29,6 +45,9 @@ class PpSmcMake:
 
     def check_config(self, config: Controller) -> None:
         require_no_problems(fleetaxes.find_problems(config, validate_options(PpSmcOptions, config)))
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        return _EXAMPLE.format(host=place.own_port + 20)
 
     @property
     def serial_defaults(self) -> Mapping[str, Any]:

@@ -5,11 +5,33 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.contract import DriverSetup, require_no_problems
+from adapters.contract import DriverSetup, ExamplePlace, require_no_problems
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.driver import ShrcDriver
 from adapters.shrc203.options import ShrcOptions
 from orchestrator.model.fleet import Controller
+
+_EXAMPLE = """\
+adapter: shrc203
+link: {{kind: serial, device: /dev/ttyUSB{own_port}, baud: 38400}} # as memory switch INTERFACE says
+axes:
+  u:
+    motors: ["1"] # 1, 2 or 3
+    unit: mm
+    scale: 10000 # pulses per mm: one pulse is 100 nm, which is compared with the controller
+    soft_limits: {{min: -1, max: 50}}
+    limits: {{velocity: 10 mm/s, acceleration: 50 mm/s²}}
+    start_rate: {{min: 0.001 mm/s, max: 0.5 mm/s}} # speeds at which the stepper starts without a ramp
+    homing: {{speed: 2 mm/s, timeout_s: 60}} # its direction is set in the controller (memory switch ORG)
+  focus:
+    motors: ["2"]
+    unit: um
+    scale: 10 # pulses per µm
+    soft_limits: {{min: -100, max: 5000}}
+    limits: {{velocity: 5000 um/s, acceleration: 20000 um/s²}}
+    start_rate: {{min: 0.1 um/s, max: 500 um/s}}
+    homing: {{speed: 1000 um/s}}
+"""
 
 
 class Shrc203Make:
@@ -28,6 +50,9 @@ class Shrc203Make:
 
     def check_config(self, config: Controller) -> None:
         require_no_problems(fleetaxes.find_problems(config))
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        return _EXAMPLE.format(own_port=place.own_port)
 
     @property
     def serial_defaults(self) -> Mapping[str, Any]:

@@ -5,12 +5,27 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.contract import DriverSetup, require_no_problems, validate_options
+from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from adapters.smc30 import unitaxis
 from adapters.smc30.driver import Smc30Driver
 from adapters.smc30.frames import CR, frame_line, line_checksum
 from adapters.smc30.options import Smc30DriverOptions
 from orchestrator.model.fleet import Controller
+
+_EXAMPLE = """\
+adapter: smc30
+link: {{kind: serial, device: /dev/ttyUSB{port}, address: {address}}} # DIP switches A0 to A2; up to 7 on one port
+options: {{checksum: true}} # DIP switch CHS
+axes:
+  z:
+    motors: ["1"] # the only one
+    unit: mm
+    scale: 400 # steps per mm
+    soft_limits: {{min: 0, max: 100}} # a search ends on the end-of-travel switch, which then is position 0
+    limits: {{velocity: 10 mm/s, acceleration: 50 mm/s²}}
+    start_rate: {{min: 0.05 mm/s, max: 1 mm/s}} # 16 to 2000 steps/s
+    homing: {{method: default, direction: negative, speed: 2 mm/s, timeout_s: 60}}
+"""
 
 
 class Smc30Make:
@@ -27,6 +42,9 @@ class Smc30Make:
     def check_config(self, config: Controller) -> None:
         validate_options(Smc30DriverOptions, config)
         require_no_problems(unitaxis.find_problems(config))
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        return _EXAMPLE.format(port=place.port, address=place.number + 1)
 
     @property
     def serial_defaults(self) -> Mapping[str, Any]:

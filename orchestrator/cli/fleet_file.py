@@ -1,15 +1,19 @@
 """`tutti fleet …`: fleet files."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.base.codes import FAILED
-from orchestrator.cli.base.common import console, fleet_options, with_fleet
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED
+from orchestrator.cli.base.common import console, exit_with_error, fleet_options, with_fleet
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
+    from orchestrator.runtime.example_fleet import MakeCount
+
+MAX_CONTROLLERS = 32  # of an example
 
 
 @click.group(epilog="Example: tutti fleet check lab3.fleet.yaml")
@@ -50,6 +54,57 @@ def check(file: Path, connect: str, fleet: str | None, *, live: bool) -> None:
             raise SystemExit(FAILED)
 
     with_fleet(connect, fleet or loaded.fleet, compare_adapters)
+
+
+@fleet.command(epilog="Example: tutti fleet init --make smc4000 --make smc30:3 -o lab.fleet.yaml")
+@click.option("--make", "makes", multiple=True, required=True, metavar="MAKE[:COUNT]", help="Controllers of a make.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), default=None, help="The file to write; default: stdout.")
+@click.option("--name", default=None, help="Name of the fleet; default: the beginning of the file's name.")
+@click.option("--force", is_flag=True, help="Write over an existing file.")
+def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: bool) -> None:
+    """Write a commented fleet file for controllers of some makes. It passes `fleet check` and runs with `--sim`."""
+    from orchestrator.runtime.example_fleet import make_example_fleet
+
+    counts = [_parse_make(each) for each in makes]
+    if sum(each.number for each in counts) > MAX_CONTROLLERS or len({each.make for each in counts}) < len(counts):
+        text = f"name each make once, and at most {MAX_CONTROLLERS} controllers in all, e.g. smc30:3"
+        raise click.BadParameter(text, param_hint="--make")
+    shown = "lab.fleet.yaml" if out is None else str(out)
+    try:
+        text = make_example_fleet(counts, name or _fleet_name_of(shown), shown)
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--make") from None
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    try:
+        with out.open("w" if force else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        exit_with_error(f"{out} exists", BAD_INPUT, "choose another name, or add --force to write over it")
+    except OSError as error:
+        exit_with_error(f"{out} cannot be written: {error.strerror}", BAD_INPUT)
+    loaded = load_or_fail(out)
+    controllers, axes = len(loaded.controllers), len(loaded.axis_names)
+    console.print(f"{out}: {controllers} controllers, {axes} axes", highlight=False, soft_wrap=True)
+    console.print(f"next: tutti up {out} --sim", highlight=False, soft_wrap=True)
+
+
+def _parse_make(text: str) -> "MakeCount":
+    from orchestrator.runtime.example_fleet import MakeCount
+
+    make, colon, count = text.partition(":")
+    if colon and not (count.isascii() and count.isdecimal() and 1 <= int(count[:6]) <= MAX_CONTROLLERS):
+        raise click.BadParameter(
+            f"{text!r}: the number of controllers must be 1 to {MAX_CONTROLLERS}, e.g. {make}:3", param_hint="--make"
+        )
+    return MakeCount(make, int(count) if colon else 1)
+
+
+def _fleet_name_of(file: str) -> str:
+    """The name of a fleet from that of its file: `lab` for `plant/lab.fleet.yaml`."""
+    stem = re.sub(r"[^a-z0-9_-]", "-", Path(file).name.partition(".")[0].lower()).strip("-")
+    return stem[:64] or "lab"
 
 
 @fleet.command(epilog="Example: tutti fleet reload lab3.fleet.yaml")

@@ -10,12 +10,12 @@ from orchestrator.model.fleet import Controller
 from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
+from sim.yaskawa.base.commissioning import make_options
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import Smc4000Options
 from sim.yaskawa.base.timebase import ServoTimebase
 from sim.yaskawa.commands.dialect import COMMANDS, OPERANDS
-from sim.yaskawa.commissioning import make_options
 from sim.yaskawa.language import parameters
 from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.language.properties import BurnTimes

@@ -5,10 +5,12 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from cluster.worlds import job, outcome, run_fleet
+from cluster.worlds import EXAMPLES, job, outcome, run_fleet
 
 from adapters.host.host import apply_make_defaults, find_controller_problems
+from orchestrator.model.files import parse_file, read_document
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet
 from orchestrator.runtime.simulated import find_simulation_problems, make_simulator_options
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -71,6 +73,39 @@ def test_a_fleet_file_without_settings_of_the_simulation_runs(make: str, seed: i
         assert all(abs(axis.position - ends[name]) < 0.01 for name, axis in state.axes.items())
 
     run_fleet(main, fleet)
+
+
+def run_example(*makes: MakeCount) -> Fleet:
+    """Home and move all axes of an example fleet, as the guide says."""
+    text = make_example_fleet(makes, "example", "example.fleet.yaml")
+    source = read_document(text, "example.fleet.yaml")
+    fleet = apply_make_defaults(parse_file(source, Fleet))
+    for name, config in fleet.controllers.items():
+        assert find_controller_problems(name, config) == []
+    everything = ", ".join(fleet.controllers)
+    targets = ", ".join(f"{axis}: 5" for axis in fleet.axis_names)
+    steps = (
+        f"{{do: enable, axes: [{everything}]}}, {{do: home}}, {{do: move, to: {{{targets}}}, max_start_skew: 100 ms}}"
+    )
+
+    async def main(virtual: VirtualFleet) -> None:
+        report = await outcome(virtual, job(f"[{steps}]"))
+        assert report.state == "done", report.reason
+
+    run_fleet(main, fleet)
+    return fleet
+
+
+def test_a_fleet_of_three_makes_runs_at_the_first_try() -> None:
+    fleet = run_example(MakeCount("smc4000", 2), MakeCount("shrc203", 1), MakeCount("smc30", 3))
+    assert list(fleet.controllers) == ["smc4000-1", "smc4000-2", "shrc203", "smc30-1", "smc30-2", "smc30-3"]
+
+
+@pytest.mark.parametrize("make", LINKS)
+def test_the_example_of_each_make_is_what_init_writes_and_runs(make: str) -> None:
+    path = EXAMPLES / f"{make}.fleet.yaml"
+    assert path.read_text(encoding="utf-8") == make_example_fleet([MakeCount(make, 1)], make, path.name)
+    run_example(MakeCount(make, 1))
 
 
 def test_what_the_file_states_about_the_simulation_has_precedence() -> None:

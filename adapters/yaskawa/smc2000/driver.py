@@ -13,6 +13,7 @@ from adapters.contract import (
     Driver,
     DriverCapabilities,
     DriverSetup,
+    ExamplePlace,
     Lowered,
     require_no_problems,
     validate_options,
@@ -232,11 +233,30 @@ def _point_levels(word: int, count: int) -> dict[int, bool]:
     return {number + 1: bool(word >> number & 1) for number in range(count)}
 
 
+_EXAMPLE = """\
+adapter: smc2000
+# Several in a daisy chain share the port: each has its address, and port 2 of each but the last is set up once by
+# `CC 19200,0,1` and `BN`. The first one in this file is next to the computer. Alone on a port: no address.
+link: {{kind: serial, device: /dev/ttyUSB{port}, address: {number}}}
+axes:
+  x:
+    motors: [X] # X, Y, Z or W; on models with eight axes A to H
+    unit: mm
+    scale: 1000 # counts per mm
+    soft_limits: {{min: -10, max: 400}}
+    limits: {{velocity: 100 mm/s, acceleration: 500 mm/s²}}
+    homing: {{method: default, speed: 20 mm/s, timeout_s: 60}} # home switch, then index; or: edge, index
+"""
+
+
 class SMC2000Make:
     """The make for the entry point."""
 
     name = "smc2000"
     options_model: type[BaseModel] = Smc2000DriverOptions
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        return _EXAMPLE.format(port=place.port, number=place.number)
 
     @property
     def serial_defaults(self) -> Mapping[str, Any]:

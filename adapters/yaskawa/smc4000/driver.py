@@ -11,6 +11,7 @@ from adapters.contract import (
     Driver,
     DriverCapabilities,
     DriverSetup,
+    ExamplePlace,
     Lowered,
     require_no_problems,
     validate_options,
@@ -171,11 +172,40 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             return await self._start.arm_move(lowered, t0_ns, mapping)
 
 
+_EXAMPLE = """\
+adapter: smc4000
+link: {{kind: tcp, host: 192.168.1.{host}, port: 23}} # or: {{kind: serial, device: /dev/ttyUSB{port}}}
+axes:
+  x:
+    motors: [X] # X, Y, Z or W
+    unit: mm # m, cm, mm, um, nm, in, deg, arcmin, arcsec, rad, mrad, rev, counts
+    scale: 1000 # counts per mm, exact; a fraction in quotes: "10000/3"
+    sign: 1 # -1: the controller counts in the opposite direction
+    soft_limits: {{min: -10, max: 400}} # after homing, where position 0 is
+    limits: {{velocity: 200 mm/s, acceleration: 1000 mm/s²}}
+    homing: {{method: default, speed: 20 mm/s, timeout_s: 60}} # home switch, then index; or: edge, index
+  y:
+    motors: [Y]
+    unit: mm
+    scale: 1000
+    soft_limits: {{min: -10, max: 300}}
+    limits: {{velocity: 200 mm/s, acceleration: 1000 mm/s²}}
+    homing: {{speed: 20 mm/s}}
+inputs:
+  door: {{number: 1, active: low}} # low: active while the input is at 0 V
+outputs:
+  lamp: {{number: 1, safe: false}} # safe: what an e-stop sets
+"""
+
+
 class SMC4000Make:
     """The make for the entry point."""
 
     name = "smc4000"
     options_model: type[BaseModel] = YaskawaOptions
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        return _EXAMPLE.format(host=place.own_port + 20, port=place.own_port)
 
     @property
     def serial_defaults(self) -> Mapping[str, Any]:

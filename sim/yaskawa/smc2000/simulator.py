@@ -10,12 +10,12 @@ from orchestrator.model.fleet import Controller
 from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
+from sim.yaskawa.base.commissioning import make_options
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import HOP_NS, ChainOptions, Smc2000Options
 from sim.yaskawa.base.timebase import ServoTimebase
 from sim.yaskawa.commands.dialect import COMMANDS, OPERANDS
-from sim.yaskawa.commissioning import make_options
 from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.language.properties import BurnTimes
 from sim.yaskawa.language.registry import SMC2000_COMMANDS, SMC2000_OPERANDS

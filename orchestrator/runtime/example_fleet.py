@@ -1,0 +1,51 @@
+"""A whole fleet file from the examples of makes: commented, checked, and ready for `--sim`."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from adapters.contract import ExamplePlace
+from adapters.host.host import find_make
+
+_HEAD = """\
+# {makes}.
+# Change links and numbers to those of the machine, and check it:  tutti fleet check {file}
+# Run it without hardware:  tutti up {file} --sim
+# Its schema for an editor:  tutti schema fleet
+schema: tutti.fleet/1
+fleet: {fleet}
+
+controllers:
+"""
+
+
+class MakeCount(NamedTuple):
+    """How many controllers of a make."""
+
+    make: str
+    number: int
+
+
+def make_example_fleet(makes: Sequence[MakeCount], fleet: str, file: str) -> str:
+    """The text of a fleet file. fleet: its name. file: the name of the file, for the comments.
+
+    Raises `ValueError` for an unknown make.
+    """
+    blocks: list[str] = []
+    names: list[str] = []
+    port = 0
+    for make, count in makes:
+        example = find_make(make)
+        for number in range(count):
+            name = make if count == 1 else f"{make}-{number + 1}"
+            names.append(name)
+            text = example.fleet_example(ExamplePlace(number, port))
+            blocks.append(f"  {name}:\n{_indent(text)}")
+        port += count
+    head = _HEAD.format(makes=" and ".join(f"{each.number} {each.make}" for each in makes), file=file, fleet=fleet)
+    tail = f"\n# Without it, all axes are homed one after the other.\nhome_order: [{', '.join(names)}]\n"
+    return head + "\n".join(blocks) + tail
+
+
+def _indent(text: str) -> str:
+    """Return the lines of an example below `controllers: NAME:`."""
+    return "".join(f"    {line}\n" if line else "\n" for line in text.strip().splitlines())
