@@ -1,20 +1,24 @@
 """Dry runs: jobs are run forward on paper, and the controllers asked what they would be sent."""
 
 import asyncio
+from collections.abc import Awaitable
 from contextlib import suppress
 from typing import Literal
 
 from orchestrator.bus.base import BusError
-from orchestrator.coordinator.jobs.check import STEPS_AT_ONCE
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
 from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, StepForecast, StepProblem
-from orchestrator.model.job import Job, Move
+from orchestrator.model.job import Move
 from orchestrator.model.service import DryRun, DryRunDone
 from orchestrator.plan.forecast import JobForecaster
+
+REHEARSALS_AT_ONCE = 3
+"""Steps for which the members are asked at the same time, so that they work while messages are under way. Few, because
+a running job's step waits for as many lowerings before it can be armed."""
 
 # What a controller refuses because of the state of the world now, which may be another one when the job runs.
 _WORLD = {"absent", "offline", "no-answer", "start-skew", "no-scale"}
@@ -37,32 +41,33 @@ class JobRehearsal:
                 orders[name] = max((await view.query_info(name)).orders)
         forecaster = JobForecaster(view.fleet, axes, orders)
         steps: list[StepForecast] = []
+        rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(request.job.steps):
-            if number % STEPS_AT_ONCE == 0:
-                await asyncio.sleep(0)
             index = request.first + number
-            forecast = forecaster.take(index, step)
-            if isinstance(step, Move) and forecaster.motion is not None:
-                forecast = await self._rehearse(request.job, index, step, forecaster, forecast)
+            forecast, motion = forecaster.take(index, step), forecaster.motion
             steps.append(forecast)
+            if isinstance(step, Move) and motion is not None and motion.plan.profiles:
+                asked = StepRequest("dry-run", request.job, index, step)
+                planned = PlannedStep(asked, ResolvedMove(motion.moves, motion.exact), motion.plan, {}, rehearsal=True)
+                rehearsals.append(self._rehearse(planned, forecast, forecaster.problems))
+            if len(rehearsals) == REHEARSALS_AT_ONCE or number == len(request.job.steps) - 1:
+                for done in await asyncio.gather(*rehearsals):
+                    steps[done.index - request.first] = done
+                rehearsals.clear()
         return DryRunDone(forecast=forecaster.finish(steps), end=forecaster.axes)
 
     async def _rehearse(
-        self, job: Job, index: int, step: Move, forecaster: JobForecaster, forecast: StepForecast
+        self, planned: PlannedStep, forecast: StepForecast, problems: list[StepProblem]
     ) -> StepForecast:
-        motion = forecaster.motion
-        if motion is None or not motion.plan.profiles:
-            return forecast
-        request = StepRequest("dry-run", job, index, step)
-        planned = PlannedStep(request, ResolvedMove(motion.moves, motion.exact), motion.plan, {}, rehearsal=True)
+        """What the members make of a step; what they refuse is added to `problems`, or is a condition."""
         try:
             agreement = await rehearse_step(self._services.motion, planned)
         except Refusal as error:
             if error.code in _WORLD:
                 return forecast.model_copy(update={"conditions": [*forecast.conditions, error.text]})
-            forecaster.problems.append(
+            problems.append(
                 StepProblem(
-                    place=["steps", index],
+                    place=["steps", forecast.index],
                     code=error.code,
                     text=error.text,
                     remedy=error.remedy,
