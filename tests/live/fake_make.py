@@ -1,6 +1,7 @@
 """A make for tests of hosts and guardians: it holds a link, and can only stop."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -11,9 +12,11 @@ from adapters.contract import (
     Driver,
     DriverCapabilities,
     DriverSetup,
+    ExamplePlace,
     HostInterval,
     JogMove,
     Lowered,
+    Make,
     MoveOutcome,
 )
 from orchestrator.clock.estimator import TickMapping
@@ -105,10 +108,14 @@ class FakeDriver(Driver):
 
 class FakeMake:
     name = "fake"
-    options_model = Options
+    options_model: type[BaseModel] = Options
+    serial_defaults: Mapping[str, Any] = {}
 
     def check_config(self, config: Controller) -> None:
         pass
+
+    def fleet_example(self, place: ExamplePlace) -> str:
+        raise NotImplementedError
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return FakeDriver(setup)
@@ -117,4 +124,4 @@ class FakeMake:
         return GUARDIAN_STOP
 
 
-MAKE = FakeMake()
+MAKE: Make = FakeMake()
