@@ -168,7 +168,7 @@ class PolledSession(SerialCommandSession):
         """Return the line that the program has printed. Raises `SmcCommandRefused` when the command was refused.
 
         Another program's report of an error is printed as well, whichever controller is being polled (`?005 BGX`,
-        L3473).
+        L3473), also between two of the commands that print the line.
         """
         self._separate_output()
         if b"?" in self._plain:
@@ -177,8 +177,9 @@ class PolledSession(SerialCommandSession):
             raise SmcCommandRefused(command, 0, "its resident program is missing")
         while (end := self._marked.find(b"\r\n")) >= 0:
             text = self._marked[:end].decode("ascii")
-            del self._marked[: end + 2]
-            if not text.startswith("?"):
+            printed, mark, report = text.partition("?")
+            self._marked[: end + 2] = printed.encode() if mark else b""
+            if not mark:
                 return text
-            self.unsolicited.append(text)
+            self.unsolicited.append(mark + report)
         return None
