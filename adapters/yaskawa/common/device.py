@@ -23,7 +23,6 @@ from adapters.yaskawa.common.program import (
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord, RecordFormat
 from adapters.yaskawa.common.session import (
-    REVISION,
     CommandSession,
     SmcCommandRefused,
     parse_numbers,
@@ -125,7 +124,7 @@ class SmcDevice:
             await self._handles.note_second_handle(session)
         # Messages of programs go to the serial port, not between the replies (L3556).
         await session.send_command("CFS")
-        revision = " ".join(await session.query_all(REVISION))
+        revision = await session.read_revision()
         self._format = RecordFormat.from_sizes((await session.query_lines("QZ")).lines[0])
         if self._format.axes < self._axes_needed:
             raise ControllerFault(

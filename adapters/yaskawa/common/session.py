@@ -28,7 +28,7 @@ FRACTIONS = ("_IT", "_MT", "_PF", "_GR", "_KP", "_KI", "_KD", "_KS", "_FA", "_OF
 DOWNLOAD_REFUSED_S = 0.25  # the latest time of a refusal of a download
 PACKET_PAUSE_S = 0.02  # a download is not acknowledged packet by packet
 END_OF_DATA = "\x1a"  # control Z, of programs and arrays (L4134, L8552, L9116)
-REVISION = "\x12\x15"  # control R control U (L9721); takes effect without a carriage return
+_REVISION = "\x12\x15\r"  # control R control U (L9721)
 
 T = TypeVar("T")
 
@@ -199,6 +199,17 @@ class CommandSession:
             self._in_step = True
             return parsed.lines
 
+    async def read_revision(self) -> str:
+        """Return the firmware's revision. The carriage return after the two bytes is part of the command or one of its
+        own, with another prompt (the manual is silent): the next exchange discards it."""
+        async with self._turn:
+            await self._resynchronise()
+            parsed, _ = await self._run_exchange(_REVISION, lambda: parse_reply(self._buffer), terminated=True)
+            if parsed.refused:
+                raise await self._read_refusal("control R control U")
+            self._buffer.clear()
+            return " ".join(parsed.lines)
+
     async def query_record(self, command: str, header: bytes, length: int, also: str = "") -> CommandReply:
         """Send a command that is answered by a binary record of `length` bytes that begins with `header`, and a prompt.
 
@@ -274,7 +285,7 @@ class CommandSession:
                 packet += data
             self._link.write(packet)
             await self._anything_within(self._wire_s(packet))
-            parsed, _ = await self._run_exchange("\x1a", lambda: parse_reply(self._buffer))
+            parsed, _ = await self._run_exchange(END_OF_DATA, lambda: parse_reply(self._buffer))
             if parsed.refused:
                 raise await self._read_refusal("DL")
             self._in_step = True
@@ -342,7 +353,7 @@ class CommandSession:
             self.unsolicited.append(self._buffer.decode("latin-1").strip())
             self._buffer.clear()
         data = command.encode("latin-1")
-        if not terminated and command[:1] >= " ":
+        if not terminated and command != END_OF_DATA:
             data += b"\r"
         sent_ns = self._link.write(data)
         try:

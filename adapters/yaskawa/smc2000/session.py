@@ -37,7 +37,7 @@ ADDRESS = "XUN"
 
 # Numbers without leading zeros (LZ, L10237), whole (VF, PF; L4877-4957), program output marked (CW), no echo.
 _SETTINGS = ("EO 0", "CW 1", "LZ 1", "PF 10.0", "VF 10.0")
-_REVISION = "\x12\x16"
+_REVISION = "\x12\x16\r"
 _TRIES = 2
 NOT_REPEATABLE = ("BG", "XQ")  # commands that must not be sent twice
 _REFUSED_NS = 30 * NS_PER_MS  # beyond the transmission time: the latest time of a refusal of a download
@@ -116,21 +116,19 @@ class SerialCommandSession(CommandSession):
         return (await self._query_once(command, None, characters))[0]
 
     async def read_revision(self) -> str:
-        """Send control R control V (L13320). It ends without CR: the line buffers of other controllers of a chain are
-        cleared before the next turn."""
+        """Return the firmware's revision (control R control V, L13320). The carriage return after the two bytes is part
+        of the command or one of its own, with another prompt (the manual is silent): the selection that follows
+        discards it."""
         line = self._line
         async with self.exclusive_turn():
             try:
                 await self._select_controller()
                 reply, _ = await self._run_exchange(_REVISION, self._parse_buffer)
-                self._settled = False
-                await self._select_controller()
             except LinkClosed:
                 line.drop_link(self._link)
                 raise
-            except BaseException:
+            finally:
                 line.mark_out_of_step()
-                raise
         return " ".join(reply.lines)
 
     async def read_numbers(self, *operands: str) -> tuple[list[float], CommandReply]:

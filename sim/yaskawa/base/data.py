@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 
+LONGEST_LINE = 80
+"""Characters of a command with its arguments, and of a program's line (L12254)."""
 ARRAYS = 30
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
 

@@ -35,6 +35,12 @@ class FamilyOptions(BaseModel):
     """Per axis: positions of the reverse and the forward limit switch."""
     question_crlf: bool = False
     """D1: a refusal ends with CR LF."""
+    control_end: Literal["optional", "separate", "required"] = "optional"
+    """D33 (SMC-2000: D58): CR, CR LF or `;` after a control sequence such as ctrl-R ctrl-V. `optional`: it belongs to
+    the sequence; `separate`: it is an empty command with a prompt of its own; `required`: the sequence takes effect
+    with it."""
+    upload_line_end: bool = False
+    """D109 (SMC-2000: D59): CR LF between the control Z that ends UL and the prompt."""
     sign_column: bool = True
     """D2: a positive number has a blank in place of the sign."""
     late_contour_error: bool = False
@@ -127,7 +133,7 @@ class Smc4000Options(FamilyOptions):
     qr_axis_bytes: Literal[26, 28] = 26
     """D28: bytes of an axis block of `QR`."""
     strict_packets: bool = False
-    """D39: the rest of a packet after its last CR is dropped."""
+    """D39: the rest of a packet after its last terminator is dropped."""
 
     @property
     def axis_count(self) -> int:

@@ -384,7 +384,12 @@ def _compile_place(text: str) -> Callable[[CommandContext], int]:
 @register_command("UL", where="line", lock="13")
 def _compile_upload(text: str) -> Runner:
     require_bare(text)
-    return lambda c: RawData("".join(f"{line}\r\n" for line in c.machine.program.lines) + END_OF_TEXT + "\r\n")
+
+    def run_command(c: CommandContext) -> Outcome:
+        end = "\r\n" if c.machine.options.upload_line_end else ""
+        return RawData("".join(f"{line}\r\n" for line in c.machine.program.lines) + END_OF_TEXT + end)
+
+    return run_command
 
 
 @register_command("DL", where="line", lock="1")

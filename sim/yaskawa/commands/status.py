@@ -254,11 +254,14 @@ def compile_tell_code(text: str) -> Runner:
 @register_command("QZ")
 def _compile_record_sizes(text: str) -> Runner:
     require_bare(text)
-    return lambda c: report_text(c, f"{len(c.machine.letters)},24,8,{_axis_bytes(c)}")
+    planes = 2 * _SYSTEM_BLOCK.size
+    return lambda c: report_text(c, f"{len(c.machine.letters)},{_GENERAL_BLOCK.size},{planes},{_axis_bytes(c)}")
 
 
 # The data record
 
+_GENERAL_BLOCK = struct.Struct("<HB9xB9xBB")
+_SYSTEM_BLOCK = struct.Struct("<HHi")
 _AXIS_BLOCK = struct.Struct("<HBBiiiiih")
 
 
@@ -303,9 +306,7 @@ def _general_block(c: CommandContext) -> bytes:
         | machine.echo << 0
     )
     inputs, outputs = machine.io.input_byte(), machine.io.outputs
-    return struct.pack(
-        "<HB9xB9xBB", machine.time_counter() & 0xFFFF, inputs, outputs, min(machine.error_code, 255), status
-    )
+    return _GENERAL_BLOCK.pack(machine.time_counter() & 0xFFFF, inputs, outputs, min(machine.error_code, 255), status)
 
 
 def _system_block(c: CommandContext, system: CoordinateSystem) -> bytes:
@@ -314,8 +315,8 @@ def _system_block(c: CommandContext, system: CoordinateSystem) -> bytes:
     if system.running and system.profile is not None:
         acceleration = system.profile.acceleration_at(now)
         status = 1 << 15 | (acceleration == 0) << 5 | system.stopping << 4 | (acceleration < 0) << 3
-    return struct.pack(
-        "<HHi", system.segment_index(now) & 0xFFFF, status, fixed.wrap_counts(int(system.travelled_distance(now)))
+    return _SYSTEM_BLOCK.pack(
+        system.segment_index(now) & 0xFFFF, status, fixed.wrap_counts(int(system.travelled_distance(now)))
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from sim.yaskawa.base import fixed
+from sim.yaskawa.base.data import LONGEST_LINE
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.language.arguments import canonical_axis, split_fields
@@ -65,7 +66,8 @@ def compile_line(line: str, model: LanguageModel) -> tuple[CompiledStatement, ..
         stripped = rest.lstrip()
         if is_comment(stripped, model):
             head, found, rest = stripped.partition(model.comment_end) if model.comment_end else (stripped, "", "")
-            statements.append(CompiledStatement("NO", head, _do_nothing, quiet=True))
+            runner = _do_nothing if len(head) <= LONGEST_LINE else _refuse_with(5)
+            statements.append(CompiledStatement("NO", head, runner, quiet=len(head) <= LONGEST_LINE))
             if not found:
                 break
             continue
@@ -96,9 +98,18 @@ def _do_nothing(c: CommandContext) -> Outcome:
     return None
 
 
+def _refuse_with(code: int) -> Runner:
+    def raise_refusal(c: CommandContext) -> Outcome:
+        raise CommandError(code)
+
+    return raise_refusal
+
+
 def compile_statement(text: str, model: LanguageModel) -> CompiledStatement:
     """Compile one statement from its text; syntax errors are raised when it runs."""
     compact = without_blanks(text)
+    if len(text) > LONGEST_LINE:
+        return CompiledStatement("", text, _refuse_with(5))
     if not compact:
         return CompiledStatement("", text, _do_nothing, quiet=True)
     if compact.startswith("#"):
@@ -122,12 +133,8 @@ def compile_statement(text: str, model: LanguageModel) -> CompiledStatement:
     except CommandError as error:
         code = error.code
     command = model.commands.get(op)
-
-    def raise_refusal(c: CommandContext) -> Outcome:
-        raise CommandError(code)
-
     return CompiledStatement(
-        op, text, raise_refusal, command.where if command else "both", command.lock if command else ""
+        op, text, _refuse_with(code), command.where if command else "both", command.lock if command else ""
     )
 
 

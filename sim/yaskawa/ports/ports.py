@@ -7,6 +7,7 @@ from typing import Protocol
 from orchestrator.link.supply import PowerSupply
 from sim.core.controller import PortRefused, SendBytes
 from sim.yaskawa.base import fixed
+from sim.yaskawa.base.data import LONGEST_LINE
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.io.network import PeerHandle
 from sim.yaskawa.language.context import CommandContext, CommandMachine
@@ -16,8 +17,8 @@ from sim.yaskawa.language.statements import CompiledStatement, RawData, compile_
 from sim.yaskawa.motion.trippoints import TripPoint
 from sim.yaskawa.program.editor import ProgramEditor
 
-LONGEST_LINE = 80
 LONGEST_PACKET = 470
+"""Bytes of a datagram (L1735). What TCP delivers at once is no packet of the sender's."""
 ENDS = "\x1a\x11\x04\\"
 """Characters that end a download: ctrl-Z, ctrl-Q, ctrl-D, backslash (L4134)."""
 END_OF_TEXT = "\x1a"
@@ -110,13 +111,13 @@ class PortSession:
         self.last_receive_ns = self.machine.timebase.clock.now_ns()
         self.context = CommandContext(self.machine, None, self)
         self._line = ""
-        self._ended = 0
-        """Characters of the line that have been run already."""
+        """Characters that no terminator has ended yet."""
         self._packets: deque[tuple[str, int]] = deque()
         self._packet = 0
         self._loading = ""
-        self._overlong = False
-        self._control = False
+        self._parsing = False
+        self._control = ""
+        """The control sequence in progress: ctrl-R alone, or the whole of one whose terminator may follow."""
 
     # Input
 
@@ -129,45 +130,54 @@ class PortSession:
         self.last_receive_ns = machine.timebase.clock.now_ns()
         text = data.decode("latin-1")
         self._packet += 1
-        if self.kind != "serial" and len(data) > LONGEST_PACKET:
+        if self.kind == "udp" and len(data) > LONGEST_PACKET:
             self.refuse_command(122)
         else:
             if self.kind == "serial":
                 machine.operator_input.store_serial_input(text)
                 if machine.echo:
                     self.emit_text(text.replace("\x12", "").replace("\r", "\r\n"))
-            self._packets.append((text, self._packet))
+            if text:
+                self._packets.append((text, self._packet))
             self.parse_input()
         if self.owner.strict_packets and self.kind != "serial":
-            self._line, self._ended = "", 0
+            self._line = ""
         if self.kind == "serial" or not machine.interpreter.busy:
             machine.run_ready()
 
     def parse_input(self) -> None:
-        """Parse the received bytes, until a command has to run first."""
-        while self._packets and not self._awaits_download():
-            text, packet = self._packets.popleft()
-            if not text:
-                continue
-            if self.download is not None:
-                self._collect_download(text, packet)
-            elif self.editor is not None:
-                self.editor = self.editor if self.editor.take_character(text[0]) else None
-                if len(text) > 1:
-                    self._packets.appendleft((text[1:], packet))
-            elif self._control or any(mark in text for mark in "\x12\\"):
-                self._take_character(text[0], packet)
-                if len(text) > 1 and self.open:
-                    self._packets.appendleft((text[1:], packet))
+        """Parse the received bytes, until a command has to run first. A command that runs meanwhile leaves the rest to
+        the call in progress."""
+        if self._parsing:
+            return
+        self._parsing = True
+        try:
+            while self._packets and not self._awaits_download():
+                self._parse_piece(*self._packets.popleft())
+        finally:
+            self._parsing = False
+
+    def _parse_piece(self, text: str, packet: int) -> None:
+        """Parse the beginning of a piece of input that is not empty; the rest becomes the next piece."""
+        if self.download is not None:
+            self._collect_download(text, packet)
+        elif self.editor is not None:
+            self.editor = self.editor if self.editor.take_character(text[0]) else None
+            if len(text) > 1:
+                self._packets.appendleft((text[1:], packet))
+        elif self._control or any(mark in text for mark in "\x12\\"):
+            self._take_character(text[0], packet)
+            if len(text) > 1 and self.open:
+                self._packets.appendleft((text[1:], packet))
+        else:
+            head, found, rest = text.partition("\r")
+            self._append_text(head)
+            if rest:
+                self._packets.appendleft((rest, packet))
+            if found:
+                self._end_line(packet)
             else:
-                head, found, rest = text.partition("\r")
-                self._append_text(head)
-                if rest:
-                    self._packets.appendleft((rest, packet))
-                if found:
-                    self._end_line(packet)
-                else:
-                    self._end_statements(packet)
+                self._end_statements(packet)
 
     def _awaits_download(self) -> bool:
         """Return whether a pending download command defines the meaning of the next bytes."""
@@ -176,43 +186,53 @@ class PortSession:
         return any(statement.op in _TAKING for statement, _ in self.queue)
 
     def _take_character(self, character: str, packet: int) -> None:
-        if self._control:
-            self._control = False
-            if character == "\x13":
-                self.machine.master_reset(self)
-            elif character in "\x15\x16":
-                self.emit_text(f"{self.machine.revision_text}\r\n:")
+        if self._control and self._take_control(character):
             return
         if character == "\x12":
-            self._control = True
+            self._control = character
         elif character == "\\":
-            self._line, self._ended, self._overlong = "", 0, False
+            self._line = ""
         elif character == "\r":
             self._end_line(packet)
         else:
             self._append_text(character)
+            self._end_statements(packet)
+
+    def _take_control(self, character: str) -> bool:
+        """Continue a control sequence (D33); return whether `character` belongs to it."""
+        begun, self._control = self._control, ""
+        if begun == "\x12":
+            self._control = begun + character
+            if self.machine.options.control_end != "required":
+                self._run_control(character)
+            if self.machine.options.control_end == "separate":
+                self._control = ""
+            return True
+        if character not in "\r;":
+            return False
+        if self.machine.options.control_end == "required":
+            self._run_control(begun[1])
+        return True
+
+    def _run_control(self, character: str) -> None:
+        if character == "\x13":
+            self.machine.master_reset(self)
+        elif character in "\x15\x16":
+            self.emit_text(f"{self.machine.revision_text}\r\n:")
 
     def _append_text(self, text: str) -> None:
-        if "\n" in text:
-            text = text.replace("\n", "")
-        self._line += text
-        if self._ended + len(self._line) > LONGEST_LINE:
-            self._overlong, self._line = True, self._line[:LONGEST_LINE]
+        self._line += text.replace("\n", "")
 
     def _end_statements(self, packet: int) -> None:
         """Run the statements ended by a semicolon, without waiting for the carriage return (L1624, L12230)."""
-        done = finished_length(self._line, self.machine.model) if ";" in self._line and not self._overlong else 0
+        done = finished_length(self._line, self.machine.model) if ";" in self._line else 0
         if done:
             line, self._line = self._line[: done - 1], self._line[done:]
-            self._ended += done
             self._queue_line(line, packet, ";")
+        self._line = self._line[: LONGEST_LINE + 1]  # more would not be accepted either
 
     def _end_line(self, packet: int) -> None:
-        line, self._line, self._ended = self._line, "", 0
-        if self._overlong:
-            self._overlong = False
-            self.refuse_command(5)
-            return
+        line, self._line = self._line, ""
         self._queue_line(line, packet, "\r")
 
     def _queue_line(self, line: str, packet: int, end: str) -> None:
@@ -227,8 +247,9 @@ class PortSession:
             self.queue.append((statement, packet))
             if statement.op in _TAKING:
                 tail = ";".join(later.text for later in statements[index:])
-                self._packets.appendleft((tail + end + self._line if tail else self._line, packet))
-                self._line = ""
+                rest, self._line = (tail + end if tail else "") + self._line, ""
+                if rest:
+                    self._packets.appendleft((rest, packet))
                 break
         self.machine.interpreter.run_ready()
 

@@ -2,6 +2,7 @@
 
 import re
 
+from sim.yaskawa.base.data import LONGEST_LINE
 from sim.yaskawa.language.statements import CompiledStatement, compile_line
 from sim.yaskawa.ports.ports import PortSession
 from sim.yaskawa.program.entry import OperatorEntry
@@ -88,24 +89,23 @@ class CommandPort(PortSession):
             return False
         return machine.address == 0 if broadcast else machine.selected is not False
 
-    def parse_input(self) -> None:
-        while self._packets and not self._awaits_download():
-            text, packet = self._packets.popleft()
-            if self.download is not None:
-                self._collect_download(text, packet)
-            elif self._control or text == "\x12":
-                self._take_control(text)
-            elif text == "\n":
-                continue
-            elif text == "\r" or (text == ";" and not self._quoted):
-                self._end_line(packet)
-            else:
-                self._quoted ^= text == '"'
-                self._append_text(text)
+    def _parse_piece(self, text: str, packet: int) -> None:
+        if self.download is not None:
+            self._collect_download(text, packet)
+        elif text == "\n" or ((self._control or text == "\x12") and self._continue_control(text)):
+            return
+        elif text == "\r" or (text == ";" and not self._quoted):
+            self._end_line(packet)
+        else:
+            self._quoted ^= text == '"'
+            self._line = (self._line + text)[: LONGEST_LINE + 1]  # more would not be accepted either
 
-    def _take_control(self, character: str) -> None:
-        if self.machine.selected is not False:
-            self._take_character(character, ACCEPTED)
+    def _continue_control(self, character: str) -> bool:
+        """Begin or continue a control sequence; return whether `character` belongs to it."""
+        if character == "\x12":
+            self._control = character if self.machine.selected is not False else ""
+            return True
+        return self._take_control(character)
 
     def _end_line(self, packet: int) -> None:
         self._quoted = False
@@ -115,11 +115,11 @@ class CommandPort(PortSession):
             return
         broadcast = line.startswith("!")
         if machine.selected is False and not broadcast:
-            self._line, self._overlong = "", False
+            self._line = ""
             return
         packet = MUTED if broadcast and machine.address else ACCEPTED
-        if self._overlong or sum(len(statement.text) for statement, _ in self.queue) > BUFFER:
-            self._line, self._overlong = "", False
+        if sum(len(statement.text) for statement, _ in self.queue) > BUFFER:
+            self._line = ""
             self._muted = packet == MUTED
             self.refuse_command(5)
             return
@@ -132,7 +132,7 @@ class CommandPort(PortSession):
 
     def _select_address(self, address: str) -> None:
         """`%A`: select the controller with that address, which answers this (D7, D8)."""
-        self._line, self._overlong = "", False
+        self._line = ""
         machine = self.machine
         machine.selected = address == str(machine.address)
         if machine.selected:

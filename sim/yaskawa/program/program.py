@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from sim.yaskawa.base.data import MemoryCapacity
+from sim.yaskawa.base.data import LONGEST_LINE, MemoryCapacity
 from sim.yaskawa.base.errors import CommandError
 
-LINE_LENGTH = 80
 LABEL_LENGTH = 7
 
 
@@ -37,7 +36,7 @@ class StoredProgram:
         """Replace the program; when refused (60, 61, 62, and 10: L14436), the memory stays unchanged."""
         if any(not line.strip() or "\t" in line for line in lines):
             raise CommandError(10)
-        if len(lines) > self.room.lines or any(len(line) > LINE_LENGTH for line in lines):
+        if len(lines) > self.room.lines or any(len(line) > LONGEST_LINE for line in lines):
             raise CommandError(60)
         labels: dict[str, int] = {}
         for number, line in enumerate(lines):

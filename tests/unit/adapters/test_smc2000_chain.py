@@ -79,6 +79,16 @@ def test_an_error_report_of_a_program_is_not_taken_for_an_answer(seed: int, hold
     run_chain(main, seed=seed, hold_ms=hold_ms)
 
 
+@pytest.mark.parametrize("reading", ["optional", "separate", "required"])
+def test_the_revision_of_each_controller_is_read_whatever_ends_the_query(reading: str):
+    async def main(world: ChainWorld) -> None:
+        found = [await driver.connect() for driver in world.drivers.values()]
+        assert {each.firmware for each in found} == {"Rev 2.0g"}
+        await world.ready(3)
+
+    run_chain(main, options={"control_end": reading})
+
+
 @pytest.mark.parametrize("asked", ["poll", "command", "meet"])
 def test_a_silent_controller_delays_others_by_no_more_than_its_own_timeout(asked: str):
     async def main(world: ChainWorld) -> None:

@@ -59,6 +59,9 @@ def test_it_is_connected_in_any_state_and_nothing_moves(before: str):
         {"echo": False},
         {"firmware": "D150N19p"},
         {"command_s": 0.0002},
+        {"control_end": "separate"},
+        {"control_end": "required"},
+        {"upload_line_end": True},
     ],
     ids=repr,
 )

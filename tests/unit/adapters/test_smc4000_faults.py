@@ -29,6 +29,9 @@ async def armed(world: World, lead_s: float = 1.0) -> int:
         {"qr_axis_bytes": 28},
         {"st_halts_programs": False},
         {"strict_packets": True},
+        {"control_end": "separate"},
+        {"control_end": "required", "strict_packets": True},
+        {"upload_line_end": True},
         {"axes": 2},
     ],
 )
