@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.base import NS_PER_US, ClockTimer
 from sim.cia402 import aborts
 from sim.cia402.aborts import SdoAbort
 from sim.cia402.dictionary import DriveDictionary
@@ -72,6 +72,7 @@ class ServoDrive:
         self._changed = events.changed
         self._control = 0
         self._after_stop: Callable[[], None] | None = None
+        self._quick_stop_end: ClockTimer | None = None
         self.servo = ServoMotor(
             dictionary,
             time,
@@ -79,7 +80,7 @@ class ServoDrive:
             phase_ns,
             ServoEvents(events.changed, self._handle_motion_end, self._handle_limit, self._handle_following_error),
         )
-        self.states = PowerStates(dictionary.get_value, self._stop_motion, self._state_changed, self._has_voltage)
+        self.states = PowerStates(dictionary.get_value, self._stop_for_state, self._state_changed, self._has_voltage)
         self._homing = HomingMode(dictionary, self.servo, options)
         self._homing.failed = lambda: events.emergency(HOMING_ERROR_CODE, _GENERIC | _PROFILE)
         interpolated = InterpolatedPosition(dictionary, self.servo, cyclic=False, missed=options.sync_missed)
@@ -194,17 +195,25 @@ class ServoDrive:
         number = self._options.enable_input
         return number is None or self.servo.terminals.input_level(number)
 
+    def _stop_for_state(self, way: Leave, then: Callable[[], None]) -> None:
+        """Stop because the power state requires it. A quick stop is completed some time after standstill, so that
+        clients see its state also at rest."""
+        if self.states.state is not PowerState.QUICK_STOP:
+            self._stop_motion(way, then)
+            return
+
+        def await_end() -> None:
+            self._quick_stop_end = self.servo.time.call_after(self._options.quick_stop_hold_us * NS_PER_US, then)
+
+        self._stop_motion(way, await_end)
+
     def _stop_motion(self, way: Leave, then: Callable[[], None]) -> None:
         servo = self.servo
         if way == "at once":
             servo.switch_off()
         if not servo.mover.is_moving:
             servo.cancel_order()
-            if self.states.state is PowerState.QUICK_STOP:
-                # Clients see the state also at rest: transition 12 comes with the next cycle.
-                servo.time.call_after(self._options.cycle_us * NS_PER_US, then)
-            else:
-                then()
+            then()
             return
         self._after_stop = then
         servo.slow_down(servo.read_acceleration(0x6085 if way == "quick stop" else 0x6084))
@@ -219,6 +228,9 @@ class ServoDrive:
     def _state_changed(self, before: PowerState) -> None:
         after, mode = self.states.state, self._modes[self._mode]
         self._after_stop = None
+        if self._quick_stop_end is not None:
+            self._quick_stop_end.cancel()
+            self._quick_stop_end = None
         if before is PowerState.ENABLED:
             mode.leave_mode()
         if after not in POWERED:

@@ -38,6 +38,8 @@ class DriveOptions(BaseModel):
     """Period in which event-driven PDOs are checked while the motor turns."""
     settle_us: Micros = 2000
     """From the last commanded change until the motor is in the position window."""
+    quick_stop_hold_us: Micros = 100_000
+    """From standstill to the end of a quick stop: how long quick stop active is shown at least."""
     sync_missed: Annotated[int, Field(ge=1, le=100)] = 3
     """Number of interpolation periods without SYNC that cause a fault (EMCY 0x8700)."""
     bus_off_ms: Annotated[int, Field(ge=0, le=60_000)] = 500

@@ -96,7 +96,7 @@ class PowerStates:
             self.enter_state(after)
         elif state is PowerState.ENABLED:
             self._leave_enabled(wanted)
-        elif state is PowerState.QUICK_STOP and wanted == "enable operation" and self._option(0x605A) in (5, 6):
+        elif state is PowerState.QUICK_STOP and wanted == "enable operation" and self._stays_stopped:
             self.enter_state(PowerState.ENABLED)
 
     def _leave_enabled(self, wanted: Command) -> None:
@@ -123,8 +123,13 @@ class PowerStates:
         self._stop("slow down" if code in (1, 5) else "quick stop", self._finish_quick_stop)
 
     def _finish_quick_stop(self) -> None:
-        if self.state is PowerState.QUICK_STOP and self._option(0x605A) not in (5, 6):
+        if self.state is PowerState.QUICK_STOP and not self._stays_stopped:
             self.enter_state(PowerState.DISABLED)
+
+    @property
+    def _stays_stopped(self) -> bool:
+        """Whether a quick stop ends in quick stop active, and can be left by enabling (transition 16)."""
+        return self._option(0x605A) in (5, 6, 7, 8)
 
     def enter_fault(self) -> None:
         """Transition 13."""

@@ -302,7 +302,7 @@ def test_a_master_that_falls_silent_stops_the_motor_as_configured(code: int, end
         bench.send(0x77F, b"\x05")
         bench.wait(40)
     assert bench.drive.velocity("1") == pytest.approx(5_000)
-    bench.wait(100)
+    bench.wait(250)
     assert bench.status() & 0x4F == ends & 0x4F
     assert bench.drive.is_moving("1") == (code == 0)
     assert bench.heard(0x81)[-1][:2] == bytes([0x30, 0x81])

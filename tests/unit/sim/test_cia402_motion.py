@@ -151,7 +151,12 @@ def test_a_target_beyond_the_software_limits_is_cut() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "ends", "ramp_s"), [(2, 0x40, 0.01), (6, 0x07, 0.01), (1, 0x40, 0.1), (5, 0x07, 0.1), (0, 0x40, 0.0)]
+    ("code", "ends", "ramp_s"),
+    [
+        *((code, 0x40, 0.01) for code in (2, 3, 4)),
+        *((code, 0x07, 0.01) for code in (6, 7, 8)),
+        *[(1, 0x40, 0.1), (5, 0x07, 0.1), (0, 0x40, 0.0)],
+    ],
 )
 def test_quick_stop_by_its_option_code(code: int, ends: int, ramp_s: float) -> None:
     bench = CanBench()
@@ -177,14 +182,38 @@ def test_a_quick_stop_at_rest_is_shown_before_it_switches_off() -> None:
     bench.enable(1)
     began_ns = bench.clock.now_ns()
     bench.write(0x6040, 0, 0x02, 2)
-    bench.wait(50)
+    bench.wait(150)
     words = [int.from_bytes(data[:2], "little") & 0x6F for data in bench.heard(0x181, began_ns)]
     assert words[0] == 0x07 and words[-1] == 0x40
 
 
-def test_quick_stop_is_left_by_enabling_where_it_stays() -> None:
+def test_a_polling_client_sees_a_quick_stop_at_rest() -> None:
+    """canopen's BaseNode402 reads the statusword eight times until it compares it with this state."""
     bench = CanBench()
-    bench.write(0x605A, 0, 6, 2)
+    bench.write(0x605A, 0, 2, 2)
+    bench.enable(1)
+    seen = [bench.control(0x02) & 0x6F] + [bench.status() & 0x6F for _ in range(60)]
+    assert seen[:16] == [0x07] * 16 and seen[-1] == 0x40
+
+
+def test_a_quick_stop_that_is_left_early_does_not_end_the_next_one() -> None:
+    bench = CanBench()
+    bench.write(0x605A, 0, 2, 2)
+    bench.enable(1)
+    bench.control(0x02)
+    bench.control(0x00)
+    for word in (0x06, 0x07, 0x0F, 0x02):
+        bench.control(word)
+    bench.wait(85)
+    assert bench.status() & 0x6F == 0x07
+    bench.wait(25)
+    assert bench.status() & 0x6F == 0x40
+
+
+@pytest.mark.parametrize("code", [5, 6, 7, 8])
+def test_quick_stop_is_left_by_enabling_where_it_stays(code: int) -> None:
+    bench = CanBench()
+    bench.write(0x605A, 0, code, 2)
     bench.enable(1)
     assert bench.control(0x02) & 0x6F == 0x07
     assert bench.control(0x0F) & 0x6F == 0x27
