@@ -187,7 +187,9 @@ class ProposeRequest(StepRequest):
 class BudgetTerm(Model):
     """One term of a budget: because of it, the start lies between T0 + earliest_ns and T0 + latest_ns."""
 
-    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "tick-residual", "line", "input"]
+    name: Literal[
+        "clock", "wire", "firmware", "tick", "host", "quantisation", "tick-residual", "line", "input", "output"
+    ]
     earliest_ns: Int53
     latest_ns: Int53
 

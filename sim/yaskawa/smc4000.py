@@ -85,6 +85,9 @@ MODEL = ControllerModel(
     ),
 )
 
+WITHOUT_DELAYS = {"input_fall_us": 0, "input_rise_us": 0, "latch_us": 0, "output_on_us": 0, "output_off_us": 0}
+"""Options of a controller whose inputs and outputs act at once."""
+
 
 class Smc4000Simulator:
     """Builds simulated SMC-4000 controllers; implements `Simulator`."""
@@ -123,7 +126,7 @@ class Smc4000Simulator:
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> YaskawaBench:
         """Build the same controller, ideal in time, with the handles that test vectors need."""
-        return YaskawaBench(self.build_controller(clock, options))
+        return YaskawaBench(self.build_controller(clock, WITHOUT_DELAYS | dict(options)))
 
 
 SMC4000 = Smc4000Simulator()

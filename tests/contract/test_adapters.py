@@ -184,6 +184,7 @@ def test_a_line_that_is_active_already_is_refused_and_a_disarmed_move_does_not_w
         await world.driver.disarm_move()
         world.line(False)
         for released in (False, True):
+            await sleep_ns(world.clock, 2 * NS_PER_MS)  # the input's optocoupler
             await world.arm(profiles, how)
             await world.driver.verify_armed()
             if released:

@@ -103,10 +103,10 @@ def clock_terms(
 
 
 def edge_terms(
-    bound_ns: int, options: YaskawaOptions, mapping: TickMapping, start: StartOptions
+    bound_ns: int, options: YaskawaOptions, mapping: TickMapping, start: StartOptions, drives: ProgramOutput
 ) -> tuple[BudgetTerm, ...]:
     """Return the terms of the driven edge relative to T0: OB follows the wait for XT0, as BG does, but takes effect at
-    once."""
+    once; the output's terminal follows."""
     tick_ns = mapping.tick_ns
     first, _ = options.begin_ticks(tick_ns)
     ahead_ns = round(first * tick_ns)
@@ -117,6 +117,11 @@ def edge_terms(
             name="firmware",
             earliest_ns=options.decode_min_us * NS_PER_US - ahead_ns,
             latest_ns=latest_ns - ahead_ns,
+        ),
+        BudgetTerm(
+            name="output",
+            earliest_ns=0,
+            latest_ns=(options.output_on_us if drives.level else options.output_off_us) * NS_PER_US,
         ),
     )
 

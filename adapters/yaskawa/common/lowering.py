@@ -407,7 +407,7 @@ def _make_lowered(
         terms=lines.clock_terms(bound_ns, options, mapping, start, drives_line=drives is not None)
         if waits is None or start.wait is None
         else lines.wait_terms(start.wait, waits, options, tick_ns),
-        edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, start),
+        edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, start, drives),
         tick_ns=tick_ns,
         clock_ppm=mapping.drift_ppm,
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.

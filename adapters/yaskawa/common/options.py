@@ -38,6 +38,10 @@ class YaskawaOptions(Model):
         default=500, description="Longest time from an input's terminal going low to the firmware, µs (L407-411)."
     )
     input_rise_us: Microseconds = Field(default=1500, description="The same for going high, µs.")
+    output_on_us: Microseconds = Field(
+        default=250, description="Longest time from the firmware to an output's terminal switching on, µs (L482-483)."
+    )
+    output_off_us: Microseconds = Field(default=500, description="The same for switching off, µs.")
     round_trip_us: Microseconds = Field(
         default=4000, description="Largest network time of one exchange, µs; for the declared costs."
     )

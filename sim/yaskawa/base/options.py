@@ -5,7 +5,7 @@ section 10 of `docs/reference/controllers/smc2000.md`.
 """
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -13,6 +13,7 @@ MAIN_BAUD = 19200
 """Default baud rate of port 1 of the SMC-2000 (L910)."""
 HOP_NS = 520_833
 """D10: store and forward of a controller of a chain; one character at that rate."""
+Microseconds = Annotated[int, Field(ge=0, le=100_000)]
 _BYTE = 8
 _ABSENT_OUTPUTS = frozenset((24, 32, 40, 48, 56, 64))
 
@@ -51,6 +52,14 @@ class FamilyOptions(BaseModel):
     """D74: AV counts from the start of the sequence."""
     zero_segments: bool = True
     """A segment without length is accepted and skipped; otherwise refused with 30 (SMC-2000: D25)."""
+    input_fall_us: Microseconds = 0
+    input_rise_us: Microseconds = 0
+    """From a change at the terminal of a digital input, to low or to high, to the firmware."""
+    latch_us: Microseconds = 0
+    """From a falling input to the capture of a position; a shorter pulse is not seen."""
+    output_on_us: Microseconds = 0
+    output_off_us: Microseconds = 0
+    """From the firmware to the terminal of a digital output."""
     burn_takes_time: bool = False
     """D56: BN, BP and BV take their documented times before they are answered."""
 
@@ -124,6 +133,12 @@ class Smc4000Options(FamilyOptions):
     """Options of the SMC-4000."""
 
     axes: Literal[2, 4] = 4
+    input_fall_us: Microseconds = 500
+    input_rise_us: Microseconds = 1500
+    latch_us: Microseconds = 9
+    output_on_us: Microseconds = 250
+    output_off_us: Microseconds = 500
+    """The largest times that the manual states (L407-L415, L482), and the shortest pulse at a latch."""
     link: Literal["tcp", "udp", "serial"] = "tcp"
     """The default port: the first of `ports`."""
     handle: Literal["A", "B", "C", "D", "E", "F", "G", "H"] | None = None

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from sim.core.points import DelayedLevels, PointIsolation
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.base.world import PhysicalEnvironment
@@ -15,12 +16,14 @@ _VOLTS_STEP = 20.0 / (1 << 14)
 class IoPoints:
     """Digital inputs and outputs by number, analog inputs.
 
+    isolation: of the outputs.
     missing: outputs that have a number but no terminal."""
 
     def __init__(
         self,
         environment: PhysicalEnvironment,
         outputs: int,
+        isolation: PointIsolation,
         *,
         remote: RemotePoints | None,
         missing: frozenset[int] = frozenset(),
@@ -28,6 +31,8 @@ class IoPoints:
         self.environment = environment
         self.outputs = 0
         self.listeners: list[Callable[[int, bool], None]] = []
+        """Called at every change at a terminal."""
+        self.terminals = DelayedLevels(isolation, initial=False, changed=self._notify_listeners)
         self.count = outputs
         self._remote = remote
         self._real = sum(1 << number for number in range(outputs) if number + 1 not in missing)
@@ -76,13 +81,16 @@ class IoPoints:
         self.set_all(self.outputs | bit if level else self.outputs & ~bit)
 
     def set_all(self, outputs: int) -> None:
-        """`OP`: set all outputs; the listeners are called for every change."""
+        """`OP`: set all outputs."""
         outputs &= self._real
         changed, self.outputs = self.outputs ^ outputs, outputs
         for number in range(self.count):
             if changed >> number & 1:
-                for listener in self.listeners:
-                    listener(number + 1, bool(outputs >> number & 1))
+                self.terminals.change_level(number + 1, level=bool(outputs >> number & 1))
+
+    def _notify_listeners(self, number: int, *, level: bool) -> None:
+        for listener in self.listeners:
+            listener(number, level)
 
     def set_analog(self, number: int, volts: float) -> None:
         """`AO`: only remote devices have analog outputs (L2669)."""

@@ -39,7 +39,7 @@ class YaskawaController:
         self.machine.set_power(on=on)
 
     def set_input(self, number: int, *, level: bool) -> None:
-        """Local input 1 to 8; True is high."""
+        """Change the terminal of a local input, 1 to 8; True is high."""
         self.machine.signals.set_input(number, level=level)
 
     def set_abort(self, *, active: bool) -> None:
@@ -94,7 +94,8 @@ class YaskawaController:
         machine.run_ready()
 
     def output_level(self, number: int) -> bool:
-        return bool(self.machine.io.read_output(number))
+        """Level at the terminal of an output."""
+        return self.machine.io.terminals.level(number)
 
     def on_output(self, listener: Callable[[int, bool], None]) -> None:
         self.machine.io.listeners.append(listener)

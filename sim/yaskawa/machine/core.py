@@ -1,6 +1,8 @@
 """One controller of the family, whatever its model: state, time, reset, and the order of actions in an event."""
 
+from orchestrator.clock.base import NS_PER_US
 from sim.core.controller import FirmwareTiming
+from sim.core.points import PointIsolation
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.data import VariableStore
 from sim.yaskawa.base.formats import NumberFormat, NumberLayout
@@ -54,7 +56,13 @@ class ControllerCore:
         self.network: DeviceNetwork | None = None
         """Ethernet network that it is connected to, in addition to the hosts that connect to it."""
         remote = RemotePoints(lambda handle: self.ports.outgoing.get(handle), model.handles) if model.handles else None
-        self.io = IoPoints(self.environment, options.output_count, remote=remote, missing=options.absent_outputs)
+        self.io = IoPoints(
+            self.environment,
+            options.output_count,
+            PointIsolation(timebase.clock, options.output_on_us * NS_PER_US, options.output_off_us * NS_PER_US),
+            remote=remote,
+            missing=options.absent_outputs,
+        )
         self.motion = self._new_motion()
         self.delay = FirmwareDelay(timing, options.program_ns, seed)
         self.programs = ProgramThreads(self, self.delay)

@@ -2,6 +2,8 @@
 
 from typing import Protocol
 
+from orchestrator.clock.base import NS_PER_US
+from sim.core.points import DelayedLevels, PointIsolation
 from sim.yaskawa.language.context import CommandMachine
 from sim.yaskawa.machine.events import AutomaticEvents
 from sim.yaskawa.motion.codes import ABORT_INPUT_CODE, SELECTIVE_CODE
@@ -25,6 +27,15 @@ class SignalInputs:
 
     def __init__(self, machine: SignalMachine) -> None:
         self._machine = machine
+        clock, options = machine.timebase.clock, machine.options
+        self._inputs = DelayedLevels(
+            PointIsolation(clock, options.input_rise_us * NS_PER_US, options.input_fall_us * NS_PER_US),
+            initial=True,
+            changed=self._change_input,
+        )
+        self._latches = DelayedLevels(
+            PointIsolation(clock, fall_ns=options.latch_us * NS_PER_US), initial=True, changed=self._change_latch
+        )
 
     def set_abort_input(self, *, active: bool) -> None:
         """Set the abort input: as `AB`, and no motion begins while it is active (D36)."""
@@ -35,23 +46,39 @@ class SignalInputs:
         self._machine.run_ready()
 
     def set_input(self, number: int, *, level: bool) -> None:
-        """Change a local input: latches, interrupts, selective abort."""
+        """Change the terminal of a local input: latches, interrupts, selective abort."""
         if not 1 <= number <= len(self._machine.environment.inputs):
             raise ValueError(f"input {number}: this controller has inputs 1 to {len(self._machine.environment.inputs)}")
+        self._latches.change_level(number, level=level)
+        self._inputs.change_level(number, level=level)
+
+    def _change_latch(self, number: int, *, level: bool) -> None:
+        """Capture by a falling input, which passes by the optocoupler's delay (L413, L3645)."""
+        if level or not self._machine.powered or self._machine.polarity[2] > 0:
+            return
         self._machine.advance_to_now()
-        if self._machine.environment.inputs[number - 1] != level:
-            self._machine.environment.inputs[number - 1] = level
-            if self._machine.powered:
-                self._input_changed(number, level=level)
+        self._capture_position(number)
         self._machine.run_ready()
 
-    def _input_changed(self, number: int, *, level: bool) -> None:
-        now = self._machine.current_sample()
+    def _change_input(self, number: int, *, level: bool) -> None:
+        self._machine.advance_to_now()
+        self._machine.environment.inputs[number - 1] = level
+        if self._machine.powered:
+            if level and self._machine.polarity[2] > 0:
+                self._capture_position(number)
+            self._react_to_input(number, level=level)
+        self._machine.run_ready()
+
+    def _capture_position(self, number: int) -> None:
+        """Capture the position of the axis of a latch input, between samples."""
         latch = _LATCHES.get(number, len(self._machine.letters))
-        if latch < len(self._machine.letters) and level == (self._machine.polarity[2] > 0):
+        if latch < len(self._machine.letters):
             axis = self._machine.motion.real[latch]
             if axis.latch_armed:
-                self._machine.motion.independent.capture_latch(axis, now)
+                self._machine.motion.independent.capture_latch(axis, self._machine.timebase.current_instant())
+
+    def _react_to_input(self, number: int, *, level: bool) -> None:
+        now = self._machine.current_sample()
         if number > 4 and self._machine.polarity[3] and not level and number - 5 < len(self._machine.letters):
             self._machine.motion.freeze_motion(now, SELECTIVE_CODE, (self._machine.motion.real[number - 5],))
         self._machine.events.inputs_changed(number, level=level)

@@ -114,6 +114,12 @@ class ServoAxis:
         """Return the encoder position: that of the command `lag` samples before, or the frozen one (D63)."""
         return self.frozen if self.frozen is not None else self.reference_at(sample - self.lag)
 
+    def actual_between(self, instant: float) -> int:
+        """Return the encoder position at an instant, which may lie between samples."""
+        if self.frozen is not None:
+            return self.frozen
+        return fixed.wrap_counts(fixed.round_half_up(self.command_at(instant - self.lag)))
+
     def report_counts(self, counts: int) -> int:
         """Return `counts` in the cycle of a cam."""
         if self.turned is not None:

@@ -82,10 +82,11 @@ class IndependentMotion:
         velocity = axis.path.velocity(at + 1)
         return 1 if velocity > 0 or (velocity == 0 and axis.registers["JG"] >= 0) else -1
 
-    def capture_latch(self, axis: ServoAxis, now: int) -> None:
-        """Handle a latch input that has captured the position (L2541); LT stops the axis beyond it (L7138)."""
+    def capture_latch(self, axis: ServoAxis, instant: float) -> None:
+        """Handle a latch input that has captured the position at an instant between samples (L413, L2541); LT stops the
+        axis beyond it (L7138)."""
         axis.latch_armed, axis.latch_used = False, True
-        axis.latched = axis.actual_at(now)
+        axis.latched = axis.actual_between(instant)
         distance = fixed.to_integer(axis.registers["LT"])
         profile = axis.profile
         if distance in (0, NO_FORWARD) or profile is None or axis.mode not in ("move", "jog") or axis.stopping:

@@ -4,6 +4,7 @@ from orchestrator.clock.queue import EventQueue
 from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC4000
+from sim.yaskawa.smc4000 import WITHOUT_DELAYS
 
 
 class Desk:
@@ -18,7 +19,7 @@ class Desk:
         **options: object,
     ) -> None:
         self.clock = clock or EventQueue()
-        self.unit = SMC4000.build_controller(self.clock, options, timing=timing, oscillator=oscillator)
+        self.unit = SMC4000.build_controller(self.clock, WITHOUT_DELAYS | options, timing=timing, oscillator=oscillator)
         self.heard = b""
         self.hung_up = False
         self.open(port)
