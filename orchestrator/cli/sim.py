@@ -7,7 +7,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, exit_with_error, json_option, print_json
 from orchestrator.cli.sim_campaign import campaign
-from orchestrator.cli.sim_world import limit, power, push, set_input, stall
+from orchestrator.cli.sim_world import limit, power, push, set_analog, set_input, stall
 
 
 @click.group(epilog="Example: tutti sim input gantry.door active")
@@ -15,7 +15,7 @@ def sim() -> None:
     """Simulated controllers: check them against test vectors, and change the environment of running ones."""
 
 
-for command in (set_input, limit, power, push, stall, campaign):
+for command in (set_input, set_analog, limit, power, push, stall, campaign):
     sim.add_command(command)
 
 

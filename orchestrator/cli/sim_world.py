@@ -1,4 +1,4 @@
-"""`tutti sim input|limit|power|push|stall`: the environment of the simulated controllers of `tutti up --sim`."""
+"""`tutti sim input|analog|limit|power|push|stall`: the environment of the simulated controllers of `tutti up --sim`."""
 
 import json
 import os
@@ -12,6 +12,8 @@ from orchestrator.cli.base.common import console, exit_with_error
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Axis, Controller, Fleet
+
+MOST_VOLTS = 1000
 
 _state = click.option(
     "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
@@ -30,6 +32,21 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None) -> None
     controller, point = _split_name(name, {c: each.inputs for c, each in controllers.items()}, "input")
     wired = controllers[controller].inputs[point]
     _write_change(folder, controller, {"input": [wired.number, (to == "active") == (wired.active == "high")]})
+
+
+@click.command("analog", epilog="Example: tutti sim analog gantry 1 2.5")
+@click.argument("controller")
+@click.argument("number", type=click.IntRange(min=1))
+@click.argument("volts", type=float)
+@_fleet
+@_state
+def set_analog(controller: str, number: int, volts: float, fleet: str | None, state: Path | None) -> None:
+    """Set the voltage at an analogue input of a simulated controller, by its number there."""
+    if not abs(volts) <= MOST_VOLTS:  # also not a number
+        exit_with_error(f"{volts:g} V is not from -{MOST_VOLTS} to {MOST_VOLTS} V", BAD_INPUT)
+    folder, controllers = _find_simulation(fleet, state)
+    _require_controller(controller, controllers)
+    _write_change(folder, controller, {"analog": [number, volts]})
 
 
 @click.command(epilog="Example: tutti sim limit gantry.x forward")
@@ -51,8 +68,7 @@ def limit(name: str, which: str, fleet: str | None, state: Path | None) -> None:
 def power(controller: str, to: str, fleet: str | None, state: Path | None) -> None:
     """Switch a simulated controller off or on."""
     folder, controllers = _find_simulation(fleet, state)
-    if controller not in controllers:
-        exit_with_error(f"the fleet has no controller {controller}; it has: {', '.join(controllers)}", BAD_INPUT)
+    _require_controller(controller, controllers)
     _write_change(folder, controller, {"power": to == "on"})
 
 
@@ -104,6 +120,11 @@ def _find_axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path,
     folder, controllers = _find_simulation(fleet, state)
     controller, axis = _split_name(name, {c: each.axes for c, each in controllers.items()}, "axis")
     return folder, controller, controllers[controller].axes[axis]
+
+
+def _require_controller(name: str, controllers: "dict[str, Controller]") -> None:
+    if name not in controllers:
+        exit_with_error(f"the fleet has no controller {name}; it has: {', '.join(controllers)}", BAD_INPUT)
 
 
 def _split_name(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:

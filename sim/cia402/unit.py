@@ -9,7 +9,15 @@ from sim.cia402.options import DriveOptions, read_options
 from sim.cia402.servo import AXIS
 from sim.cia402.states import POWERED
 from sim.cia402.station import OFF, DriveNode
-from sim.core.controller import CommandedMotion, DeviceSpec, FirmwareTiming, LimitSwitch, PortConnection, SendBytes
+from sim.core.controller import (
+    CommandedMotion,
+    DeviceSpec,
+    FirmwareTiming,
+    LimitSwitch,
+    PortConnection,
+    SendBytes,
+    refuse_analog,
+)
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
 from sim.link.can_card import CanSegment
@@ -42,6 +50,10 @@ class SimulatedDrive:
 
     def set_input(self, number: int, *, level: bool) -> None:
         self.station.drive.set_input(number, level=level)
+
+    def set_analog(self, number: int, volts: float) -> None:
+        """Raise `ValueError`: there are no analogue inputs."""
+        refuse_analog(number)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         _require_axis(axis)

@@ -8,7 +8,7 @@ modelled elsewhere. Each simulator is written from the manual alone.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, NoReturn, Protocol, runtime_checkable
 
 from pydantic import BaseModel
 
@@ -74,6 +74,11 @@ class PortConnection(Protocol):
         ...
 
 
+def refuse_analog(number: int, present: str = "no analogue inputs") -> NoReturn:
+    """Raise the `ValueError` of `SimulatedController.set_analog`. present: the inputs that there are."""
+    raise ValueError(f"no analogue input {number}; this controller has {present}")
+
+
 class SimulatedController(Protocol):
     """A controller in its physical environment. Axis names are the make's own (`X`, `Y`, … or `1`, `2`, …)."""
 
@@ -101,6 +106,11 @@ class SimulatedController(Protocol):
         ...
 
     def set_input(self, number: int, *, level: bool) -> None: ...
+
+    def set_analog(self, number: int, volts: float) -> None:
+        """Set the voltage at an analogue input, numbered like the digital inputs. Raises `ValueError` for one that the
+        controller does not have."""
+        ...
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         """Press limit switches of the axis from outside, independent of its travel; `none` restores the travel's own

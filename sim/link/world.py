@@ -16,6 +16,7 @@ class EnvironmentChange(BaseModel):
     """One line: any of these, applied in this order.
 
     input: number and level.
+    analog: number and volts.
     limit: axis and switches.
     stall: axis, on.
     push: axis, and the counts by which it is moved by hand.
@@ -25,6 +26,7 @@ class EnvironmentChange(BaseModel):
 
     power: bool | None = None
     input: tuple[Annotated[int, Field(ge=0)], bool] | None = None
+    analog: tuple[Annotated[int, Field(ge=1)], Annotated[float, Field(ge=-1000, le=1000)]] | None = None
     limit: tuple[str, LimitSwitch] | None = None
     stall: tuple[str, bool] | None = None
     push: tuple[str, int] | None = None
@@ -53,6 +55,8 @@ def _apply_change(controller: SimulatedController, change: EnvironmentChange) ->
     if change.input is not None:
         number, level = change.input
         controller.set_input(number, level=level)
+    if change.analog is not None:
+        controller.set_analog(*change.analog)
     if change.limit is not None:
         controller.set_limit(*change.limit)
     if change.stall is not None:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 from orchestrator.clock.base import NS_PER_S, Clock, ClockTimer
 from orchestrator.link.supply import PowerSupply
-from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes
+from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes, refuse_analog
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
 from sim.ppsmc.axis import StepperAxis
@@ -156,6 +156,10 @@ class PpsmcController:
 
     def set_input(self, number: int, *, level: bool) -> None:
         self.machine.set_input(_bit_mask(number), level=level)
+
+    def set_analog(self, number: int, volts: float) -> None:
+        """Raise `ValueError`: there are no analogue inputs."""
+        refuse_analog(number)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         self.machine.set_limit(self.find_axis(axis), which)

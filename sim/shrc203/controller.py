@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, ClockTimer
 from orchestrator.link.supply import PowerSupply
-from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes
+from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes, refuse_analog
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
 from sim.shrc203.axis import AxisPhase, StageAxis
@@ -214,6 +214,10 @@ class Shrc203Controller:
 
     def set_input(self, number: int, *, level: bool) -> None:
         self.unit.inputs.set_level(number, level=level)
+
+    def set_analog(self, number: int, volts: float) -> None:
+        """Raise `ValueError`: there are no analogue inputs."""
+        refuse_analog(number)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         pressed = self._find_axis(axis)

@@ -49,7 +49,7 @@ class Smc30Bench:
         for number, level in stated.inputs.items():
             controller.set_input(number, level=level)
         for number, volts in stated.analog.items():
-            controller.set_volts(number, volts)
+            controller.set_analog(number, volts)
         for number, level in stated.outputs.items():
             controller.set_output(number, level=level)
         for axis, which in stated.limits.items():

@@ -4,9 +4,9 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import CommandedMotion, DeviceSpec, LimitSwitch, PortConnection, SendBytes
+from sim.core.controller import CommandedMotion, DeviceSpec, LimitSwitch, PortConnection, SendBytes, refuse_analog
 from sim.smc30.controller import STOP_INPUT, BusStation, DeviceSetup, Smc30Controller
-from sim.smc30.inputs import USER_INPUTS
+from sim.smc30.inputs import ANALOGUE_INPUTS, USER_INPUTS
 from sim.smc30.options import IndexerOptions, Smc30Options, read_options
 from sim.smc30.outputs import USER_OUTPUTS
 
@@ -46,6 +46,11 @@ class BusDevice:
             self._unit.inputs.set_user(number, level=level)
         else:
             raise ValueError(f"no input {number}; there are 1-{USER_INPUTS} and the Stop input {STOP_INPUT}")
+
+    def set_analog(self, number: int, volts: float) -> None:
+        if not 1 <= number <= ANALOGUE_INPUTS:
+            refuse_analog(number, f"1 to {ANALOGUE_INPUTS}")
+        self._unit.inputs.set_volts(number, volts)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         self._require_axis(axis)

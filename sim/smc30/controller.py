@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S, Clock, ClockTimer
 from orchestrator.link.supply import PowerSupply
-from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes
+from sim.core.controller import CommandedMotion, FirmwareTiming, LimitSwitch, PortRefused, SendBytes, refuse_analog
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
 from sim.smc30.drive import StepGenerator
@@ -253,11 +253,11 @@ class Smc30Controller:
                 f"no input {number}; a device has user inputs 1-{USER_INPUTS} and the Stop input {STOP_INPUT}"
             )
 
-    def set_volts(self, number: int, volts: float) -> None:
+    def set_analog(self, number: int, volts: float) -> None:
         """Set the voltage at an analogue input, numbered like the user inputs, 1-6 of a place."""
         place, own = self._split_number(number)
         if not 1 <= own <= ANALOGUE_INPUTS:
-            raise ValueError(f"no analogue input {number}; a device has 1-{ANALOGUE_INPUTS}")
+            refuse_analog(number, f"1 to {ANALOGUE_INPUTS}")
         self._stations[place - 1].unit.inputs.set_volts(own, volts)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from sim.core.controller import CommandedMotion, LimitSwitch, PortConnection, SendBytes
+from sim.core.controller import CommandedMotion, LimitSwitch, PortConnection, SendBytes, refuse_analog
 from sim.yaskawa.io.network import DeviceNetwork
 from sim.yaskawa.language.arguments import canonical_axis
 from sim.yaskawa.machine.core import ControllerCore
@@ -41,6 +41,14 @@ class YaskawaController:
     def set_input(self, number: int, *, level: bool) -> None:
         """Change the terminal of a local input, 1 to 8; True is high."""
         self.machine.signals.set_input(number, level=level)
+
+    def set_analog(self, number: int, volts: float) -> None:
+        analog = self.machine.environment.analog
+        if not 1 <= number <= len(analog):
+            refuse_analog(number, *([f"1 to {len(analog)}"] if analog else []))
+        self.machine.advance_to_now()
+        analog[number - 1] = volts
+        self.machine.run_ready()
 
     def set_abort(self, *, active: bool) -> None:
         """The abort input (L8030)."""
@@ -186,7 +194,7 @@ class YaskawaBench:
         if key == "inputs":
             controller.set_input(int(name), level=bool(value))
         elif key == "analog":
-            machine.environment.analog[int(name) - 1] = float(str(value))
+            controller.set_analog(int(name), float(str(value)))
         elif key == "outputs":
             machine.io.set_output(int(name), level=bool(value))
         elif key == "limits":

@@ -94,6 +94,11 @@ class DaisyChain:
         unit, local = self._find_point(number)
         unit.set_input(local, level=level)
 
+    def set_analog(self, number: int, volts: float) -> None:
+        """Set an analogue input of one controller: A*100 + its number there."""
+        unit, local = self._find_point(number)
+        unit.set_analog(local, volts)
+
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         unit, letter = self._find_axis(axis)
         unit.set_limit(letter, which)

@@ -386,7 +386,7 @@ def test_stop_conditions_of_n_and_na() -> None:
     rig = Rig()
     rig.program("R1000 NAX.A2>100 g+ N11.91 g- A1")
     rig.wait(3)
-    rig.bus.set_volts(2, 2.0)
+    rig.bus.set_analog(2, 2.0)
     rig.wait(1.81)
     assert rig.bus.velocity("1") == pytest.approx(100, abs=10)
     rig.wait(0.5)
