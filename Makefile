@@ -18,8 +18,8 @@ help:
 	@echo "make test             set up, run all tests (about 5 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
-	@echo "make test-nightly     the long ones: more campaign seeds and random cases"
-	@echo "make test-thirdparty  simulated controllers against drivers from PyPI"
+	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
+	@echo "make test-thirdparty  simulated controllers and fleets against clients from PyPI"
 	@echo "make check            linters, type checks, import contracts"
 	@echo "make figures          figures of the project's order and words"
 	@echo "make docs             build the documentation as a site, build/site"
@@ -68,11 +68,11 @@ test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check
 	$(DEV)/bin/pytest tests/live/test_documents.py $(SLOWEST)
 
-test-nightly: $(DEV)/.stamp
+test-nightly: $(DEV)/.stamp test-thirdparty
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
 	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
 
-# Simulated controllers against drivers from PyPI; a skipped test is a failed one.
+# Simulated controllers and fleets against clients from PyPI; a skipped test is a failed one.
 test-thirdparty: $(THIRDPARTY)/.stamp
 	TUTTI_THIRDPARTY=1 $(THIRDPARTY)/bin/pytest tests/thirdparty
 
