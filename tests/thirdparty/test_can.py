@@ -60,7 +60,7 @@ def test_a_quick_stop_is_seen_whatever_its_option(drive: Any, code: int, moving:
 def test_the_player_and_the_logger_of_python_can(port: Path, children: Children) -> None:
     """The player's query is answered; the logger records the answer."""
     bus = ("-i", "slcan", "-c", str(port), "-b", "1000000")
-    frames, recorded = children.folder / "frames.log", children.folder / "heard.log"
+    frames, recorded = children.folder / "frames.log", children.folder / "recorded.log"
     query = f"{0x600 + NODE:03X}#4000100000000000"
     frames.write_text("".join(f"({at}.000000) can0 {query}\n" for at in range(4)))
     logger = children.start("can.logger", *bus, "-f", str(recorded))

@@ -116,7 +116,7 @@ SHRC_PROGRAM_LINES = (
 
 
 def answer_of_shrc(rig: ShrcRig, text: str) -> str:
-    """The first line that comes after `text`, or after its repetition: while the unit restarts it hears nothing."""
+    """The first line that comes after `text`, or after its repetition: while the unit restarts it takes no input."""
     for _ in range(2):
         before = len(rig.said)
         rig.port.receive_bytes(text.encode("latin-1") + b"\r\n")
@@ -213,7 +213,7 @@ def test_ppsmc_programs() -> None:
             assert rig.client.raw or rig.client.lost, (op, argument)
 
 
-# SMC30: a string has one answer, Y, R, B, E or a value; only K, F and Z are heard by a busy device.
+# SMC30: a string has one answer, Y, R, B, E or a value; a busy device accepts only K, F and Z.
 
 SMC30_OPS = [
     "f",
