@@ -1,5 +1,6 @@
 """`tutti axis …`: manual operation of axes. A motion is a job of one step, leased, checked and recorded; or a jog."""
 
+from math import isfinite
 from typing import Any
 
 import click
@@ -27,12 +28,13 @@ def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
     position is in the coordinates of jobs; motor is the same without the offset of `set-position`, which soft limits
     refer to; counts are the controller's own.
     """
+    from orchestrator.cli.base.names import require_states
     from orchestrator.client import Tutti
     from orchestrator.monitor.fleet_view import describe_axis
     from orchestrator.monitor.tables import make_plain_table
 
-    async def act(tutti: Tutti) -> None:
-        states = await tutti.status()
+    async def show_axes(tutti: Tutti) -> None:
+        states = await require_states(tutti)
         rows = {f"{c}.{a}": (state, now) for c, state in states.items() for a, now in state.axes.items()}
         if as_json:
             print_json({name: now.to_plain() for name, (_, now) in rows.items()})
@@ -48,7 +50,7 @@ def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
             )
         console.print(table)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_axes)
 
 
 @axis.command(epilog="Example: tutti axis limits gantry.x")
@@ -56,12 +58,14 @@ def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
 @fleet_options
 @json_option
 def limits(axes: tuple[str, ...], connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Show soft limits and largest velocity, acceleration and jerk of AXES, as their adapters report them."""
+    """Show soft limits and largest velocity, acceleration and jerk of AXES (axes, groups or controllers), as their
+    adapters report them."""
+    from orchestrator.cli.base.names import require_axes
     from orchestrator.client import Tutti
 
-    async def act(tutti: Tutti) -> None:
+    async def show_limits(tutti: Tutti) -> None:
         found: dict[str, dict[str, Any]] = {}
-        for name in axes:
+        for name in require_axes(await tutti.list_names(), axes):
             config = await tutti.axis_config(name)
             found[name] = {"unit": config["unit"], "soft_limits": config["soft_limits"], **config["limits"]}
         if as_json:
@@ -73,37 +77,42 @@ def limits(axes: tuple[str, ...], connect: str, fleet: str | None, *, as_json: b
             most = ", ".join(f"{kind} {each[kind]:g}" for kind in ("velocity", "acceleration", "jerk") if each[kind])
             console.print(f"{name}: soft limits {span}; {most} (in {each['unit']} and s)", highlight=False)
 
-    with_fleet(connect, fleet, act)
+    with_fleet(connect, fleet, show_limits)
 
 
 @axis.command(epilog="Example: tutti axis enable gantry stage.u")
 @_AXES
 @wait_option
 @fleet_options
-def enable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool) -> None:
+@json_option
+def enable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, as_json: bool) -> None:
     """Switch the motors of AXES on (axes, groups or controllers)."""
-    run_single_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled", wait=wait)
+    run_single_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled", wait=wait, as_json=as_json)
 
 
 @axis.command(epilog="Example: tutti axis disable gantry")
 @_AXES
 @wait_option
 @fleet_options
-def disable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool) -> None:
+@json_option
+def disable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, as_json: bool) -> None:
     """Switch the motors of AXES off."""
-    run_single_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled", wait=wait)
+    run_single_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled", wait=wait, as_json=as_json)
 
 
 @axis.command(epilog="Example: tutti axis home          (the whole fleet, in its home_order)")
 @click.argument("axes", nargs=-1)
 @wait_option
 @fleet_options
-def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool) -> None:
+@json_option
+def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, as_json: bool) -> None:
     """Home AXES, one after the other; without AXES, the whole fleet in its home_order.
 
     Ctrl-C, a closed terminal, or the end of this process in any other way stops the search.
     """
-    run_single_step(connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed", wait=wait)
+    run_single_step(
+        connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed", wait=wait, as_json=as_json
+    )
 
 
 @axis.command(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
@@ -115,8 +124,17 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool) 
 @click.option("--line", is_flag=True, help="Along a straight path.")
 @wait_option
 @fleet_options
+@json_option
 def move(
-    targets: tuple[str, ...], speed: float, connect: str, fleet: str | None, *, relative: bool, line: bool, wait: bool
+    targets: tuple[str, ...],
+    speed: float,
+    connect: str,
+    fleet: str | None,
+    *,
+    relative: bool,
+    line: bool,
+    wait: bool,
+    as_json: bool,
 ) -> None:
     """Move axes together to VALUE (with --relative: by VALUE), in the axis's unit or a given unit.
 
@@ -125,7 +143,7 @@ def move(
     """
     wanted = _parse_targets(targets, "TARGETS")
     step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
-    run_single_step(connect, fleet, step, "there", wait=wait)
+    run_single_step(connect, fleet, step, "", wait=wait, as_json=as_json)
 
 
 @axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')
@@ -133,15 +151,20 @@ def move(
 @click.option("--clear", is_flag=True, help="Clear the offsets of the AXES: user positions become motor positions.")
 @wait_option
 @fleet_options
-def set_position(positions: tuple[str, ...], connect: str, fleet: str | None, *, clear: bool, wait: bool) -> None:
+@json_option
+def set_position(
+    positions: tuple[str, ...], connect: str, fleet: str | None, *, clear: bool, wait: bool, as_json: bool
+) -> None:
     """Set the current position of AXIS to VALUE. Nothing moves.
 
     This sets the user offset of the axis, for all users. Soft limits, which are motor positions, do not shift with
     it.
     """
     axes: dict[str, str | float | None] = {}
+    if clear and any("=" in name for name in positions):
+        raise click.BadParameter("with --clear name the axes alone, without =VALUE", param_hint="POSITIONS")
     axes |= dict.fromkeys(positions) if clear else _parse_targets(positions, "POSITIONS")
-    run_single_step(connect, fleet, {"do": "set-position", "axes": axes}, "set", wait=wait)
+    run_single_step(connect, fleet, {"do": "set-position", "axes": axes}, "", wait=wait, as_json=as_json)
 
 
 # Manual motions are stopped like all others: one stop for all.
@@ -158,7 +181,11 @@ def _parse_targets(targets: tuple[str, ...], what: str) -> dict[str, str | float
         name, equals, value = target.partition("=")
         if not equals or not value:
             raise click.BadParameter(f"{target!r}: write AXIS=VALUE, e.g. gantry.x=120", param_hint=what)
-        wanted[name] = _number_or_text(value)
+        if name in wanted:
+            raise click.BadParameter(f"{name} is given twice, as {wanted[name]} and as {value}", param_hint=what)
+        wanted[name] = number = _number_or_text(value)
+        if isinstance(number, float) and not isfinite(number):
+            raise click.BadParameter(f"{target!r}: {value} is not a position", param_hint=what)
     return wanted
 
 

@@ -6,25 +6,30 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.base.common import (
-    actor_name,
-    console,
-    exit_with_error,
-    fleet_options,
-    json_option,
-    print_json,
-    with_fleet,
-)
+from orchestrator.cli.base.common import actor_name, console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.job_terms import DurationType
+
+MAX_REASON = 80  # characters
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
 
 
+def _check_reason(_: click.Context, option: click.Parameter, value: str) -> str:
+    if len(value) > MAX_REASON:
+        raise click.BadParameter(f"{len(value)} characters: at most {MAX_REASON}", param=option)
+    return value
+
+
 @click.command(epilog='Example: tutti axis acquire gantry stage.u --for 2h --what "new belt"')
 @click.argument("axes", nargs=-1, required=True)
-@click.option("--for", "seconds", default=None, type=DurationType(), help="Duration, at most 24h; or until `release`.")
-@click.option("--what", default="manual work", show_default=True, help="Reason, shown to waiting users.")
+@click.option(
+    "--for", "seconds", default=None, type=DurationType("24h"), help="Duration, at most 24h; or until `release`."
+)
+@click.option(
+    "--what", default="manual work", show_default=True, callback=_check_reason, help="Reason, shown to waiting users."
+)
 @fleet_options
 @json_option
 def acquire(
@@ -37,7 +42,10 @@ def acquire(
     it out.
     """
 
+    from orchestrator.cli.base.names import require_axes
+
     async def acquire_axes(tutti: "Tutti") -> None:
+        require_axes(await tutti.list_names(), axes)
         if seconds is not None:
             acquired, holder = await tutti.reserve_axes(list(axes), seconds, what)
             if as_json:
@@ -62,9 +70,12 @@ def acquire(
                 except TimeoutError:
                     if control.lost is not None:
                         exit_with_error(
-                            f"the axes are no longer acquired: {control.lost.text}", remedy=control.lost.remedy
+                            f"the axes are no longer acquired: {control.lost.text}",
+                            remedy=control.lost.remedy,
+                            code=control.lost.code,
                         )
-        console.print("released", highlight=False)
+        if not as_json:
+            console.print("released", highlight=False)
 
     with_fleet(connect, fleet, acquire_axes)
 
@@ -75,11 +86,13 @@ def acquire(
 @fleet_options
 @json_option
 def release(axes: tuple[str, ...], connect: str, fleet: str | None, *, force: bool, as_json: bool) -> None:
-    """Release AXES (axes or controllers; without: all) that you acquired, with all that were acquired together with
-    them."""
+    """Release AXES (axes, groups or controllers; without: all) that you acquired, with all that were acquired together
+    with them."""
+
+    from orchestrator.cli.base.names import require_axes
 
     async def release_axes(tutti: "Tutti") -> None:
-        wanted = {name.partition(".")[0] for name in axes}
+        wanted = {name.partition(".")[0] for name in require_axes(await tutti.list_names(), axes)}
         manual = [lease for lease in await tutti.list_leases() if (lease.holder or "").startswith("manual-")]
         found = [lease for lease in manual if not wanted or lease.controller in wanted]
         others = [lease for lease in found if lease.actor != actor_name()]
@@ -88,6 +101,7 @@ def release(axes: tuple[str, ...], connect: str, fleet: str | None, *, force: bo
             exit_with_error(
                 f"{first.controller} is acquired by {first.actor} ({first.what})",
                 remedy="agree with that user, then repeat with --force",
+                code="leased",
             )
         holders = {lease.holder: lease for lease in found if force or lease.actor == actor_name()}
         for holder in holders:
@@ -96,6 +110,7 @@ def release(axes: tuple[str, ...], connect: str, fleet: str | None, *, force: bo
         if as_json:
             print_json({"released": [lease.controller for lease in found if lease.holder in holders]})
         else:
-            console.print(f"{len(holders)} released" if holders else "no axis is acquired", highlight=False)
+            freed = ", ".join(lease.controller for lease in found if lease.holder in holders)
+            console.print(f"released: {freed}" if holders else "no axis is acquired", highlight=False)
 
     with_fleet(connect, fleet, release_axes)

@@ -11,9 +11,10 @@ from orchestrator.bench.registry.benchmarks import BENCHMARKS
 from orchestrator.bench.registry.record import BenchColumn, Benchmark, BenchNote, BenchOption, BenchTable, Document
 from orchestrator.bench.registry.runs import BenchFailed, InvalidOption
 from orchestrator.cli.base.codes import FAILED
-from orchestrator.cli.base.common import console, exit_with_error, expected_errors, print_json
+from orchestrator.cli.base.common import console, print_json
+from orchestrator.cli.base.errors import exit_with_error, expected_errors
 
-_JSON_OPTION = click.Option(["--json", "as_json"], is_flag=True, help="Print JSON for programs.")
+_JSON_OPTION = click.Option(["--json", "as_json"], is_flag=True, help="Print JSON for programs, errors too.")
 
 
 @click.group(epilog="Example: tutti bench plan --json")

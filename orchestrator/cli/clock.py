@@ -2,8 +2,7 @@
 
 import click
 
-from orchestrator.cli.base.codes import FAILED
-from orchestrator.cli.base.common import console, exit_with_error, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.model.state import ClockMapping, ClockReply, LearnedCrystal
 
 
@@ -28,6 +27,8 @@ def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
 
     async def list_clocks(tutti: Tutti) -> None:
         found = await query_clocks(tutti)
+        if not found:
+            raise await tutti.find_absence()
         if as_json:
             print_json({name: reply.to_plain() for name, reply in found.items()})
             return
@@ -49,11 +50,12 @@ def show(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> 
     """Show the estimate of one controller's clock."""
     from orchestrator.client import Tutti
     from orchestrator.client.clocks import query_clocks
+    from orchestrator.client.connection import absence_refusal
 
     async def show_clock(tutti: Tutti) -> None:
         found = await query_clocks(tutti)
         if controller not in found:
-            exit_with_error(f"no adapter answers for {controller}; controllers: {', '.join(found) or 'none'}", FAILED)
+            raise absence_refusal(controller)
         reply = found[controller]
         if as_json:
             print_json(reply.to_plain())

@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
-from orchestrator.cli.base.common import console, exit_with_error, json_option, print_json, run_main
+from orchestrator.cli.base.common import console, json_option, print_json
+from orchestrator.cli.base.errors import exit_with_error, run_main
 
 READY_TIMEOUT_S = 30.0  # for the adoption of all controllers; takes a second on an idle machine
 POLL_S = 0.05
@@ -83,7 +84,8 @@ def demo(which: str, keep: Path | None, *, headless: bool, as_json: bool) -> Non
             console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}{outside}")
         if not all(each.held and not each.outside for each in truths):
             console.print("Simulated controllers react late on a busy machine, unlike real ones.")
-    if report.state != "done":
+    # For programs the summary says all of it.
+    if report.state != "done" or (unsure and as_json):
         raise SystemExit(FAILED)
     if unsure:
         names = ", ".join(f"{step.index} ({step.verdict})" for step in unsure)

@@ -6,18 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orchestrator.cli.base.codes import FAILED, UNREACHABLE
-from orchestrator.cli.base.common import (
-    actor_name,
-    console,
-    errors,
-    exit_with_error,
-    fleet_options,
-    json_option,
-    print_json,
-    run_main,
-    with_fleet,
-)
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED, UNREACHABLE
+from orchestrator.cli.base.common import actor_name, console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.errors import exit_with_error, run_main
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -28,11 +19,12 @@ if TYPE_CHECKING:
 @json_option
 def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show the current state of every controller and axis."""
+    from orchestrator.cli.base.names import require_states
     from orchestrator.cli.queue import load_queue, print_queue_stop
     from orchestrator.monitor.fleet_view import make_state_table, name_missing_permits
 
     async def show_status(tutti: "Tutti") -> None:
-        states = await tutti.status()
+        states = await require_states(tutti)
         if as_json:
             print_json({name: state.to_plain() for name, state in states.items()})
         else:
@@ -53,7 +45,10 @@ def stop(connect: str, fleet: str | None, *, as_json: bool, abort: bool) -> None
     from orchestrator.client import Tutti
 
     async def stop_axes(tutti: Tutti) -> None:
-        _print_answers(await tutti.stop("abort" if abort else "decelerate"), "stopped", as_json=as_json)
+        answers = await tutti.stop("abort" if abort else "decelerate")
+        if not answers:
+            raise await tutti.find_absence()
+        _print_answers(answers, "stopped", as_json=as_json)
 
     with_fleet(connect, fleet, stop_axes)
 
@@ -69,21 +64,17 @@ def estop(connect: str, fleet: str | None, reason: str, *, as_json: bool) -> Non
     stop.
     """
     latched = run_main(_send_estop(connect, fleet, reason))
-    if as_json:
-        print_json(latched)
-    else:
+    remedy = "use the wired e-stop; then see `tutti status`"
+    if not as_json:
         for controller, done in latched.items():
             console.print(f"{controller}: {'latched' if done else '[bold red]NOT LATCHED[/]'}")
     if not latched:
-        exit_with_error(
-            f"no controller on {connect} confirms the e-stop",
-            UNREACHABLE,
-            "use the wired e-stop; then see `tutti status`",
-        )
+        exit_with_error(f"no controller on {connect} confirms the e-stop", UNREACHABLE, remedy, code="no-answer")
     if not all(latched.values()):
-        exit_with_error(
-            "not every controller confirms the e-stop", FAILED, "use the wired e-stop; then see `tutti status`"
-        )
+        text = "not every controller confirms the e-stop"
+        exit_with_error(text, FAILED, remedy, code="not-latched", latched=latched)
+    if as_json:
+        print_json(latched)
 
 
 async def _send_estop(connect: str, fleet: str | None, reason: str) -> dict[str, bool]:
@@ -124,17 +115,20 @@ def reset(event: str | None, connect: str, fleet: str | None, *, as_json: bool) 
     Without EVENT, the one that is latched; if there are several, they are listed and none is released. First every
     controller is checked for safety: if one refuses, none is released.
     """
+    from orchestrator.cli.base.names import require_states
     from orchestrator.cli.queue import load_queue, print_queue_stop
     from orchestrator.client import Tutti
 
     async def reset_estop(tutti: Tutti) -> None:
-        latched = {state.estop.event: state.estop for state in (await tutti.status()).values() if state.estop}
+        states = await require_states(tutti)
+        latched = {state.estop.event: state.estop for state in states.values() if state.estop}
         if event is not None and event not in latched:
-            exit_with_error(f"no e-stop {event} is latched; latched: {', '.join(latched) or 'none'}", FAILED)
+            text = f"no e-stop {event} is latched; latched: {', '.join(latched) or 'none'}"
+            exit_with_error(text, BAD_INPUT, code="unknown-name")
         if event is None and len(latched) > 1:
-            for name, latch in latched.items():
-                errors.print(f"{name}: by {latch.actor}: {latch.reason}", markup=False)
-            exit_with_error("several e-stops are latched", FAILED, "name one: `tutti reset EVENT`")
+            shown = "; ".join(f"{name} by {latch.actor}: {latch.reason}" for name, latch in latched.items())
+            text = f"several e-stops are latched: {shown}"
+            exit_with_error(text, BAD_INPUT, "name one: `tutti reset EVENT`", code="ambiguous")
         for name in latched if event is None else [event]:
             if not as_json:
                 console.print(f"releasing e-stop {name} by {latched[name].actor}", markup=False)

@@ -2,12 +2,13 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
-from orchestrator.cli.base.common import console, exit_with_error, fleet_options, with_fleet
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_result, with_fleet
+from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -25,31 +26,37 @@ def fleet() -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--live", is_flag=True, help="Also compare with the running adapters, and with their controllers.")
 @fleet_options
-def check(file: Path, connect: str, fleet: str | None, *, live: bool) -> None:
+@json_option
+def check(file: Path, connect: str, fleet: str | None, *, live: bool, as_json: bool) -> None:
     """Check FILE: its form, its references, and each controller's part by the rules of its make."""
     from orchestrator.client import Tutti
 
     loaded = load_or_fail(file)
-    console.print(f"{file}: {len(loaded.controllers)} controllers, {len(loaded.axis_names)} axes: no problem found")
+    value: dict[str, Any] = {"fleet": loaded.fleet, "controllers": list(loaded.controllers), "axes": loaded.axis_names}
+    words = f"{file}: {len(loaded.controllers)} controllers, {len(loaded.axis_names)} axes: no problem found"
     if not live:
+        print_result(value, words, as_json=as_json)
         return
 
     async def compare_adapters(tutti: Tutti) -> None:
+        live_words: dict[str, str] = {}
         wrong = 0
         states = await tutti.status()
         for name, config in loaded.controllers.items():
             state = states.get(name)
             if state is None:
-                said = "[red]no adapter runs for it[/]; is its host part of `tutti up`?"
+                said = "no adapter runs for it; is its host part of `tutti up`?"
             elif state.digest != config.digest:
-                said = f"[red]its adapter has another configuration[/] ({state.digest}, the file has {config.digest})"
+                said = f"its adapter has another configuration ({state.digest}, the file has {config.digest})"
             elif state.faults:
-                said = f"[red]{state.faults[0].text}[/]; {state.faults[0].remedy}"
+                said = f"{state.faults[0].text}; {state.faults[0].remedy}"
             else:
-                console.print(f"{name}: controller and adapter agree with the file")
+                live_words[name] = "controller and adapter agree with the file"
                 continue
             wrong += 1
-            console.print(f"{name}: {said}", soft_wrap=True)
+            live_words[name] = said
+        lines = [words, *(f"{name}: {said}" for name, said in live_words.items())]
+        print_result({**value, "live": live_words}, "\n".join(lines), as_json=as_json)
         if wrong:
             raise SystemExit(FAILED)
 
@@ -110,7 +117,8 @@ def _fleet_name_of(file: str) -> str:
 @fleet.command(epilog="Example: tutti fleet reload lab3.fleet.yaml")
 @click.argument("file", type=click.Path(path_type=Path))
 @fleet_options
-def reload(file: Path, connect: str, fleet: str | None) -> None:
+@json_option
+def reload(file: Path, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Load the fleet file FILE into the running fleet, without a restart.
 
     Only idle controllers that no job and no user has acquired accept another configuration; if one refuses, none
@@ -123,17 +131,15 @@ def reload(file: Path, connect: str, fleet: str | None) -> None:
 
     async def load_file(tutti: Tutti) -> None:
         changed = await tutti.reload_fleet(loaded)
-        for name in changed:
-            console.print(f"{name}: has the new configuration; home its axes again")
-        if not changed:
-            console.print("no controller changed")
+        lines = [f"{name}: has the new configuration; home its axes again" for name in changed]
+        print_result({"changed": changed}, "\n".join(lines) or "no controller changed", as_json=as_json)
 
     with_fleet(connect, fleet or loaded.fleet, load_file)
 
 
 def load_or_fail(file: Path) -> "Fleet":
     """Load the checked fleet file; an invalid one ends the command with its message."""
-    from orchestrator.cli.base.common import run_main
+    from orchestrator.cli.base.errors import run_main
     from orchestrator.runtime.checked import load_checked_fleet
 
     async def load_file() -> "Fleet":

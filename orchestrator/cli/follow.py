@@ -4,7 +4,8 @@ import time
 
 from rich.live import Live
 
-from orchestrator.cli.base.common import can_redraw, console, errors
+from orchestrator.cli.base.common import can_redraw, console
+from orchestrator.cli.base.errors import errors
 from orchestrator.client import Tutti
 from orchestrator.model.report import JobProgress, JobReport
 from orchestrator.monitor.fleet_view import LiveView, format_job_line

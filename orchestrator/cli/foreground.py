@@ -11,7 +11,7 @@ from collections.abc import Coroutine, Generator
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
-from orchestrator.cli.base.common import errors
+from orchestrator.cli.base.errors import errors
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -152,11 +152,10 @@ async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) ->
 
 async def _describe_positions(tutti: "Tutti", controllers: list[str]) -> str:
     """Where the axes of `controllers` are, in words, after a colon; empty if that is not known."""
-    shown: list[str] = []
-    for name, state in (await _find_states(tutti, controllers)).items():
-        if state.mode != "offline":
-            shown += [f"{name}.{axis} {now.position:.3f} {now.unit}" for axis, now in state.axes.items()]
-    return f": {', '.join(shown)}" if shown else ""
+    from orchestrator.cli.base.positions import describe_positions
+
+    shown = describe_positions(await _find_states(tutti, controllers))
+    return f": {shown}" if shown else ""
 
 
 async def _describe_motion(tutti: "Tutti", controllers: list[str]) -> str:

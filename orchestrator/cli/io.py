@@ -16,18 +16,16 @@ def io() -> None:
 @json_option
 def list_points(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """List all named inputs and outputs: active or not."""
-    from rich.table import Table
-
+    from orchestrator.cli.base.names import require_states
     from orchestrator.client import Tutti
+    from orchestrator.monitor.tables import make_plain_table
 
     async def show_points(tutti: Tutti) -> None:
-        states = await tutti.status()
+        states = await require_states(tutti)
         if as_json:
             print_json({name: {"inputs": s.inputs, "outputs": s.outputs} for name, s in states.items()})
             return
-        table = Table(box=None, header_style="bold")
-        for heading in ("name", "kind", "state"):
-            table.add_column(heading)
+        table = make_plain_table(["name", "kind", "state"])
         for name, state in states.items():
             for kind, points in (("input", state.inputs), ("output", state.outputs)):
                 for point, active in points.items():
@@ -42,7 +40,8 @@ def list_points(connect: str, fleet: str | None, *, as_json: bool) -> None:
 @click.argument("state", type=click.Choice(["on", "off"]))
 @wait_option
 @fleet_options
-def set_output(output: str, state: str, connect: str, fleet: str | None, *, wait: bool) -> None:
+@json_option
+def set_output(output: str, state: str, connect: str, fleet: str | None, *, wait: bool, as_json: bool) -> None:
     """Switch a named output: on is active, whatever its polarity."""
     step = {"do": "output", "output": output, "value": state == "on"}
-    run_single_step(connect, fleet, step, f"{output} is {state}", wait=wait)
+    run_single_step(connect, fleet, step, f"{output} is {state}", wait=wait, as_json=as_json)

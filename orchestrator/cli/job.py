@@ -6,19 +6,20 @@ from typing import TYPE_CHECKING, Unpack
 import click
 
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
-from orchestrator.cli.base.common import (
-    console,
-    errors,
-    exit_with_error,
-    fleet_options,
-    json_option,
-    print_json,
-    with_fleet,
-)
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
+from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.jobs import job_argument, name_jobs
 from orchestrator.cli.job_check import check
 from orchestrator.cli.job_history import list_jobs, prune
 from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
-from orchestrator.cli.job_terms import TermsOptions, make_entry_lines, make_terms, print_accepted, terms_options
+from orchestrator.cli.job_terms import (
+    TermsOptions,
+    make_entry_lines,
+    make_terms,
+    print_accepted,
+    resolve_after,
+    terms_options,
+)
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -76,7 +77,7 @@ def submit(
             await _show_dry_run(tutti, file, as_json=as_json)
             return
         loaded = load_job(file)
-        entry = await tutti.enqueue_job(loaded, key, wanted)
+        entry = await tutti.enqueue_job(loaded, key, await resolve_after(tutti, wanted))
         if not wait:
             print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else print_accepted(entry)
             return
@@ -103,21 +104,22 @@ for command in (check, list_jobs, prune, hold, release, reorder, pause, resume, 
 
 
 @job.command(epilog="Example: tutti job show 3f2a91c0")
-@click.argument("job_id")
+@job_argument
 @fleet_options
 @json_option
-def show(job_id: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Show a job: its steps and the history of its state."""
+def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Show JOB: its steps and the history of its state. JOB: the beginning of its id, its name, or `last`."""
     from orchestrator.client import Tutti
     from orchestrator.model.step_words import describe_step
 
     async def show_job(tutti: Tutti) -> None:
-        shown = await tutti.show_job(job_id)
+        shown = await tutti.show_job((await tutti.find_job(job)).id)
         if as_json:
             print_json(shown.to_plain())
             return
         assert shown.entry is not None
-        console.print(f"job {shown.entry.id} {shown.entry.name!r} of {shown.entry.actor}: {shown.entry.state}")
+        head = f"{name_jobs(shown.entry)} of {shown.entry.actor}: {shown.entry.state}"
+        console.print(head, highlight=False, markup=False)
         for line in make_entry_lines(shown.entry):
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown.report.steps} if shown.report else {}
@@ -135,45 +137,49 @@ def show(job_id: str, connect: str, fleet: str | None, *, as_json: bool) -> None
 
 
 @job.command(epilog="Example: tutti job cancel 3f2a91c0")
-@click.argument("job_id")
+@job_argument
 @fleet_options
-def cancel(job_id: str, connect: str, fleet: str | None) -> None:
-    """Cancel a job: a queued one never runs, a running one is stopped."""
+@json_option
+def cancel(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Cancel a JOB: a queued one never runs, a running one is stopped."""
     from orchestrator.client import Tutti
 
     async def cancel_job(tutti: Tutti) -> None:
-        await tutti.cancel_job(job_id)
-        console.print(f"job {job_id} is cancelled")
+        found = await tutti.find_job(job)
+        await tutti.cancel_job(found.id)
+        print_result({"job_id": found.id}, f"{name_jobs(found)} is cancelled", as_json=as_json)
 
     with_fleet(connect, fleet, cancel_job)
 
 
 @job.command(epilog="Example: tutti job report 3f2a91c0 --json")
-@click.argument("job_id")
+@job_argument
 @fleet_options
 @json_option
-def report(job_id: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Print the report of a finished job: budget, verdict, members, durations."""
+def report(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Print the report of a finished JOB: budget, verdict, members, durations."""
     from orchestrator.client import Tutti
     from orchestrator.monitor.report_table import make_report_tables
 
     async def show_report(tutti: Tutti) -> None:
-        found = (await tutti.show_job(job_id)).report
+        entry = await tutti.find_job(job)
+        found = (await tutti.show_job(entry.id)).report
         if found is None:
-            errors.print(f"[bold red]tutti:[/] job {job_id} has not ended; see `tutti job show {job_id}`")
-            raise SystemExit(FAILED)
+            remedy = f"see `tutti job show {entry.id}`"
+            exit_with_error(f"{name_jobs(entry)} has not ended", FAILED, remedy, code="not-ended")
         print_json(found.to_plain()) if as_json else console.print(make_report_tables(found))
 
     with_fleet(connect, fleet, show_report)
 
 
 @job.command(epilog="Example: tutti job plot 3f2a91c0 --out move.png")
-@click.argument("job_id")
+@job_argument
 @click.option("--step", type=click.IntRange(0), default=None, help="One motion step only.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Output file; default: JOB_ID-STEP.png.")
 @fleet_options
-def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: str | None) -> None:
-    """Plot planned against polled positions of a job's motion steps, a PNG each.
+@json_option
+def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Plot planned against polled positions of the motion steps of JOB, a PNG each.
 
     Recordings are kept for the newest jobs only. With --out and several steps, the step number is inserted before
     the suffix.
@@ -182,6 +188,7 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
     from orchestrator.monitor.job_plot import plot_step
 
     async def plot_job(tutti: Tutti) -> None:
+        job_id = (await tutti.find_job(job)).id
         shown = await tutti.show_job(job_id)
         assert shown.entry is not None
         wanted = (
@@ -189,7 +196,9 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
         )
         found = [each for index in wanted if (each := await tutti.load_recording(shown.entry.id, index)) is not None]
         if not found:
-            exit_with_error(f"job {job_id} has no recording" + ("" if step is None else f" step {step}"), FAILED)
+            text = f"{name_jobs(shown.entry)} has no recording" + ("" if step is None else f" of step {step}")
+            exit_with_error(text, FAILED, "recordings are kept for the newest jobs only")
+        files: dict[str, str] = {}
         for each in found:
             path = out or Path(f"{job_id}.png")
             if out is None or len(found) > 1:
@@ -199,7 +208,8 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
                 plot_step(each, title, path)
             except (OSError, ValueError) as error:
                 exit_with_error(f"{path} cannot be written: {error}", FAILED)
-            console.print(f"step {each.step}: {path}", highlight=False)
+            files[str(each.step)] = str(path)
+        print_result(files, "\n".join(f"step {number}: {path}" for number, path in files.items()), as_json=as_json)
 
     with_fleet(connect, fleet, plot_job)
 

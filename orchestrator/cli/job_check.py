@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT
-from orchestrator.cli.base.common import console, errors, json_option, print_json, run_main
+from orchestrator.cli.base.common import console, json_option, print_json
+from orchestrator.cli.base.errors import errors, run_main
 
 if TYPE_CHECKING:
     from collections.abc import Callable

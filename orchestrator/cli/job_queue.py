@@ -1,100 +1,113 @@
 """`tutti job hold`, `release`, `reorder`, `pause`, `resume`, `retry`: changes of jobs by users."""
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT
-from orchestrator.cli.base.common import console, exit_with_error, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
+from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.jobs import job_argument, jobs_argument, name_jobs
 from orchestrator.cli.job_terms import print_accepted
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
     from orchestrator.model.service import JobRetried
 
-_JOB = click.argument("job_id")
 _yes = click.option("--yes", is_flag=True, help="Do not ask for confirmation after showing the positions.")
 
 
 @click.command(epilog="Example: tutti job hold 3f2a91c0")
-@click.argument("job_ids", nargs=-1, required=True)
+@jobs_argument(required=True)
 @fleet_options
-def hold(job_ids: tuple[str, ...], connect: str, fleet: str | None) -> None:
-    """Hold queued jobs: they do not begin until they are released."""
+@json_option
+def hold(jobs: tuple[str, ...], connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Hold queued JOBS: they do not begin until they are released."""
 
     async def hold_jobs(tutti: "Tutti") -> None:
-        await tutti.hold_jobs(*job_ids)
-        console.print(f"held: {', '.join(job_ids)}", highlight=False)
+        found = [await tutti.find_job(each) for each in jobs]
+        await tutti.hold_jobs(*(each.id for each in found))
+        print_result({"held": [each.id for each in found]}, f"held: {name_jobs(*found)}", as_json=as_json)
 
     with_fleet(connect, fleet, hold_jobs)
 
 
 @click.command(epilog="Example: tutti job release 3f2a91c0")
-@click.argument("job_ids", nargs=-1)
+@jobs_argument(required=False)
 @click.option("--all", "everything", is_flag=True, help="All held jobs, as after a stop.")
 @fleet_options
-def release(job_ids: tuple[str, ...], connect: str, fleet: str | None, *, everything: bool) -> None:
-    """Release held jobs. A stop of the fleet holds all queued jobs."""
-    if everything == bool(job_ids):
+@json_option
+def release(jobs: tuple[str, ...], connect: str, fleet: str | None, *, everything: bool, as_json: bool) -> None:
+    """Release held JOBS. A stop of the fleet holds all queued jobs."""
+    if everything == bool(jobs):
         exit_with_error("name jobs, or give --all", BAD_INPUT)
 
     async def release_jobs(tutti: "Tutti") -> None:
-        await tutti.release_jobs(*job_ids)
-        console.print("released", highlight=False)
+        found = [await tutti.find_job(each) for each in jobs]
+        await tutti.release_jobs(*(each.id for each in found))
+        value: dict[str, Any] = {"released": [each.id for each in found], "all": everything}
+        print_result(value, f"released: {name_jobs(*found) or 'all held jobs'}", as_json=as_json)
 
     with_fleet(connect, fleet, release_jobs)
 
 
 @click.command(epilog="Example: tutti job reorder 3f2a91c0 --before 77d0aa12")
-@_JOB
+@job_argument
 @click.option("--before", required=True, metavar="JOB", help="The job whose place and priority it gets.")
 @fleet_options
-def reorder(job_id: str, before: str, connect: str, fleet: str | None) -> None:
-    """Move a queued job before another one."""
+@json_option
+def reorder(job: str, before: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Move a queued JOB before another one."""
 
     async def reorder_job(tutti: "Tutti") -> None:
-        await tutti.reorder_job(job_id, before)
-        console.print(f"job {job_id} comes before job {before}", highlight=False)
+        moved, other = await tutti.find_job(job), await tutti.find_job(before)
+        await tutti.reorder_job(moved.id, other.id)
+        words = f"{name_jobs(moved)} comes before {name_jobs(other)}"
+        print_result({"job_id": moved.id, "before": other.id}, words, as_json=as_json)
 
     with_fleet(connect, fleet, reorder_job)
 
 
 @click.command(epilog="Example: tutti job pause 3f2a91c0 --now")
-@_JOB
+@job_argument
 @click.option("--now", is_flag=True, help="Brake inside a motion step; resuming continues from there.")
 @fleet_options
-def pause(job_id: str, connect: str, fleet: str | None, *, now: bool) -> None:
-    """Pause a running job after its current step (--now: immediately). It keeps its axes; `tutti job resume`
+@json_option
+def pause(job: str, connect: str, fleet: str | None, *, now: bool, as_json: bool) -> None:
+    """Pause a running JOB after its current step (--now: immediately). It keeps its axes; `tutti job resume`
     continues it.
 
     With --now all axes of a move brake together, by their planned ramps; other steps are still completed.
     """
 
     async def pause_job(tutti: "Tutti") -> None:
-        await tutti.pause_job(job_id, now=now)
+        found = await tutti.find_job(job)
+        await tutti.pause_job(found.id, now=now)
         how = "brakes and pauses" if now else "pauses at the end of its step"
-        console.print(f"job {job_id} {how}; `tutti job resume {job_id}` continues it", highlight=False)
+        words = f"{name_jobs(found)} {how}; `tutti job resume {found.id}` continues it"
+        print_result({"job_id": found.id}, words, as_json=as_json)
 
     with_fleet(connect, fleet, pause_job)
 
 
 @click.command(epilog="Example: tutti job resume 3f2a91c0")
-@_JOB
+@job_argument
 @fleet_options
 @json_option
-def resume(job_id: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Continue a paused job."""
+def resume(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Continue a paused JOB."""
 
     async def resume_job(tutti: "Tutti") -> None:
-        await tutti.resume_job(job_id)
-        print_json({"job_id": job_id}) if as_json else console.print(f"job {job_id} continues", highlight=False)
+        found = await tutti.find_job(job)
+        await tutti.resume_job(found.id)
+        print_result({"job_id": found.id}, f"{name_jobs(found)} continues", as_json=as_json)
 
     with_fleet(connect, fleet, resume_job)
 
 
 @click.command(epilog="Example: tutti job retry 3f2a91c0 --from-step 4")
-@_JOB
+@job_argument
 @click.option(
     "--from-step",
     type=click.IntRange(0),
@@ -105,8 +118,8 @@ def resume(job_id: str, connect: str, fleet: str | None, *, as_json: bool) -> No
 @_yes
 @fleet_options
 @json_option
-def retry(job_id: str, from_step: int, connect: str, fleet: str | None, *, yes: bool, as_json: bool) -> None:
-    """Re-run a finished job, from a step on, as a new job.
+def retry(job: str, from_step: int, connect: str, fleet: str | None, *, yes: bool, as_json: bool) -> None:
+    """Re-run a finished JOB, from a step on, as a new job.
 
     First shows the current positions of its axes, and the remaining steps.
     """
@@ -116,6 +129,7 @@ def retry(job_id: str, from_step: int, connect: str, fleet: str | None, *, yes: 
         )
 
     async def retry_job(tutti: "Tutti") -> None:
+        job_id = (await tutti.find_job(job)).id
         if not as_json:
             _show_retry(await tutti.retry_job(job_id, from_step, dry_run=True))
         if not yes and not click.confirm("run these steps from here?"):

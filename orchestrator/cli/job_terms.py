@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from orchestrator.cli.base.common import console
+from orchestrator.cli.base.jobs import JobReferenceType, name_jobs
 
 if TYPE_CHECKING:
+    from orchestrator.client import Tutti
     from orchestrator.model.queue import QueueTerms
     from orchestrator.model.report import QueueEntry
 
@@ -34,9 +36,12 @@ class TermsOptions(TypedDict):
 
 
 class DurationType(click.ParamType[float]):
-    """A duration such as `90d`, `2h`, `1.5min`: seconds."""
+    """A duration such as `90d`, `2h`, `1.5min`: seconds. at_most: the longest one that is allowed, in its own words."""
 
     name = "duration"
+
+    def __init__(self, at_most: str = "36600d") -> None:
+        self._at_most = at_most
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if isinstance(value, float):
@@ -44,7 +49,15 @@ class DurationType(click.ParamType[float]):
         found = _DURATION.match(str(value))
         if not found:
             self.fail(f"{value!r}: write a number and s, min, h, d or w, e.g. 90d", param, ctx)
-        return float(found[1]) * _SECONDS[found[2]]
+        seconds, most = _to_seconds(found), _DURATION.match(self._at_most)
+        assert most is not None
+        if seconds > _to_seconds(most):
+            self.fail(f"{value} is too long: at most {self._at_most}", param, ctx)
+        return seconds
+
+
+def _to_seconds(found: re.Match[str]) -> float:
+    return float(found[1]) * _SECONDS[found[2]]
 
 
 class InstantType(click.ParamType[datetime]):
@@ -83,7 +96,13 @@ def terms_options(command: F) -> F:
             "--priority", default=0, show_default=True, type=click.IntRange(-100, 100), help="Higher ones come first."
         ),
         click.option("--repeat", default=1, show_default=True, type=click.IntRange(1, 10_000), help="Number of runs."),
-        click.option("--after", default=None, metavar="JOB", help="Begin when JOB is done; never if it fails."),
+        click.option(
+            "--after",
+            default=None,
+            metavar="JOB",
+            type=JobReferenceType(),
+            help="Begin when JOB is done; never if it fails.",
+        ),
         click.option("--at", default=None, type=InstantType(), help="Not before this time: RFC 3339, or local time."),
         click.option(
             "--missed",
@@ -113,9 +132,16 @@ def make_terms(options: TermsOptions) -> "QueueTerms":
     return QueueTerms.model_validate({**options, **times})
 
 
+async def resolve_after(tutti: "Tutti", terms: "QueueTerms") -> "QueueTerms":
+    """The terms with the id of the job that `--after` means."""
+    if terms.after is None:
+        return terms
+    return terms.model_copy(update={"after": (await tutti.find_job(terms.after)).id})
+
+
 def print_accepted(entry: "QueueEntry") -> None:
     """Print that a job is queued, and when it begins if it has a time."""
-    console.print(f"job {entry.id} is accepted", highlight=False)
+    console.print(f"{name_jobs(entry)} is accepted", highlight=False, markup=False)
     for line in make_entry_lines(entry):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
 

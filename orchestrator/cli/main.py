@@ -1,11 +1,11 @@
 """The root command: subcommands are imported when they are used, so that `tutti --help` is quick."""
 
+import sys
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
 import click
-
-from orchestrator.cli.base.codes import INTERRUPTED
 
 # command: (module, one line of help); grouped as the help shows them.
 _COMMANDS: dict[str, tuple[str, str]] = {
@@ -32,8 +32,10 @@ _COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 EPILOG = """\b
-Exit codes: 0 done; 1 it was refused or failed; 2 bad input (arguments, files);
-3 the bus, the fleet or the coordinator cannot be reached; 130 interrupted.
+Exit codes: 0 done; 1 refused or failed by a running fleet; 2 bad input:
+arguments, files, a name that the fleet does not have; 3 nothing answers: bus,
+fleet, coordinator, controller; 130 interrupted. With --json an error is one
+object on standard output: {"code", "text", "remedy"}.
 
 \b
 Example:
@@ -54,12 +56,33 @@ class _LazyGroup(click.Group):
         command: click.Command = getattr(import_module(f"orchestrator.cli.{_COMMANDS[cmd_name][0]}"), cmd_name)
         return command
 
-    def invoke(self, ctx: click.Context) -> Any:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            # An interrupt while modules are still being imported; click alone would make it 1.
-            raise SystemExit(INTERRUPTED) from None
+            return super().resolve_command(ctx, args)
+        except click.exceptions.NoSuchCommand as error:
+            if error.ctx is not ctx:
+                raise
+            raise click.exceptions.NoSuchCommand(error.command_name, possibilities=_COMMANDS, ctx=ctx) from None
+
+    def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
+        """Run the command and exit by the rule for exit codes; every error has its message."""
+        words = list(sys.argv[1:] if args is None else args)
+        from orchestrator.cli.base import errors
+
+        errors.note_arguments(words)
+        try:
+            sys.exit(super().main(words, *rest, **{**options, "standalone_mode": False}))
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(error.exit_code)
+        except click.ClickException as error:
+            errors.exit_with_usage_error(error)
+        except (click.Abort, KeyboardInterrupt):
+            errors.exit_interrupted()
+        except Exception as error:
+            errors.exit_with_any_error(error)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

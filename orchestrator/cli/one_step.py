@@ -4,12 +4,19 @@ They end with the command: see `orchestrator.cli.foreground`.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
-from orchestrator.cli.base.common import console, exit_with_error, with_fleet
+from orchestrator.cli.base.common import console, print_result, with_fleet
+from orchestrator.cli.base.errors import exit_with_error
+
+if TYPE_CHECKING:
+    from orchestrator.client import Tutti
+    from orchestrator.model.job import Step
+    from orchestrator.model.report import JobReport
+    from orchestrator.model.service import FleetNames
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -21,26 +28,76 @@ def wait_option(command: F) -> F:
     )(command)
 
 
-def run_single_step(connect: str, fleet: str | None, step: dict[str, Any], done: str, *, wait: bool = False) -> None:
-    """Submit a job of one step, wait for it, and print `done` or its reason. Exit 1 if it is not done.
+def run_single_step(
+    connect: str, fleet: str | None, step: dict[str, Any], done: str, *, wait: bool, as_json: bool
+) -> None:
+    """Submit a job of one step, wait for it, and print `done` with its axes and their positions, or its reason. Exit 1
+    if it is not done, 2 if the fleet does not have its names.
 
     wait: let it wait for axes that are in use. An interrupt stops what the step moves.
     """
     from pydantic import ValidationError
 
     from orchestrator.cli.foreground import run_attended
-    from orchestrator.client import Tutti
     from orchestrator.model.job import Job
 
     try:
         job = Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {step['do']}", "steps": [step]})
     except ValidationError as error:
-        exit_with_error(str(error.errors()[0]["msg"]), BAD_INPUT)
+        exit_with_error(str(error.errors()[0]["msg"]).removeprefix("Value error, "), BAD_INPUT)
 
-    async def submit_step(tutti: Tutti) -> None:
-        report = await run_attended(tutti, job, wait=wait, quiet=not console.is_terminal)
+    async def submit_step(tutti: "Tutti") -> None:
+        axes = _check_names(await tutti.list_names(), job.steps[0])
+        report = await run_attended(tutti, job, wait=wait, quiet=as_json or not console.is_terminal)
         if report.state != "done":
-            exit_with_error(report.steps[-1].reason if report.steps else report.reason or report.state, FAILED)
-        console.print(done)
+            _exit_with_failure(report)
+        await _print_outcome(tutti, report, axes, done, as_json=as_json)
 
     with_fleet(connect, fleet, submit_step)
+
+
+def _check_names(names: "FleetNames", step: "Step") -> list[str]:
+    """Check names and quantities of a step; return its axes. Raises `Refusal`, which speaks of no job file."""
+    from orchestrator.cli.base.names import require_axes, unknown_name
+    from orchestrator.model.errors import Refusal
+    from orchestrator.model.job import Move, SetOutput, SetPosition, named_axes
+    from orchestrator.model.units import UnitError, parse_quantity
+
+    if isinstance(step, SetOutput):
+        if step.output not in names.outputs:
+            raise unknown_name("output", step.output, names.outputs)
+        return []
+    if not isinstance(step, Move | SetPosition):
+        return require_axes(names, named_axes(step) or names.controllers)
+    values = step.to | step.by if isinstance(step, Move) else step.axes
+    for name in require_axes(names, values, groups=False):
+        value = values[name]
+        try:
+            if value is not None:
+                parse_quantity(value, names.axes[name])
+        except UnitError as error:
+            raise Refusal("bad-unit", f"{name}: {error}") from None
+    return list(values)
+
+
+def _exit_with_failure(report: "JobReport") -> None:
+    last = report.steps[-1] if report.steps else None
+    refused = None if last is None else last.refused
+    exit_with_error(
+        (last.reason if last is not None else "") or report.reason or report.state,
+        FAILED,
+        "" if refused is None else refused.remedy,
+        code=report.state if refused is None else refused.code,
+        job_id=report.job_id,
+    )
+
+
+async def _print_outcome(tutti: "Tutti", report: "JobReport", axes: list[str], done: str, *, as_json: bool) -> None:
+    """Print what has been done, with the names of the axes and where they are now."""
+    from orchestrator.cli.base.positions import describe_positions, list_positions
+
+    states = await tutti.status() if axes else {}
+    where = describe_positions(states, axes)
+    words = f"{done}: {where}" if done and where else done or where
+    value = {"job_id": report.job_id, "state": report.state, "axes": list_positions(states, axes)}
+    print_result(value, words, as_json=as_json)

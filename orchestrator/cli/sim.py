@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
-from orchestrator.cli.base.common import console, exit_with_error, json_option, print_json
+from orchestrator.cli.base.common import console, json_option, print_json
+from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.sim_campaign import campaign
 from orchestrator.cli.sim_world import limit, power, push, set_analog, set_input, stall
 

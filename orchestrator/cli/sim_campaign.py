@@ -30,7 +30,11 @@ def campaign(seeds: int, first: int, seed: int | None, processes: int, *, trace:
 
     if seed is not None:
         story = run_seed(seed)
-        _print_plain("\n".join([*(story.lines if trace else []), story.summarize()]))
+        if as_json:
+            lines = {"log": story.lines} if trace else {}
+            print_json({"seed": seed, "violations": [str(each) for each in story.violations], **lines})
+        else:
+            _print_plain("\n".join([*(story.lines if trace else []), story.summarize()]))
         raise SystemExit(FAILED if story.violations else 0)
 
     def print_run(story: "SeedRun") -> None:

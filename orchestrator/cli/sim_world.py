@@ -2,13 +2,16 @@
 
 import json
 import os
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from orchestrator.cli.base.codes import BAD_INPUT, UNREACHABLE
-from orchestrator.cli.base.common import console, exit_with_error
+from orchestrator.cli.base.codes import UNREACHABLE
+from orchestrator.cli.base.common import check_fleet_option, json_option, print_result
+from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.names import unknown_name
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Axis, Controller, Fleet
@@ -18,7 +21,14 @@ MOST_VOLTS = 1000
 _state = click.option(
     "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
 )
-_fleet = click.option("--fleet", envvar="TUTTI_FLEET", default=None, help="The fleet, if several are simulated.")
+_fleet = click.option(
+    "--fleet",
+    envvar="TUTTI_FLEET",
+    default=None,
+    callback=check_fleet_option,
+    help="The fleet, if several are simulated.",
+)
+_PRESSED = {"none": "no limit switch is", "both": "both limit switches are"}
 
 
 @click.command("input", epilog="Example: tutti sim input gantry.door active")
@@ -26,12 +36,14 @@ _fleet = click.option("--fleet", envvar="TUTTI_FLEET", default=None, help="The f
 @click.argument("to", type=click.Choice(["active", "inactive"]))
 @_fleet
 @_state
-def set_input(name: str, to: str, fleet: str | None, state: Path | None) -> None:
+@json_option
+def set_input(name: str, to: str, fleet: str | None, state: Path | None, *, as_json: bool) -> None:
     """Make a named input of a simulated controller active or inactive, whatever its polarity."""
     folder, controllers = _find_simulation(fleet, state)
     controller, point = _split_name(name, {c: each.inputs for c, each in controllers.items()}, "input")
     wired = controllers[controller].inputs[point]
-    _write_change(folder, controller, {"input": [wired.number, (to == "active") == (wired.active == "high")]})
+    change = {"input": [wired.number, (to == "active") == (wired.active == "high")]}
+    _write_change(folder, controller, change, f"{name} is {to}", as_json=as_json)
 
 
 @click.command("analog", epilog="Example: tutti sim analog gantry 1 2.5")
@@ -40,13 +52,18 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None) -> None
 @click.argument("volts", type=float)
 @_fleet
 @_state
-def set_analog(controller: str, number: int, volts: float, fleet: str | None, state: Path | None) -> None:
+@json_option
+def set_analog(
+    controller: str, number: int, volts: float, fleet: str | None, state: Path | None, *, as_json: bool
+) -> None:
     """Set the voltage at an analogue input of a simulated controller, by its number there."""
     if not abs(volts) <= MOST_VOLTS:  # also not a number
         exit_with_error(f"{volts:g} V is not from -{MOST_VOLTS} to {MOST_VOLTS} V", BAD_INPUT)
     folder, controllers = _find_simulation(fleet, state)
-    _require_controller(controller, controllers)
-    _write_change(folder, controller, {"analog": [number, volts]})
+    if controller not in controllers:
+        raise unknown_name("controller", controller, controllers)
+    change = f"analogue input {number} of {controller} is at {volts:g} V"
+    _write_change(folder, controller, {"analog": [number, volts]}, change, as_json=as_json)
 
 
 @click.command(epilog="Example: tutti sim limit gantry.x forward")
@@ -54,10 +71,12 @@ def set_analog(controller: str, number: int, volts: float, fleet: str | None, st
 @click.argument("which", type=click.Choice(["forward", "reverse", "both", "none"]))
 @_fleet
 @_state
-def limit(name: str, which: str, fleet: str | None, state: Path | None) -> None:
+@json_option
+def limit(name: str, which: str, fleet: str | None, state: Path | None, *, as_json: bool) -> None:
     """Press the limit switches of a simulated axis, or release them (`none`)."""
     folder, controller, axis = _find_axis(name, fleet, state)
-    _write_change(folder, controller, {"limit": [axis.motors[0], which]})
+    words = f"{name}: {_PRESSED.get(which, f'the {which} limit switch is')} pressed"
+    _write_change(folder, controller, {"limit": [axis.motors[0], which]}, words, as_json=as_json)
 
 
 @click.command(epilog="Example: tutti sim power stage off")
@@ -65,11 +84,13 @@ def limit(name: str, which: str, fleet: str | None, state: Path | None) -> None:
 @click.argument("to", type=click.Choice(["on", "off"]))
 @_fleet
 @_state
-def power(controller: str, to: str, fleet: str | None, state: Path | None) -> None:
+@json_option
+def power(controller: str, to: str, fleet: str | None, state: Path | None, *, as_json: bool) -> None:
     """Switch a simulated controller off or on."""
     folder, controllers = _find_simulation(fleet, state)
-    _require_controller(controller, controllers)
-    _write_change(folder, controller, {"power": to == "on"})
+    if controller not in controllers:
+        raise unknown_name("controller", controller, controllers)
+    _write_change(folder, controller, {"power": to == "on"}, f"{controller} is switched {to}", as_json=as_json)
 
 
 @click.command(epilog="Example: tutti sim push gantry.x 2.5")
@@ -77,10 +98,14 @@ def power(controller: str, to: str, fleet: str | None, state: Path | None) -> No
 @click.argument("distance", type=float)
 @_fleet
 @_state
-def push(name: str, distance: float, fleet: str | None, state: Path | None) -> None:
+@json_option
+def push(name: str, distance: float, fleet: str | None, state: Path | None, *, as_json: bool) -> None:
     """Push a simulated axis with a disabled motor by DISTANCE in its unit."""
     folder, controller, axis = _find_axis(name, fleet, state)
-    _write_change(folder, controller, {"push": [axis.motors[0], round(distance * axis.counts_per_unit)]})
+    if not isfinite(distance):
+        raise click.BadParameter(f"{distance} is not a distance", param_hint="DISTANCE")
+    change = {"push": [axis.motors[0], round(distance * axis.counts_per_unit)]}
+    _write_change(folder, controller, change, f"{name} is pushed by {distance:g} {axis.unit}", as_json=as_json)
 
 
 @click.command(epilog="Example: tutti sim stall gantry.x on")
@@ -88,10 +113,12 @@ def push(name: str, distance: float, fleet: str | None, state: Path | None) -> N
 @click.argument("to", type=click.Choice(["on", "off"]))
 @_fleet
 @_state
-def stall(name: str, to: str, fleet: str | None, state: Path | None) -> None:
+@json_option
+def stall(name: str, to: str, fleet: str | None, state: Path | None, *, as_json: bool) -> None:
     """Stall a simulated axis, so that it does not follow its command (`on`); or free it (`off`)."""
     folder, controller, axis = _find_axis(name, fleet, state)
-    _write_change(folder, controller, {"stall": [axis.motors[0], to == "on"]})
+    words = f"{name} {'does not follow its command' if to == 'on' else 'is free'}"
+    _write_change(folder, controller, {"stall": [axis.motors[0], to == "on"]}, words, as_json=as_json)
 
 
 def _find_simulation(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
@@ -122,21 +149,18 @@ def _find_axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path,
     return folder, controller, controllers[controller].axes[axis]
 
 
-def _require_controller(name: str, controllers: "dict[str, Controller]") -> None:
-    if name not in controllers:
-        exit_with_error(f"the fleet has no controller {name}; it has: {', '.join(controllers)}", BAD_INPUT)
+
 
 
 def _split_name(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
     controller, _, rest = name.partition(".")
     if controller not in known or rest not in known[controller]:
-        all_names = [f"{c}.{each}" for c, names in known.items() for each in names]
-        exit_with_error(f"the fleet has no {what} {name}; known: {', '.join(all_names) or 'none'}", BAD_INPUT)
+        raise unknown_name(what, name, [f"{c}.{each}" for c, names in known.items() for each in names])
     return controller, rest
 
 
-def _write_change(state: Path, controller: str, change: dict[str, Any]) -> None:
-    """Write one line to the simulator's pipe."""
+def _write_change(state: Path, controller: str, change: dict[str, Any], words: str, *, as_json: bool) -> None:
+    """Write one line to the simulator's pipe, and print what is so now, in `words`."""
     from orchestrator.runtime.live import simulation_pipe
 
     path = simulation_pipe(state, controller)
@@ -146,4 +170,4 @@ def _write_change(state: Path, controller: str, change: dict[str, Any]) -> None:
         exit_with_error(f"no simulator listens at {path}", UNREACHABLE, "start the fleet: `tutti up FILE --sim`")
     with os.fdopen(pipe, "wb") as line:
         line.write(json.dumps(change).encode() + b"\n")
-    console.print(f"{controller}: {json.dumps(change)}", highlight=False, markup=False)
+    print_result({controller: change}, words, as_json=as_json)

@@ -1,11 +1,9 @@
 """`tutti wiring …`: the trigger wires between controllers."""
 
-import json
-
 import click
 
 from orchestrator.cli.base.codes import FAILED
-from orchestrator.cli.base.common import console, fleet_options, with_fleet
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 
 
 @click.group(epilog="Example: tutti wiring check")
@@ -14,8 +12,8 @@ def wiring() -> None:
 
 
 @wiring.command(epilog="Example: tutti wiring check")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
 @fleet_options
+@json_option
 def check(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Check every wire of the fleet file: switch its output, and read all inputs.
 
@@ -27,7 +25,7 @@ def check(connect: str, fleet: str | None, *, as_json: bool) -> None:
     async def check_wires(tutti: Tutti) -> None:
         found = await tutti.check_wiring()
         if as_json:
-            console.print_json(json.dumps([each.to_plain() for each in found]))
+            print_json([each.to_plain() for each in found])
         else:
             table = make_plain_table(["output", "input", "", "found"])
             for each in found:

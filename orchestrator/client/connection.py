@@ -102,9 +102,19 @@ class FleetConnection:
     async def request_service(self, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S) -> M:
         """Send a request to the leader and return its reply. Raises `Refusal`."""
         absent = Refusal(
-            "no-coordinator", f"fleet {self.keys.fleet} has no active coordinator", "start one: `tutti up FLEET`"
+            "no-coordinator", f"fleet {self.keys.fleet} has no active coordinator", "start one: `tutti up FILE`"
         )
         return await self._request(self.keys.service(verb), request, reply, timeout_s, absent)
+
+    async def find_absence(self) -> Refusal:
+        """The refusal, code `no-fleet`, for a fleet of which no controller answers; names the fleets that do."""
+        fleets = await find_fleets(self.bus)
+        if self.keys.fleet in fleets:
+            text = f"no controller of fleet {self.keys.fleet} answers"
+            return Refusal("no-fleet", text, "are its adapter hosts running? see `tutti up`")
+        there = f"there are: {', '.join(fleets)}" if fleets else "no fleet is on this bus"
+        remedy = "choose one with --fleet" if fleets else "start it: `tutti up FILE`"
+        return Refusal("no-fleet", f"no fleet {self.keys.fleet}; {there}", remedy)
 
     async def request_controller(
         self, controller: str, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S
@@ -142,7 +152,7 @@ async def find_only_fleet(bus: Bus) -> str:
     if len(fleets) == 1:
         return fleets[0]
     if not fleets:
-        raise Refusal("no-fleet", "no fleet is on this bus", "start one: `tutti up FLEET`")
+        raise Refusal("no-fleet", "no fleet is on this bus", "start one: `tutti up FILE`")
     text = f"several fleets are on this bus: {', '.join(fleets)}"
     raise Refusal("which-fleet", text, "choose one with --fleet")
 

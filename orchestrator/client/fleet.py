@@ -8,8 +8,9 @@ from orchestrator.client.connection import ANSWER_S, FleetConnection, absence_re
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Reply, Request, ResetRequest, StopRequest, TraceReply
-from orchestrator.model.service import FleetReloaded, ReloadFleet, StopFleet, WireFinding, WiringChecked
+from orchestrator.model.service import FleetNames, FleetReloaded, ReloadFleet, StopFleet, WireFinding, WiringChecked
 from orchestrator.model.state import ControllerInfo, ControllerState
+from orchestrator.model.units import Unit
 
 STOP_STATUS_S = 0.3  # for finding the controllers to stop: an adapter that takes longer to answer hangs
 RELOAD_S = 60.0
@@ -95,6 +96,24 @@ class FleetRequests(FleetConnection):
         """Check each wire of the fleet file; nothing moves. Raises `Refusal` while wired axes are in use."""
         request = Request(**self.request_fields())
         return (await self.request_service("check-wiring", request, WiringChecked, WIRING_S)).wires
+
+    async def list_names(self, timeout_s: float = ANSWER_S) -> FleetNames:
+        """The names of the fleet: of its coordinator, or else of the adapters that answer. Raises `Refusal`, code
+        `no-fleet`, if nothing answers."""
+        try:
+            return await self.request_service("names", Request(**self.request_fields()), FleetNames, timeout_s)
+        except Refusal:
+            states = await self.status(timeout_s)
+        if not states:
+            raise await self.find_absence()
+        return FleetNames(
+            controllers=list(states),
+            axes={
+                f"{name}.{axis}": Unit(now.unit) for name, state in states.items() for axis, now in state.axes.items()
+            },
+            inputs=[f"{name}.{point}" for name, state in states.items() for point in state.inputs],
+            outputs=[f"{name}.{point}" for name, state in states.items() for point in state.outputs],
+        )
 
     async def controller_info(self, controller: str) -> ControllerInfo:
         """Identity, capabilities and configuration of a controller, as its adapter has it. Raises `Refusal`."""

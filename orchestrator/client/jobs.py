@@ -26,9 +26,11 @@ from orchestrator.model.report import (
 from orchestrator.model.service import (
     DryRun,
     DryRunDone,
+    FindJob,
     JobReference,
     JobReferences,
     JobRetried,
+    JobsFound,
     JobShown,
     JobsPruned,
     JobSubmitted,
@@ -71,6 +73,21 @@ class JobRequests(FleetConnection):
     async def stop_queue(self) -> None:
         """Let no further job begin; running jobs continue. Raises `Refusal`."""
         await self.request_service("stop-queue", Request(**self.request_fields()), Reply)
+
+    async def find_job(self, reference: str) -> QueueEntry:
+        """The job that a user means: by the beginning of its id, its name, or `last`, the newest of this actor.
+
+        Raises `Refusal`: codes `unknown-job`, and `ambiguous`, which names the jobs that fit.
+        """
+        request = FindJob(**self.request_fields(), reference=reference)
+        found = (await self.request_service("find", request, JobsFound)).jobs
+        if len(found) == 1:
+            return found[0]
+        if found:
+            fitting = ", ".join(f"{each.id} {each.name!r}" for each in found)
+            raise Refusal("ambiguous", f"several jobs fit {reference!r}: {fitting}", "write more of the id")
+        text = f"no job of {self.actor}" if reference == "last" else f"no job {reference}"
+        raise Refusal("unknown-job", text, "see `tutti job ls`")
 
     def job(self, job_id: str) -> "SubmittedJob":
         """A job by its id, to follow it."""

@@ -27,10 +27,13 @@ from orchestrator.model.service import (
     AxesAcquired,
     DryRun,
     DryRunDone,
+    FindJob,
+    FleetNames,
     FleetReloaded,
     JobReference,
     JobReferences,
     JobRetried,
+    JobsFound,
     JobShown,
     JobsPruned,
     JobSubmitted,
@@ -81,6 +84,7 @@ class UserRequests:
             "submit": Verb(SubmitJob, JobSubmitted, intake.submit_job),
             "dry-run": Verb(DryRun, DryRunDone, JobRehearsal(services).dry_run, cached=False),
             "list": Verb(ListJobs, QueueState, self._list_jobs, cached=False),
+            "find": Verb(FindJob, JobsFound, self._find_job, cached=False),
             "show": Verb(JobReference, JobShown, self._show_job, cached=False),
             "recording": Verb(RecordingReference, RecordingReply, self._load_recording, cached=False),
             "cancel": Verb(JobReference, Reply, self._cancel_job),
@@ -98,6 +102,7 @@ class UserRequests:
             "release-axes": Verb(ReleaseAxes, Reply, self._release_axes),
             "reload": Verb(ReloadFleet, FleetReloaded, self._reload_fleet),
             "check-wiring": Verb(Request, WiringChecked, self._check_wiring),
+            "names": Verb(Request, FleetNames, self._list_names, cached=False),
         }
 
     async def answer(self, sample: BusSample) -> bytes:
@@ -137,6 +142,14 @@ class UserRequests:
         values = (request.limit, request.state, request.name, request.since or "")
         records, total = await services.execute(services.journal.find_jobs, *values)
         return self._scheduler.make_queue_state(total, records)
+
+    async def _find_job(self, request: FindJob) -> JobsFound:
+        services = self._services
+        if request.reference == "last":
+            records = await services.execute(services.journal.find_last_job, request.actor)
+        else:
+            records = await services.execute(services.journal.find_referenced_jobs, request.reference)
+        return JobsFound(jobs=[self._scheduler.make_entry(record) for record in records])
 
     async def _show_job(self, request: JobReference) -> JobShown:
         journal, execute = self._services.journal, self._services.execute
@@ -211,6 +224,16 @@ class UserRequests:
         self._scheduler.forget_needs()
         self._services.log.info(f"reloaded by {request.actor}: {', '.join(changed) or 'no controller has changed'}")
         return FleetReloaded(changed=changed)
+
+    async def _list_names(self, _: Request) -> FleetNames:
+        fleet = self._services.view.fleet
+        return FleetNames(
+            controllers=list(fleet.controllers),
+            axes={name: fleet.axis(name).unit for name in fleet.axis_names},
+            groups=fleet.groups,
+            inputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.inputs],
+            outputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.outputs],
+        )
 
     async def _check_wiring(self, request: Request) -> WiringChecked:
         return WiringChecked(wires=await self._wiring.check_wires(request.actor))

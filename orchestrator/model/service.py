@@ -8,8 +8,10 @@ from orchestrator.model.base import Model
 from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
+from orchestrator.model.names import controller_of
 from orchestrator.model.queue import MAX_STEPS, QueueTerms, Utc
 from orchestrator.model.report import JobReport, JobState, JobTransition, QueueEntry, StepRecording
+from orchestrator.model.units import Unit
 
 MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one
 MANUAL_HOLDER_PATTERN = r"^manual-[a-z0-9-]{1,60}$"
@@ -78,6 +80,35 @@ class JobRetried(JobSubmitted):
     steps: list[str] = Field(default=[], description="The remaining steps, in words.")
     axes: list[AxisPosition] = Field(default=[])
     warnings: list[str] = Field(default=[])
+
+
+class FleetNames(Reply):
+    """The names of a fleet, in the order of its file. axes: their units; groups: their axes. Inputs and outputs are
+    `controller.name`."""
+
+    controllers: list[str] = Field(default=[])
+    axes: dict[str, Unit] = Field(default={})
+    groups: dict[str, list[str]] = Field(default={})
+    inputs: list[str] = Field(default=[])
+    outputs: list[str] = Field(default=[])
+
+    def expand_name(self, name: str) -> list[str]:
+        """The axes that a group, a controller or an axis stands for; none for an unknown name."""
+        if name in self.groups:
+            return self.groups[name]
+        return [axis for axis in self.axes if name in (axis, controller_of(axis))]
+
+
+class FindJob(Request):
+    """Find a job. reference: the beginning of its id, its whole name, or `last`: the newest job of the actor."""
+
+    reference: str = Field(min_length=1, max_length=120)
+
+
+class JobsFound(Reply):
+    """The jobs that fit, newest first, at most a few: of several the client has to choose."""
+
+    jobs: list[QueueEntry] = Field(default=[])
 
 
 class JobReference(Request):

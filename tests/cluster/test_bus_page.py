@@ -59,6 +59,7 @@ EXAMPLES: dict[str, Any] = {
     "renew": False,
     "reserve": False,
     "seq": 1,
+    "reference": "last",
     "since": "2026-01-01T00:00:00Z",
     "state": None,
     "step": 0,

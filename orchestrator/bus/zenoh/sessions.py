@@ -11,6 +11,7 @@ from types import TracebackType
 
 import zenoh
 
+from orchestrator.bus.endpoint import check_endpoint
 from orchestrator.model.errors import TuttiError
 
 CONNECT_TIMEOUT_S = 5.0
@@ -48,8 +49,9 @@ def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.S
     connected.
 
     When the router goes away and comes back, Zenoh reconnects and declares everything again. Raises
-    `RouterUnreachable` after `timeout_s`.
+    `RouterUnreachable` after `timeout_s`, and `BadEndpoint`.
     """
+    check_endpoint(endpoint)
     config = _make_config(
         "client",
         **{

@@ -1,23 +1,39 @@
-"""Shared parts of the commands: connection options, output for people and programs, errors and exit codes."""
+"""Shared parts of the commands: connection options, output for people and programs."""
 
-import asyncio
 import getpass
 import json
-from collections.abc import Awaitable, Callable, Coroutine, Generator
-from contextlib import contextmanager
-from typing import Any, NoReturn, TypeVar
+import os
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
 
 import click
-from rich.console import Console
+from rich.console import Console, ConsoleDimensions
 
-from orchestrator.cli.base.codes import BAD_INPUT, FAILED, INTERRUPTED, UNREACHABLE
+from orchestrator.bus.endpoint import BadEndpoint, check_endpoint
+from orchestrator.cli.base.errors import run_main
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
+MAX_ACTOR = 80  # characters, as in a job file
+PIPE_COLUMNS = 1000  # a pipe or a file has no width: nothing is cut or wrapped
 
-console = Console()
-errors = Console(stderr=True)
+
+class _OutputConsole(Console):
+    """A console whose lines are not cut where the output is no terminal."""
+
+    @property
+    def size(self) -> ConsoleDimensions:
+        if self.is_terminal or "COLUMNS" in os.environ:
+            return super().size
+        return ConsoleDimensions(PIPE_COLUMNS, 25)
+
+    @size.setter
+    def size(self, new_size: tuple[int, int]) -> None:
+        self._width, self._height = new_size
+
+
+console = _OutputConsole()
 
 
 def can_redraw() -> bool:
@@ -25,7 +41,12 @@ def can_redraw() -> bool:
     return console.is_terminal and not console.is_dumb_terminal
 
 
-_UNREACHABLE_CODES = {"no-fleet", "no-coordinator", "absent", "no-answer"}
+def check_endpoint_option(_: click.Context, option: click.Parameter, value: str) -> str:
+    """Check the value of `--connect`; click's callback."""
+    try:
+        return check_endpoint(value) if value else value
+    except BadEndpoint as error:
+        raise click.BadParameter(str(error), param=option) from None
 
 
 def fleet_options(command: F) -> F:
@@ -35,15 +56,23 @@ def fleet_options(command: F) -> F:
         envvar="TUTTI_CONNECT",
         default="tcp/127.0.0.1:7447",
         show_default=True,
+        show_envvar=True,
+        callback=check_endpoint_option,
         help="The router, as `tcp/HOST:PORT`.",
     )
     fleet = click.option(
-        "--fleet", envvar="TUTTI_FLEET", default=None, callback=_fleet_name, help="The fleet, if there are several."
+        "--fleet",
+        envvar="TUTTI_FLEET",
+        show_envvar=True,
+        default=None,
+        callback=check_fleet_option,
+        help="The fleet, if there are several.",
     )
     return connect(fleet(command))
 
 
-def _fleet_name(_: click.Context, option: click.Parameter, value: str | None) -> str | None:
+def check_fleet_option(_: click.Context, option: click.Parameter, value: str | None) -> str | None:
+    """Check the value of `--fleet`; click's callback."""
     from orchestrator.bus.keys import FleetKeys
 
     try:
@@ -52,7 +81,7 @@ def _fleet_name(_: click.Context, option: click.Parameter, value: str | None) ->
         raise click.BadParameter(str(error), param=option) from None
 
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs, errors too.")
 processes_option = click.option(
     "--processes", default=1, show_default=True, type=click.IntRange(1, 256), help="Number of parallel processes."
 )
@@ -64,73 +93,29 @@ def print_json(value: Any) -> None:
     click.echo(json.dumps(value, indent=2))
 
 
-def exit_with_error(text: str, code: int = FAILED, remedy: str = "") -> NoReturn:
-    """Print the error and its remedy, and exit."""
-    errors.print(f"[bold red]tutti:[/] {_strip_markup(text)}", highlight=False, soft_wrap=True)
-    if remedy:
-        errors.print(f"       {_strip_markup(remedy)}", highlight=False, soft_wrap=True)
-    raise SystemExit(code)
-
-
-def _strip_markup(text: str) -> str:
-    return text.replace("[", "\\[")
-
-
-def run_main(main: Coroutine[Any, Any, T]) -> T:
-    """Run `main`; every expected error becomes a message and an exit code."""
-    with expected_errors():
-        return asyncio.run(main)
-
-
-@contextmanager
-def expected_errors() -> Generator[None]:
-    """Turn an interrupt, and every expected error, into a message and an exit code."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        errors.print("interrupted")
-        raise SystemExit(INTERRUPTED) from None
-    except Exception as error:
-        _exit_with_known_error(error)
-        raise
-
-
-def _exit_with_known_error(error: Exception) -> None:
-    """Print an expected error and exit; return for any other error."""
-    # Imported only here: an e-stop must not wait for the loading of all error types.
-    from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable
-    from orchestrator.model.errors import Refusal
-    from orchestrator.model.files import FileError
-    from orchestrator.runtime.live import UpFailed
-
-    match error:
-        case FileError():
-            exit_with_error(str(error), BAD_INPUT)
-        case RouterUnreachable() | RouterRefused():
-            exit_with_error(str(error), UNREACHABLE)
-        case UpFailed():
-            exit_with_error(str(error), FAILED)
-        case Refusal():
-            code = UNREACHABLE if error.code in _UNREACHABLE_CODES else FAILED
-            exit_with_error(f"{error.text} ({error.code})", code, error.remedy)
-        case _:
-            pass
+def print_result(value: Any, words: str, *, as_json: bool) -> None:
+    """Print what a command has done: `value` for programs, or `words` for people."""
+    print_json(value) if as_json else console.print(words, highlight=False, markup=False, soft_wrap=True)
 
 
 def with_fleet(connect: str, fleet: str | None, action: Callable[[Any], Awaitable[T]]) -> T:
     """Connect, run `act(tutti)`, and leave the bus in every case."""
-    from orchestrator.client import Tutti
+    from orchestrator.cli.base.names import explain_absence
+    from orchestrator.client import Refusal, Tutti
 
     async def run_connected() -> T:
         async with Tutti(connect, fleet, actor=actor_name()) as tutti:
-            return await action(tutti)
+            try:
+                return await action(tutti)
+            except Refusal as error:
+                raise await explain_absence(tutti, error) from None
 
     return run_main(run_connected())
 
 
 def actor_name() -> str:
-    """Return the user's name, for journals and logs."""
+    """Return the user for journals and logs: `TUTTI_ACTOR`, or the user's name."""
     try:
-        return getpass.getuser()
+        return (os.environ.get("TUTTI_ACTOR", "").strip() or getpass.getuser())[:MAX_ACTOR]
     except (KeyError, OSError):
         return "unknown"

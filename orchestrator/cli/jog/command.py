@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, INTERRUPTED
-from orchestrator.cli.base.common import exit_with_error, fleet_options, with_fleet
+from orchestrator.cli.base.common import fleet_options, with_fleet
+from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti

@@ -24,6 +24,9 @@ M = TypeVar("M", bound=Model)
 MAX_RECORDED_JOBS = 100  # the newest jobs only: recordings are large, and the reports are kept
 
 
+LAST_CHARACTER = "\U0010ffff"  # after all others in the order of ids
+
+
 class JournalError(TuttiError):
     """The journal cannot be used; nothing in it has been changed. Names the file and the remedy."""
 
@@ -348,6 +351,22 @@ class Journal:
         values = (state, state, name, since_utc)
         total = self._select_rows(f"SELECT count(*) FROM jobs {where}", values)[0][0]
         return self._select_records(f"{where} ORDER BY number DESC LIMIT ?", (*values, limit)), total
+
+    def find_referenced_jobs(self, reference: str, limit: int = 5) -> list[JobRecord]:
+        """The job with this id; else those whose id begins so; else those of this name. The newest first."""
+        for clause, values in (
+            ("WHERE id = ?", (reference,)),
+            ("WHERE id >= ? AND id < ?", (reference, reference + LAST_CHARACTER)),
+            ("WHERE name = ?", (reference,)),
+        ):
+            found = self._select_records(f"{clause} ORDER BY number DESC LIMIT ?", (*values, limit))
+            if found:
+                return found
+        return []
+
+    def find_last_job(self, actor: str) -> list[JobRecord]:
+        """The newest job of `actor`, alone in a list; an empty one without any."""
+        return self._select_records("WHERE actor = ? ORDER BY number DESC LIMIT 1", (actor,))
 
     def list_transitions(self, job_id: str) -> list[JobTransition]:
         rows = self._select_rows(

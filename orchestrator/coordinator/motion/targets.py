@@ -66,6 +66,8 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
 
 def _require_ready(name: str, state: AxisState, controller: str) -> None:
     if not state.enabled:
-        raise Refusal("not-enabled", f"axis {name} is not enabled", "add a step `do: enable` before it", controller)
+        remedy = f"enable it before: a step `do: enable`, or `tutti axis enable {name}`"
+        raise Refusal("not-enabled", f"axis {name} is not enabled", remedy, controller)
     if not state.referenced:
-        raise Refusal("not-referenced", f"axis {name} is not referenced", "add a step `do: home` before it", controller)
+        remedy = f"home it before: a step `do: home`, or `tutti axis home {name}`"
+        raise Refusal("not-referenced", f"axis {name} is not referenced", remedy, controller)

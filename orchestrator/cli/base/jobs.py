@@ -1,0 +1,40 @@
+"""Arguments that stand for jobs, and jobs in words: the name before the id."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from orchestrator.model.report import QueuedJob
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+MAX_REFERENCE = 120
+
+
+class JobReferenceType(click.ParamType[str]):
+    """The beginning of a job's id, its name, or `last`."""
+
+    name = "job"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        if not 0 < len(text) <= MAX_REFERENCE:
+            self.fail("write the beginning of a job's id, its name, or `last`", param, ctx)
+        return text
+
+
+def job_argument(command: F) -> F:
+    """Add the argument JOB."""
+    return click.argument("job", metavar="JOB", type=JobReferenceType())(command)
+
+
+def jobs_argument(*, required: bool) -> Callable[[F], F]:
+    """Add the argument JOBS."""
+    return click.argument("jobs", metavar="JOBS...", nargs=-1, required=required, type=JobReferenceType())
+
+
+def name_jobs(*jobs: "QueuedJob") -> str:
+    """Jobs in words: their names, each with its id."""
+    return ", ".join(f"job {each.name!r} {each.id}" for each in jobs)

@@ -1,0 +1,29 @@
+"""Positions of axes in words, and for programs: what a command answers."""
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from orchestrator.model.state import AxisState, ControllerState
+
+
+def describe_positions(states: "Mapping[str, ControllerState]", axes: Collection[str] | None = None) -> str:
+    """`gantry.x 120.000 mm, gantry.y 0.000 mm`: of `axes`, or of all; without those of controllers that are offline."""
+    return ", ".join(f"{name} {now.position:.3f} {now.unit}" for name, now in _select_axes(states, axes))
+
+
+def list_positions(states: "Mapping[str, ControllerState]", axes: Collection[str]) -> dict[str, dict[str, Any]]:
+    """The same for programs."""
+    return {
+        name: {"position": now.position, "unit": now.unit, "enabled": now.enabled, "referenced": now.referenced}
+        for name, now in _select_axes(states, axes)
+    }
+
+
+def _select_axes(
+    states: "Mapping[str, ControllerState]", axes: Collection[str] | None
+) -> "Iterator[tuple[str, AxisState]]":
+    for controller, state in states.items():
+        for axis, now in state.axes.items() if state.mode != "offline" else ():
+            if axes is None or f"{controller}.{axis}" in axes:
+                yield f"{controller}.{axis}", now
