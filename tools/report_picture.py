@@ -32,7 +32,7 @@ def run_demo_job() -> JobReport:
 def main() -> None:
     """Write the picture. Its fonts are those of the reader: the usual export loads one from a server."""
     console = Console(record=True, width=COLUMNS, file=io.StringIO(), force_terminal=True)
-    console.print(make_report_tables(run_demo_job()))
+    console.print(make_report_tables(run_demo_job(), detailed=True))
     svg = console.export_svg(title="tutti demo", theme=DEFAULT_TERMINAL_THEME)
     svg = re.sub(r"<!--.*?-->\s*", "", svg, flags=re.DOTALL)
     svg = re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL).replace("Fira Code", "monospace")

@@ -39,7 +39,7 @@ def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
         if as_json:
             print_json({name: now.to_plain() for name, (_, now) in rows.items()})
             return
-        table = make_plain_table(["axis", "position>", "unit", "motor>", "counts>", "axis is"])
+        table = make_plain_table(["axis", "position>", "unit", "motor>", "counts>", "axis is"], ["axis is"])
         for name, (state, now) in rows.items():
             if state.mode == "offline":
                 table.add_row(name, "-", now.unit, "-", "-", "offline")

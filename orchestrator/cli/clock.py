@@ -33,7 +33,7 @@ def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
             print_json({name: reply.to_plain() for name, reply in found.items()})
             return
         table = make_plain_table(
-            ["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "readings>", "residual>"]
+            ["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "samples>", "residual>"]
         )
         for name, reply in found.items():
             table.add_row(name, ", ".join(reply.start_classes), *_make_cells(reply.mapping, reply.crystal))
@@ -118,4 +118,4 @@ def _bound_ns(mapping: ClockMapping, ahead_ns: int) -> float:
 
 
 def _format_ms(ns: float) -> str:
-    return f"{ns / 1e6:.3f} ms"
+    return f"{ns / 1e6:.2f} ms"

@@ -52,6 +52,7 @@ def trace(
     if (form is None) != (output is None):
         raise click.UsageError("--format and --output must be given together")
     from orchestrator.client import Tutti
+    from orchestrator.monitor.times import format_time
 
     async def show_trace(tutti: Tutti) -> None:
         reply = await tutti.read_trace(controller)
@@ -64,7 +65,7 @@ def trace(
         if as_json:
             print_json(reply.to_plain())
             return
-        console.print(f"{reply.utc} is 0 s", highlight=False)
+        console.print(f"{format_time(reply.utc, precise=True)} is 0 s", highlight=False)
         for at_ns, direction, text in reply.entries:
             shown = text.encode("unicode_escape").decode("ascii")
             arrow = "→" if direction == "out" else "←"

@@ -29,9 +29,10 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
     help="two: an SMC-4000 and an SHRC-203; all: every make, and a trigger wire that starts some of them.",
 )
 @click.option("--headless", is_flag=True, help="Show no progress.")
+@click.option("-v", "--verbose", is_flag=True, help="Print the report with members and budgets.")
 @json_option
 @click.option("--keep", type=click.Path(path_type=Path), default=None, help="Keep logs and journal in this folder.")
-def demo(which: str, keep: Path | None, *, headless: bool, as_json: bool) -> None:
+def demo(which: str, keep: Path | None, *, headless: bool, verbose: bool, as_json: bool) -> None:
     """Start router, simulators, adapter hosts and coordinator, run the example job, and print its report.
 
     The simulated controllers listen on real TCP ports and pseudo-terminals, and record their true motions, which the
@@ -77,7 +78,7 @@ def demo(which: str, keep: Path | None, *, headless: bool, as_json: bool) -> Non
     else:
         from orchestrator.monitor.report_table import make_report_tables
 
-        console.print(make_report_tables(report))
+        console.print(make_report_tables(report, detailed=verbose))
         for each in truths:
             holds = "the verdict contains it" if each.held else "[yellow]outside the verdict[/]"
             outside = f"; outside their evidence: {', '.join(each.outside)}" if each.outside else ""

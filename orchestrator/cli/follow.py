@@ -8,7 +8,7 @@ from orchestrator.cli.base.common import can_redraw, console
 from orchestrator.cli.base.errors import errors
 from orchestrator.client import Tutti
 from orchestrator.model.report import JobProgress, JobReport
-from orchestrator.monitor.fleet_view import LiveView, format_job_line
+from orchestrator.monitor.fleet_view import LiveView, describe_progress, format_job_line
 
 
 async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
@@ -19,7 +19,7 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
 
         def print_waiting(progress: JobProgress) -> None:
             nonlocal waits
-            if progress.state == "queued" and progress.reason != waits:
+            if progress.state == "queued" and progress.reason not in (waits, "submitted"):
                 waits = progress.reason
                 errors.print(waits, highlight=False, markup=False, soft_wrap=True)
 
@@ -29,11 +29,10 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
 
         def print_progress(progress: JobProgress) -> None:
             nonlocal last
-            line = format_job_line(progress)
             # Progress with the same state and step differs only in its time.
-            if line[28:] != last:
-                last = line[28:]
-                console.print(line, highlight=False, markup=False, soft_wrap=True)
+            if (words := describe_progress(progress)) != last:
+                last = words
+                console.print(format_job_line(progress), highlight=False, markup=False, soft_wrap=True)
 
         return await tutti.wait_for_job(job_id, print_progress)
     view = LiveView(tutti.keys, time.monotonic)

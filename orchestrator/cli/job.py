@@ -111,6 +111,7 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show JOB: its steps and the history of its state. JOB: the beginning of its id, its name, or `last`."""
     from orchestrator.client import Tutti
     from orchestrator.model.step_words import describe_step
+    from orchestrator.monitor.times import format_time, localize_times
 
     async def show_job(tutti: Tutti) -> None:
         shown = await tutti.show_job((await tutti.find_job(job)).id)
@@ -129,9 +130,9 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
             console.print(line, highlight=False, markup=False)
         for change in shown.transitions:
-            console.print(
-                f"{change.utc} {change.state} {change.reason} ({change.actor})", highlight=False, markup=False
-            )
+            why = f" {localize_times(change.reason)}" if change.reason else ""
+            line = f"{format_time(change.utc, precise=True)} {change.state}{why} ({change.actor})"
+            console.print(line, highlight=False, markup=False)
 
     with_fleet(connect, fleet, show_job)
 
@@ -154,10 +155,11 @@ def cancel(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
 
 @job.command(epilog="Example: tutti job report 3f2a91c0 --json")
 @job_argument
+@click.option("-v", "--verbose", is_flag=True, help="All steps, with members, budgets and measurements.")
 @fleet_options
 @json_option
-def report(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Print the report of a finished JOB: budget, verdict, members, durations."""
+def report(job: str, connect: str, fleet: str | None, *, verbose: bool, as_json: bool) -> None:
+    """Print the report of a finished JOB: verdict, steps and durations; with -v also members and budgets."""
     from orchestrator.client import Tutti
     from orchestrator.monitor.report_table import make_report_tables
 
@@ -167,7 +169,7 @@ def report(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
         if found is None:
             remedy = f"see `tutti job show {entry.id}`"
             exit_with_error(f"{name_jobs(entry)} has not ended", FAILED, remedy, code="not-ended")
-        print_json(found.to_plain()) if as_json else console.print(make_report_tables(found))
+        print_json(found.to_plain()) if as_json else console.print(make_report_tables(found, detailed=verbose))
 
     with_fleet(connect, fleet, show_report)
 

@@ -51,31 +51,22 @@ def list_jobs(
 
 def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
     """Print a line for each job, and one for its reason: at 80 columns the other cells leave no room for a sentence."""
-    from rich.padding import Padding
     from rich.text import Text
 
     from orchestrator.monitor.tables import make_plain_table
+    from orchestrator.monitor.times import format_time, localize_times
 
-    table = make_plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
-    for column in table.columns:
-        # In a narrow window only these columns shrink: their cells are cut, not wrapped.
-        column.no_wrap = column.header not in {"name", "actor"}
+    table = make_plain_table(["name", "job", "actor", "#>", "state", "submitted"], shrinking=("name", "actor"))
     for entry in jobs:
         place = "" if entry.place is None else str(entry.place)
-        submitted = entry.submitted_utc[:19].replace("T", " ")
         # Text of users: one row each, whatever line breaks or markup it contains.
         name, actor = (
             Text(" ".join(words.split()), no_wrap=True, overflow="ellipsis") for words in (entry.name, entry.actor)
         )
-        table.add_row(entry.id, name, actor, place, entry.state, submitted)
-    with console.capture() as drawn:
-        console.print(table)
-    head, *rows = drawn.get().splitlines()
-    console.print(Text.from_ansi(head))
-    for row, entry in zip(rows, jobs, strict=True):
-        console.print(Text.from_ansi(row))
+        table.add_row(name, entry.id, actor, place, entry.state, format_time(entry.submitted_utc))
         if entry.reason:
-            console.print(Padding(Text(entry.reason, "dim"), (0, 0, 0, 10), expand=False))
+            table.add_note(localize_times(entry.reason))
+    console.print(table)
 
 
 @click.command(epilog="Example: tutti job prune --older 90d --keep 1000")

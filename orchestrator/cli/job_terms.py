@@ -148,18 +148,19 @@ def print_accepted(entry: "QueueEntry") -> None:
 
 def make_entry_lines(entry: "QueueEntry") -> list[str]:
     """Describe special queue terms of a job, in lines."""
+    from orchestrator.monitor.times import format_time, localize_times
+
     terms = entry.terms
     lines: list[str] = []
     if entry.origin is not None:
         lines.append(f"retries job {entry.origin}, from step {entry.from_step} on")
     if terms.at is not None:
-        local = datetime.fromisoformat(terms.at).astimezone().isoformat(sep=" ", timespec="seconds")
         missed = "begins late" if terms.missed == "run" else "is skipped"
-        lines.append(f"at {local} ({terms.at}); {missed} if no coordinator leads then")
+        lines.append(f"at {format_time(terms.at)}; {missed} if no coordinator leads then")
     if terms.after is not None:
         lines.append(f"after job {terms.after}")
     if terms.expires is not None:
-        lines.append(f"cancelled if it has not begun at {terms.expires[:19]}Z")
+        lines.append(f"cancelled if it has not begun at {format_time(terms.expires)}")
     if terms.repeat > 1:
         lines.append(f"{terms.repeat} times")
     if terms.priority:
@@ -167,7 +168,7 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
     if entry.held_by:
         lines.append(f"held by {entry.held_by}: `tutti job release {entry.id}`")
     if entry.place is not None:
-        lines.append(f"place {entry.place} in the queue: {entry.reason}")
+        lines.append(f"place {entry.place} in the queue: {localize_times(entry.reason)}")
     elif entry.state == "queued" and entry.reason != "submitted":
-        lines.append(entry.reason)
+        lines.append(localize_times(entry.reason))
     return lines

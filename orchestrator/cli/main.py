@@ -70,7 +70,9 @@ class _LazyGroup(click.Group):
         """Run the command and exit by the rule for exit codes; every error has its message."""
         words = list(sys.argv[1:] if args is None else args)
         from orchestrator.cli.base import errors
+        from orchestrator.cli.base.encoding import replace_unknown_signs
 
+        replace_unknown_signs()
         errors.note_arguments(words)
         try:
             sys.exit(super().main(words, *rest, **{**options, "standalone_mode": False}))

@@ -75,7 +75,7 @@ class JobRequests(FleetConnection):
         await self.request_service("stop-queue", Request(**self.request_fields()), Reply)
 
     async def find_job(self, reference: str) -> QueueEntry:
-        """The job that a user means: by the beginning of its id, its name, or `last`, the newest of this actor.
+        """The job that a user means: by the beginning of its id, its name, or `last`, the newest.
 
         Raises `Refusal`: codes `unknown-job`, and `ambiguous`, which names the jobs that fit.
         """
@@ -86,7 +86,7 @@ class JobRequests(FleetConnection):
         if found:
             fitting = ", ".join(f"{each.id} {each.name!r}" for each in found)
             raise Refusal("ambiguous", f"several jobs fit {reference!r}: {fitting}", "write more of the id")
-        text = f"no job of {self.actor}" if reference == "last" else f"no job {reference}"
+        text = "there is no job" if reference == "last" else f"no job {reference}"
         raise Refusal("unknown-job", text, "see `tutti job ls`")
 
     def job(self, job_id: str) -> "SubmittedJob":

@@ -146,7 +146,7 @@ class UserRequests:
     async def _find_job(self, request: FindJob) -> JobsFound:
         services = self._services
         if request.reference == "last":
-            records = await services.execute(services.journal.find_last_job, request.actor)
+            records, _ = await services.execute(services.journal.find_jobs, 1)
         else:
             records = await services.execute(services.journal.find_referenced_jobs, request.reference)
         return JobsFound(jobs=[self._scheduler.make_entry(record) for record in records])

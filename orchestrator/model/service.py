@@ -100,7 +100,7 @@ class FleetNames(Reply):
 
 
 class FindJob(Request):
-    """Find a job. reference: the beginning of its id, its whole name, or `last`: the newest job of the actor."""
+    """Find a job. reference: the beginning of its id, its whole name, or `last`: the newest job."""
 
     reference: str = Field(min_length=1, max_length=120)
 

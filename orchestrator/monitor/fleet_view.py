@@ -15,6 +15,7 @@ from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, 
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 from orchestrator.monitor.queue_words import describe_queue
 from orchestrator.monitor.tables import make_plain_table
+from orchestrator.monitor.times import format_time, localize_times
 
 _MODE_STYLE = {
     "idle": "green",
@@ -58,7 +59,7 @@ class LiveView:
             if sample.key.endswith("/event"):
                 event = ControllerEvent.model_validate_json(sample.payload)
                 self.events = [*self.events, event][-MAX_EVENTS_SHOWN:]
-                return f"{event.utc} {event.controller}: {event.kind}: {event.text}"
+                return f"{format_time(event.utc, precise=True)} {event.controller}: {event.kind}: {event.text}"
             if "/job/" in sample.key:
                 progress = JobProgress.model_validate_json(sample.payload)
                 return format_job_line(progress) if self.store_progress(progress) else None
@@ -74,7 +75,7 @@ class LiveView:
         self.received_s[state.controller] = self.now_s()
         if before_state is not None and before_state.mode == state.mode:
             return None
-        return f"{state.utc} {state.controller}: {state.mode}"
+        return f"{format_time(state.utc, precise=True)} {state.controller}: {state.mode}"
 
     def take_states(self, states: Mapping[str, ControllerState], leases: Iterable[LeaseState] = ()) -> None:
         """Store states and leases that were queried."""
@@ -124,7 +125,9 @@ class LiveView:
         if self.events:
             table = Table.grid(padding=(0, 2))
             for event in self.events:
-                table.add_row(event.utc[11:19], event.controller, event.kind, Text(event.text, overflow="ellipsis"))
+                table.add_row(
+                    format_time(event.utc), event.controller, event.kind, Text(event.text, overflow="ellipsis")
+                )
             parts.append(table)
         return Group(*parts)
 
@@ -142,7 +145,7 @@ def make_state_table(
     axis, the permits that are missing.
     """
     ages, permits = ages or {}, permits or {}
-    table = make_plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"])
+    table = make_plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"], ["axis is"])
     troubles: list[RenderableType] = []
     for controller, state in sorted(states.items()):
         age_s = ages.get(controller)
@@ -199,7 +202,7 @@ def _describe_holder(holder: str, leases: Mapping[str, LeaseState]) -> str:
 
 
 def _describe_end(until_utc: str | None) -> str:
-    return "" if until_utc is None else f", until {until_utc[:19].replace('T', ' ')} UTC"
+    return "" if until_utc is None else f", until {format_time(until_utc)}"
 
 
 def describe_axis(axis: AxisState, *, estop: bool = False) -> Text:
@@ -225,22 +228,26 @@ def _describe_clock(state: ControllerState) -> str:
 
 def format_job_line(job: JobProgress) -> str:
     """Return a job's progress as one line."""
-    reason = f" ({job.reason})" if job.reason else ""
-    if job.state in FINISHED_STATES:
-        return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}{reason}"
-    return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}, {_format_step(job)}{reason}"
+    return f"{format_time(job.utc, precise=True)} {describe_progress(job)}"
+
+
+def describe_progress(job: JobProgress) -> str:
+    """A job's progress in words, without its time."""
+    reason = f" ({localize_times(job.reason)})" if job.reason else ""
+    step = "" if job.state in FINISHED_STATES else f", {_format_step(job)}"
+    return f"job {job.name!r} {job.job_id}: {job.state}{step}{reason}"
 
 
 def make_job_bar(job: JobProgress) -> RenderableType:
     """Render a job's progress: name and state, and below them a bar with the step."""
     head = Text.assemble(
-        "job ",
+        f"job {job.name!r} ",
         (job.job_id, "bold"),
-        f" {job.name!r}: ",
+        ": ",
         (job.state, _MODE_STYLE.get(job.state, "green" if job.state == "done" else "")),
     )
     if job.state in FINISHED_STATES or job.state == "queued":
-        return Text.assemble(head, f" ({job.reason})" if job.reason else "")
+        return Text.assemble(head, f" ({localize_times(job.reason)})" if job.reason else "")
     grid = Table.grid(padding=(0, 1))
     grid.add_column()
     grid.add_column(no_wrap=True)
@@ -254,4 +261,4 @@ def make_job_bar(job: JobProgress) -> RenderableType:
 
 def _format_step(job: JobProgress) -> str:
     """Number the step as reasons and reports do, and as `--from-step` expects it."""
-    return f"step {job.step} {job.step_name}, {job.step + 1} of {job.steps}"
+    return f"{f'step {job.step} {job.step_name}'.rstrip()}, {job.step + 1} of {job.steps}"

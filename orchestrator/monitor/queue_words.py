@@ -1,6 +1,7 @@
 """The state of the queue in words."""
 
 from orchestrator.model.report import QueueState
+from orchestrator.monitor.times import format_time
 
 
 def describe_queue(state: QueueState) -> str:
@@ -8,5 +9,5 @@ def describe_queue(state: QueueState) -> str:
     jobs = "1 job waits" if state.waiting == 1 else f"{state.waiting} jobs wait"
     if state.stopped is None:
         return f"the queue is running; {jobs}"
-    since = state.stopped.utc[:19].replace("T", " ")
-    return f"the queue is stopped since {since} UTC ({state.stopped.reason}); {jobs}: tutti queue start"
+    since = format_time(state.stopped.utc)
+    return f"the queue is stopped since {since} ({state.stopped.reason}); {jobs}: tutti queue start"

@@ -1,38 +1,77 @@
 """A job's report as tables for a terminal, readable at 80 columns."""
 
+from collections.abc import Sequence
+
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence
 from orchestrator.monitor.tables import make_plain_table
+from orchestrator.monitor.times import format_time, localize_times
 
 _VERDICT_STYLE = {"green": "bold green", "amber": "bold yellow", "red": "bold red", "none": "dim"}
+_VERDICTS = ("green", "amber", "red")  # from the best to the worst
+MAX_STEPS_SHOWN = 14  # of a short report
+MAX_DEVIATIONS = 4
 _MAX_STEP_NAME = 14  # characters of a step's name that fit into the row with all figures
 
 
-def make_report_tables(report: JobReport) -> RenderableType:
-    """Build the tables of a job's steps with their faults, and of the members of each move."""
-    style = "bold green" if report.state == "done" else "bold red"
-    head = Text.assemble("job ", (report.job_id, "bold"), f" {report.name!r}: ", (report.state, style))
-    if report.reason:
-        head.append(f" ({report.reason})")
+def make_report_tables(report: JobReport, *, detailed: bool = False) -> RenderableType:
+    """Build a report: the outcome with the worst verdict, the table of steps, and what deviates.
+
+    detailed: all steps, and the members of each move with their budgets. Otherwise it fits a terminal of 24 lines.
+    """
+    shown = list(report.steps) if detailed else _select_steps(report.steps)
     steps = make_plain_table(["#>", "step", "planned>", "actual>", "start skew>", "budget>", "end skew>", "verdict"])
-    for step in report.steps:
+    for step in shown:
         steps.add_row(*_make_step_row(step))
+    parts: list[RenderableType] = [_make_head(report), "", steps]
+    if len(shown) < len(report.steps):
+        parts.append(Text(f"and {len(report.steps) - len(shown)} more steps, which are done as planned", style="dim"))
+    deviations = [f"step {step.index}: {line}" for step in report.steps for line in step.deviations]
+    parts += [Text(line, style="red") for line in (deviations if detailed else deviations[:MAX_DEVIATIONS])]
+    if not any(step.members for step in report.steps):
+        return Group(*parts)
+    if detailed:
+        return Group(*parts, *_make_details(report))
+    return Group(*parts, Text(f"members and budgets: `tutti job report {report.job_id} -v`", style="dim"))
+
+
+def _make_head(report: JobReport) -> Text:
+    """The outcome in one line: state, worst verdict, reason."""
+    style = "bold green" if report.state == "done" else "bold red"
+    head = Text.assemble(f"job {report.name!r} ", (report.job_id, "bold"), ": ", (report.state, style))
+    verdicts = [step.verdict for step in report.steps if step.verdict != "none"]
+    if verdicts:
+        worst = max(verdicts, key=_VERDICTS.index)
+        head.append_text(Text.assemble(", verdict ", (worst, _VERDICT_STYLE[worst])))
+    if report.reason:
+        head.append(f" ({localize_times(report.reason)})")
+    return head
+
+
+def _select_steps(steps: Sequence[StepReport]) -> list[StepReport]:
+    """The steps that a short report shows: all, or of many the conspicuous ones, filled up by the first ones."""
+    if len(steps) <= MAX_STEPS_SHOWN:
+        return list(steps)
+    plain = [step for step in steps if step.state == "done" and step.verdict in ("none", "green")]
+    conspicuous = [step for step in steps if step not in plain][:MAX_STEPS_SHOWN]
+    chosen = conspicuous + plain[: MAX_STEPS_SHOWN - len(conspicuous)]
+    return sorted(chosen, key=lambda step: step.index)
+
+
+def _make_details(report: JobReport) -> list[RenderableType]:
+    """The members of each move, and its budget term by term."""
     members = make_plain_table(["#>", "member", "starts by", "axes", "armed in>", "start after T0>", "clock>", "rate>"])
+    budgets = make_plain_table(["#>", "member", "by its", "start after T0>", "all together>", "measured>"])
     for step in report.steps:
         for row in _make_member_rows(step):
             members.add_row(*row)
-    budgets = make_plain_table(["#>", "member", "by its", "start after T0>", "all together>", "measured>"])
-    for step in report.steps:
         for row in _make_budget_rows(step):
             budgets.add_row(*row)
-    if not members.row_count:
-        return Group(head, "", steps)
     later = [Text(line) for step in report.steps for line in _describe_deviations(step)]
-    later += [Text(f"step {step.index}: {line}", style="red") for step in report.steps for line in step.deviations]
-    return Group(head, "", steps, "", members, "", "Predicted, guaranteed, and measured:", budgets, *later)
+    return ["", members, "", "Predicted, guaranteed, and measured:", budgets, *later]
 
 
 def _make_step_row(step: StepReport) -> list[str | Text]:
@@ -98,7 +137,7 @@ def _describe_deviations(step: StepReport) -> list[str]:
     """Describe feed holds inside the step, starts later than promised, and predicted end and path skew."""
     budget = step.budget
     lines = [
-        f"step {step.index}: feed hold by {hold.by} at {hold.utc[11:19]} UTC; its axes came to rest "
+        f"step {step.index}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
         for hold in step.feed_holds
     ]

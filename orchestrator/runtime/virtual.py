@@ -46,7 +46,6 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
     for each in (
         Journal.list_decisions,
         Journal.find_jobs,
-        Journal.find_last_job,
         Journal.find_referenced_jobs,
         Journal.load_job,
         Journal.has_client_key,

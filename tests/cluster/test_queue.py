@@ -58,8 +58,8 @@ def test_a_wide_job_is_not_starved_by_small_ones() -> None:
         await asyncio.sleep(0.5)
         # The stage is free, and reserved for the job that has waited longer.
         assert (await client.status())["stage"].mode == "idle"
-        assert (await entry(client, wide)).reason == f"waits for gantry: job {running} 'test' of anna"
-        assert (await entry(client, small[0])).reason == f"waits for stage: job {wide} 'test' of anna comes first"
+        assert (await entry(client, wide)).reason == f"waits for gantry: job 'test' {running} of anna"
+        assert (await entry(client, small[0])).reason == f"waits for stage: job 'test' {wide} of anna comes first"
         assert [(await entry(client, each)).place for each in (running, wide, *small)] == [None, 1, 2, 3]
         assert await begins(client, running, wide, *small) == [running, wide, *small]
 

@@ -3,6 +3,7 @@
 import getpass
 import json
 import os
+import sys
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
@@ -24,9 +25,10 @@ class _OutputConsole(Console):
 
     @property
     def size(self) -> ConsoleDimensions:
-        if self.is_terminal or "COLUMNS" in os.environ:
-            return super().size
-        return ConsoleDimensions(PIPE_COLUMNS, 25)
+        columns = os.environ.get("COLUMNS", "")
+        if columns.isdecimal() and int(columns) > 0:
+            return ConsoleDimensions(int(columns), super().size.height)
+        return super().size if self.is_terminal else ConsoleDimensions(PIPE_COLUMNS, 25)
 
     @size.setter
     def size(self, new_size: tuple[int, int]) -> None:
@@ -50,7 +52,7 @@ def check_endpoint_option(_: click.Context, option: click.Parameter, value: str)
 
 
 def fleet_options(command: F) -> F:
-    """Add the options `--connect` and `--fleet`."""
+    """Add the options `--connect`, `--fleet` and `--utc`."""
     connect = click.option(
         "--connect",
         envvar="TUTTI_CONNECT",
@@ -68,7 +70,24 @@ def fleet_options(command: F) -> F:
         callback=check_fleet_option,
         help="The fleet, if there are several.",
     )
-    return connect(fleet(command))
+    utc = click.option(
+        "--utc",
+        is_flag=True,
+        envvar="TUTTI_UTC",
+        show_envvar=True,
+        expose_value=False,
+        callback=_note_utc,
+        help="Show times in UTC, not in local time.",
+    )
+    return connect(fleet(utc(command)))
+
+
+def _note_utc(_: click.Context, __: click.Parameter, value: bool) -> None:  # noqa: FBT001
+    # The module is imported only if it is needed: an e-stop waits for every import.
+    if value or "orchestrator.monitor.times" in sys.modules:
+        from orchestrator.monitor.times import show_utc
+
+        show_utc(wanted=value)
 
 
 def check_fleet_option(_: click.Context, option: click.Parameter, value: str | None) -> str | None:

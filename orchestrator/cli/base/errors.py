@@ -54,7 +54,9 @@ def exit_with_error(
         shown = {"code": code or _PLAIN_CODES[exit_code], "text": text, "remedy": remedy}
         click.echo(json.dumps({**shown, **details}, indent=2))
         raise SystemExit(exit_code)
-    errors.print(f"[bold red]tutti:[/] {_escape_markup(text)}", highlight=False, soft_wrap=True)
+    from orchestrator.monitor.times import localize_times
+
+    errors.print(f"[bold red]tutti:[/] {_escape_markup(localize_times(text))}", highlight=False, soft_wrap=True)
     if remedy:
         errors.print(f"       {_escape_markup(remedy)}", highlight=False, soft_wrap=True)
     raise SystemExit(exit_code)

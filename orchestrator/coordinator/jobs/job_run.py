@@ -124,7 +124,7 @@ class JobRun:
     @property
     def description(self) -> str:
         """A description of the job for those that wait for it."""
-        return f"job {self.row.id} {self.row.name!r} of {self.row.actor}"
+        return f"job {self.row.name!r} {self.row.id} of {self.row.actor}"
 
     @property
     def steps_to_run(self) -> list[Step]:

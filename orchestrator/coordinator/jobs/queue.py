@@ -83,7 +83,7 @@ def choose_jobs(
             reasons[each.row.id] = why
             continue
         # It keeps its claim on the controllers while it waits.
-        claim = f"job {each.row.id} {each.row.name!r} of {each.row.actor}"
+        claim = f"job {each.row.name!r} {each.row.id} of {each.row.actor}"
         in_the_way = sorted(needs & taken.keys())
         if in_the_way:
             first = in_the_way[0]

@@ -277,7 +277,7 @@ class Scheduler:
             return Obstacle("leased", f"{in_use} is in use: {busy[in_use]}", "wait for the end of that use")
         for each in [] if attended else sort_waiting(self._waiting):
             if not each.blocking_reason and needs.controllers & self._find_needs(each).controllers:
-                return Obstacle("queued", f"job {each.row.id} {each.row.name!r} comes first", "submit it without `now`")
+                return Obstacle("queued", f"job {each.row.name!r} {each.row.id} comes first", "submit it without `now`")
         return self._conditions.find_obstacle(needs)
 
     async def _cancel_impatient(self, reasons: Mapping[str, str]) -> None:

@@ -364,10 +364,6 @@ class Journal:
                 return found
         return []
 
-    def find_last_job(self, actor: str) -> list[JobRecord]:
-        """The newest job of `actor`, alone in a list; an empty one without any."""
-        return self._select_records("WHERE actor = ? ORDER BY number DESC LIMIT 1", (actor,))
-
     def list_transitions(self, job_id: str) -> list[JobTransition]:
         rows = self._select_rows(
             "SELECT state, reason, actor, utc, fleet_ns FROM transitions WHERE job_id = ? ORDER BY rowid", (job_id,)

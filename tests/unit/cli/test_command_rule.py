@@ -116,7 +116,7 @@ def world() -> Iterator[CommandWorld]:
         (2, "job show nope", "no job nope"),
         (2, "job cancel nope", "no job nope"),
         (2, "job hold nope", "no job nope"),
-        (2, "job report last", "no job of anna"),
+        (2, "job report last", "there is no job"),
         (2, "job retry nope --yes", "no job nope"),
         (2, "job plot nope", "no job nope"),
         (2, "reset nope", "no e-stop nope is latched"),
