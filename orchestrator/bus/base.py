@@ -57,7 +57,10 @@ RequestHandler = Callable[[BusSample], Awaitable[bytes]]
 an error.
 
 Any other exception is reported to the event loop's exception handler and answered as an error that names it. The
-sample's key is the requested key, or the served expression if a wildcard was requested.
+sample's key is the requested key, or the served one if a wildcard was requested.
+
+A request on a wildcard, which any tool may send to look around, gets values and no errors: what serves an expression
+(commands) is not called, and a handler's refusal is not sent.
 """
 
 

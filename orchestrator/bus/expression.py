@@ -41,6 +41,15 @@ def is_wild(expression: str) -> bool:
     return "*" in expression
 
 
+def is_silent_on(served: str, requested: str) -> bool:
+    """Whether the server of an expression leaves a request on another expression unanswered.
+
+    A request on a wildcard reads the values below it. Whatever serves an expression executes commands, which need a
+    concrete key.
+    """
+    return is_wild(requested) and is_wild(served)
+
+
 @lru_cache(maxsize=65536)
 def expressions_intersect(one: str, other: str) -> bool:
     """Whether a key exists that matches both expressions."""

@@ -16,6 +16,7 @@ import orchestrator.model.report
 import orchestrator.model.service
 import orchestrator.model.state
 from orchestrator.bus.base import BusSample, RequestRefused
+from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
 from orchestrator.runtime.virtual import VirtualFleet
@@ -196,3 +197,18 @@ def test_a_request_that_comes_twice_is_done_once() -> None:
         assert [json.loads(each)["jobs"] for each in prunes] == [1, 1]
 
     run_fleet(main)
+
+
+def test_looking_around_on_the_whole_fleet_gets_values_and_no_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    refusals: list[str] = []
+    monkeypatch.setattr(RequestOutcome, "add_refusal", lambda _, text: refusals.append(text))
+
+    async def main(fleet: VirtualFleet) -> set[str]:
+        client = fleet.make_client()
+        found = await client.bus.request_all(f"{client.keys.prefix}/**", b"", 5.0)
+        return {key.removeprefix(client.keys.prefix + "/") for key in found}
+
+    per_controller = {f"ctl/{c}/{leaf}" for c in ("gantry", "stage") for leaf in ("state", "info", "clock")}
+    leases = {"lease/gantry", "lease/stage"}
+    assert per_controller | leases | {"time"} == {key for key in run_fleet(main) if key.count("/") < 3}
+    assert refusals == []

@@ -232,6 +232,38 @@ def test_all_servers_of_a_key_are_queried(run: Run) -> None:
     run(body)
 
 
+def test_a_wildcard_reads_values_and_gets_no_errors(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        commands: list[BusSample] = []
+
+        async def execute(sample: BusSample) -> bytes:
+            commands.append(sample)
+            return b"executed"
+
+        async def refuse(_: BusSample) -> bytes:
+            raise RequestRefused("a payload is needed")
+
+        async def answer(sample: BusSample) -> bytes:
+            return sample.key.encode()
+
+        await b.serve("t/cmd/*", execute)
+        await b.serve("t/events", refuse)
+        await linked(a, b)
+        async with asyncio.timeout(LIMIT_S):
+            assert await a.request_all("t/cmd/**", b"", 10 * LIMIT_S) == {}
+            assert await a.request_all("t/events/**", b"", 10 * LIMIT_S) == {}
+        await b.serve("t/value", answer)
+        await linked(a, b)
+        assert await a.request_all("t/**", b"", LIMIT_S) == {"t/value": b"t/value"}
+        assert commands == []
+        assert await a.request("t/cmd/go", b"", LIMIT_S) == b"executed"
+        with pytest.raises(RequestRefused, match="a payload is needed"):
+            await a.request("t/events", b"", LIMIT_S)
+
+    run(body)
+
+
 def test_requests_are_handled_concurrently(run: Run) -> None:
     async def body(world: World) -> None:
         a, b = await world.join("a"), await world.join("b")

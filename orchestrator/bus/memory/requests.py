@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from orchestrator.bus.base import BusSample, Priority, RequestHandler, RequestRefused
-from orchestrator.bus.expression import expressions_intersect, is_wild
+from orchestrator.bus.expression import expressions_intersect, is_silent_on, is_wild
 from orchestrator.bus.memory.medium import BusProcess, Medium
 from orchestrator.bus.outcome import RequestOutcome
 
@@ -115,7 +115,7 @@ class RequestBoard:
         loop.call_soon(self._start_handler, served, question, context=served.context)
 
     def _start_handler(self, served: ServedExpression, question: _PendingRequest) -> None:
-        if not served.stands:
+        if not served.stands or is_silent_on(served.expression, question.outcome.key):
             self._queue_reply(served, question, None)
             return
         context = served.context.copy()
@@ -129,7 +129,8 @@ class RequestBoard:
         try:
             payload = await served.handler(BusSample(key, question.payload))
         except RequestRefused as refusal:
-            self._queue_reply(served, question, partial(question.outcome.add_refusal, str(refusal)))
+            answer = None if is_wild(asked) else partial(question.outcome.add_refusal, str(refusal))
+            self._queue_reply(served, question, answer)
         except Exception as error:
             text = f"{type(error).__name__} while answering {key}: {error}"
             asyncio.get_running_loop().call_exception_handler({"message": text, "exception": error})

@@ -23,7 +23,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler, RequestRefused
-from orchestrator.bus.expression import check_expression, check_key, check_put, is_wild
+from orchestrator.bus.expression import check_expression, check_key, check_put, is_silent_on, is_wild
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
@@ -148,7 +148,7 @@ class ZenohBus:
         declaration = _ZenohDeclaration(self._standing)
 
         def start_answer(query: zenoh.Query) -> None:
-            if not declaration.stands or self._closed:
+            if not declaration.stands or self._closed or is_silent_on(expression, str(query.key_expr)):
                 query.drop()
                 return
             task = self._loop.create_task(self._answer_query(query, expression, handler))
@@ -172,6 +172,9 @@ class ZenohBus:
         try:
             reply = partial(query.reply, key, await handler(BusSample(key, payload)), express=True)
         except RequestRefused as refusal:
+            if is_wild(asked):
+                query.drop()
+                return
             reply = partial(query.reply_err, str(refusal), encoding=_REFUSED)
         except asyncio.CancelledError:
             query.drop()

@@ -44,7 +44,7 @@ def test_resources_that_an_earlier_job_waits_for_are_reserved_for_it() -> None:
     assert ids(choice.ready_jobs) == ["c", "d"]
     assert choice.reasons == {
         "a": "waits for x: in use by ben (alignment)",
-        "b": "waits for y: job a 'scan' of anna comes first",
+        "b": "waits for y: job 'scan' a of anna comes first",
     }
 
 
