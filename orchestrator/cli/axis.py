@@ -7,11 +7,12 @@ import click
 
 from orchestrator.cli.axis_take import acquire, release
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.completion import complete_axes, complete_targets
 from orchestrator.cli.fleet import stop
 from orchestrator.cli.jog.command import jog
 from orchestrator.cli.one_step import run_single_step, wait_option
 
-_AXES = click.argument("axes", nargs=-1, required=True)
+_AXES = click.argument("axes", nargs=-1, required=True, shell_complete=complete_axes)
 
 
 @click.group(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
@@ -101,7 +102,7 @@ def disable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: boo
 
 
 @axis.command(epilog="Example: tutti axis home          (the whole fleet, in its home_order)")
-@click.argument("axes", nargs=-1)
+@click.argument("axes", nargs=-1, shell_complete=complete_axes)
 @wait_option
 @fleet_options
 @json_option
@@ -116,7 +117,7 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, 
 
 
 @axis.command(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
-@click.argument("targets", nargs=-1, required=True, metavar="AXIS=VALUE...")
+@click.argument("targets", nargs=-1, required=True, metavar="AXIS=VALUE...", shell_complete=complete_targets)
 @click.option("--relative", is_flag=True, help="VALUE is a distance, not a position.")
 @click.option(
     "--speed", default=0.2, show_default=True, type=click.FloatRange(0.001, 1), help="Fraction of the limits."
@@ -147,7 +148,7 @@ def move(
 
 
 @axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')
-@click.argument("positions", nargs=-1, required=True, metavar="AXIS[=VALUE]...")
+@click.argument("positions", nargs=-1, required=True, metavar="AXIS[=VALUE]...", shell_complete=complete_targets)
 @click.option("--clear", is_flag=True, help="Clear the offsets of the AXES: user positions become motor positions.")
 @wait_option
 @fleet_options

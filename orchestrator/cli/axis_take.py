@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.common import actor_name, console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.completion import complete_axes
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.job_terms import DurationType
 
@@ -23,7 +24,7 @@ def _check_reason(_: click.Context, option: click.Parameter, value: str) -> str:
 
 
 @click.command(epilog='Example: tutti axis acquire gantry stage.u --for 2h --what "new belt"')
-@click.argument("axes", nargs=-1, required=True)
+@click.argument("axes", nargs=-1, required=True, shell_complete=complete_axes)
 @click.option(
     "--for", "seconds", default=None, type=DurationType("24h"), help="Duration, at most 24h; or until `release`."
 )
@@ -81,7 +82,7 @@ def acquire(
 
 
 @click.command(epilog="Example: tutti axis release gantry")
-@click.argument("axes", nargs=-1)
+@click.argument("axes", nargs=-1, shell_complete=complete_axes)
 @click.option("--force", is_flag=True, help="Also axes that another user acquired: agree with that user first.")
 @fleet_options
 @json_option

@@ -3,6 +3,7 @@
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.completion import complete_controllers
 from orchestrator.model.state import ClockMapping, ClockReply, LearnedCrystal
 
 
@@ -43,7 +44,7 @@ def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
 
 
 @clock.command(epilog="Example: tutti clock show gantry")
-@click.argument("controller")
+@click.argument("controller", shell_complete=complete_controllers)
 @fleet_options
 @json_option
 def show(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> None:

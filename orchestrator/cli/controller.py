@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.completion import complete_controllers
 
 if TYPE_CHECKING:
     from adapters.link.can_log import LogFormat
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog='Example: tutti raw gantry "MG TIME" --i-know')
-@click.argument("controller")
+@click.argument("controller", shell_complete=complete_controllers)
 @click.argument("command")
 @click.option("--i-know", is_flag=True, help="Confirm: the command is sent without any limit check.")
 @fleet_options
@@ -31,7 +32,7 @@ def raw(controller: str, command: str, connect: str, fleet: str | None, *, i_kno
 
 
 @click.command(epilog="Examples: tutti trace gantry; tutti trace spindle --format blf --output spindle.blf")
-@click.argument("controller")
+@click.argument("controller", shell_complete=complete_controllers)
 @click.option("--format", "form", type=click.Choice(["asc", "blf", "candump"]), help="Format of a CAN bus log.")
 @click.option("--output", type=click.Path(dir_okay=False, path_type=Path), help="Output file of the log.")
 @fleet_options

@@ -3,6 +3,7 @@
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.completion import complete_outputs
 from orchestrator.cli.one_step import run_single_step, wait_option
 
 
@@ -36,7 +37,7 @@ def list_points(connect: str, fleet: str | None, *, as_json: bool) -> None:
 
 
 @io.command("set", epilog="Example: tutti io set gantry.lamp off")
-@click.argument("output", metavar="CONTROLLER.OUTPUT")
+@click.argument("output", metavar="CONTROLLER.OUTPUT", shell_complete=complete_outputs)
 @click.argument("state", type=click.Choice(["on", "off"]))
 @wait_option
 @fleet_options

@@ -8,7 +8,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
-from orchestrator.cli.base.jobs import job_argument, jobs_argument, name_jobs
+from orchestrator.cli.base.jobs import JobReferenceType, job_argument, jobs_argument, name_jobs
 from orchestrator.cli.job_terms import print_accepted
 
 if TYPE_CHECKING:
@@ -54,7 +54,9 @@ def release(jobs: tuple[str, ...], connect: str, fleet: str | None, *, everythin
 
 @click.command(epilog="Example: tutti job reorder 3f2a91c0 --before 77d0aa12")
 @job_argument
-@click.option("--before", required=True, metavar="JOB", help="The job whose place and priority it gets.")
+@click.option(
+    "--before", required=True, metavar="JOB", type=JobReferenceType(), help="The job whose place and priority it gets."
+)
 @fleet_options
 @json_option
 def reorder(job: str, before: str, connect: str, fleet: str | None, *, as_json: bool) -> None:

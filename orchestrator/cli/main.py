@@ -25,6 +25,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "clock": ("clock", "Show the estimates of the controllers' clocks."),
     "raw": ("controller", "Send a command in a controller's own language."),
     "trace": ("controller", "Show the last bytes on a controller's link."),
+    "completion": ("completion", "Print the completion script of a shell."),
     "schema": ("schema", "Print the JSON Schema of a fleet or job file."),
     "demo": ("demo", "Run a job on a simulated fleet and show the report."),
     "bench": ("bench", "Measure Tutti."),

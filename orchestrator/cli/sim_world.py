@@ -10,6 +10,7 @@ import click
 
 from orchestrator.cli.base.codes import UNREACHABLE
 from orchestrator.cli.base.common import check_fleet_option, json_option, print_result
+from orchestrator.cli.base.completion import complete_controllers, complete_inputs, complete_single_axes
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.names import unknown_name
 
@@ -32,7 +33,7 @@ _PRESSED = {"none": "no limit switch is", "both": "both limit switches are"}
 
 
 @click.command("input", epilog="Example: tutti sim input gantry.door active")
-@click.argument("name", metavar="CONTROLLER.INPUT")
+@click.argument("name", metavar="CONTROLLER.INPUT", shell_complete=complete_inputs)
 @click.argument("to", type=click.Choice(["active", "inactive"]))
 @_fleet
 @_state
@@ -67,7 +68,7 @@ def set_analog(
 
 
 @click.command(epilog="Example: tutti sim limit gantry.x forward")
-@click.argument("name", metavar="CONTROLLER.AXIS")
+@click.argument("name", metavar="CONTROLLER.AXIS", shell_complete=complete_single_axes)
 @click.argument("which", type=click.Choice(["forward", "reverse", "both", "none"]))
 @_fleet
 @_state
@@ -80,7 +81,7 @@ def limit(name: str, which: str, fleet: str | None, state: Path | None, *, as_js
 
 
 @click.command(epilog="Example: tutti sim power stage off")
-@click.argument("controller")
+@click.argument("controller", shell_complete=complete_controllers)
 @click.argument("to", type=click.Choice(["on", "off"]))
 @_fleet
 @_state
@@ -94,7 +95,7 @@ def power(controller: str, to: str, fleet: str | None, state: Path | None, *, as
 
 
 @click.command(epilog="Example: tutti sim push gantry.x 2.5")
-@click.argument("name", metavar="CONTROLLER.AXIS")
+@click.argument("name", metavar="CONTROLLER.AXIS", shell_complete=complete_single_axes)
 @click.argument("distance", type=float)
 @_fleet
 @_state
@@ -109,7 +110,7 @@ def push(name: str, distance: float, fleet: str | None, state: Path | None, *, a
 
 
 @click.command(epilog="Example: tutti sim stall gantry.x on")
-@click.argument("name", metavar="CONTROLLER.AXIS")
+@click.argument("name", metavar="CONTROLLER.AXIS", shell_complete=complete_single_axes)
 @click.argument("to", type=click.Choice(["on", "off"]))
 @_fleet
 @_state

@@ -5,7 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from rich.console import Console, ConsoleDimensions
@@ -13,9 +13,13 @@ from rich.console import Console, ConsoleDimensions
 from orchestrator.bus.endpoint import BadEndpoint, check_endpoint
 from orchestrator.cli.base.errors import run_main
 
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_ACTOR = 80  # characters, as in a job file
 PIPE_COLUMNS = 1000  # a pipe or a file has no width: nothing is cut or wrapped
 
@@ -51,12 +55,18 @@ def check_endpoint_option(_: click.Context, option: click.Parameter, value: str)
         raise click.BadParameter(str(error), param=option) from None
 
 
+def _complete_fleets(context: click.Context, option: click.Parameter, begun: str) -> "list[CompletionItem]":
+    from orchestrator.cli.base.completion import complete_fleets
+
+    return complete_fleets(context, option, begun)
+
+
 def fleet_options(command: F) -> F:
     """Add the options `--connect`, `--fleet` and `--utc`."""
     connect = click.option(
         "--connect",
         envvar="TUTTI_CONNECT",
-        default="tcp/127.0.0.1:7447",
+        default=DEFAULT_ENDPOINT,
         show_default=True,
         show_envvar=True,
         callback=check_endpoint_option,
@@ -68,6 +78,7 @@ def fleet_options(command: F) -> F:
         show_envvar=True,
         default=None,
         callback=check_fleet_option,
+        shell_complete=_complete_fleets,
         help="The fleet, if there are several.",
     )
     utc = click.option(

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from orchestrator.model.report import QueuedJob
@@ -17,6 +18,11 @@ class JobReferenceType(click.ParamType[str]):
     """The beginning of a job's id, its name, or `last`."""
 
     name = "job"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        from orchestrator.cli.base.completion import complete_jobs
+
+        return complete_jobs(ctx, param, incomplete)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         text = str(value)

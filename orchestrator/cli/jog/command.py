@@ -9,6 +9,7 @@ import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, INTERRUPTED
 from orchestrator.cli.base.common import fleet_options, with_fleet
+from orchestrator.cli.base.completion import complete_axes
 from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ slows down at most 0.12 s after you let go (0.2 s after a tap began).
 Whatever happens to this terminal, its connection or this process: an axis
 moves at most 0.2 s longer than requests arrive, then slows down by itself."""
 )
-@click.argument("axes", nargs=-1)
+@click.argument("axes", nargs=-1, shell_complete=complete_axes)
 @fleet_options
 def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     """Jog AXES (axes or controllers; without: all) by the arrow keys, on a panel that shows their positions.

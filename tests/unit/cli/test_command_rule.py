@@ -13,6 +13,7 @@ from orchestrator.cli.main import main
 # Commands that print no JSON, and why.
 WITHOUT_JSON = {
     "axis jog": "a panel on a terminal",
+    "completion": "what it prints is a script",
     "schema": "what it prints is JSON already",
 }
 
