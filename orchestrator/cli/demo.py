@@ -42,7 +42,8 @@ def demo(which: str, keep: Path | None, *, headless: bool, verbose: bool, as_jso
     from orchestrator.model.files import load_fleet, load_job
     from orchestrator.model.report import JobReport
     from orchestrator.runtime.demo_truth import VerdictCheck, check_verdicts
-    from orchestrator.runtime.live import LiveFleet, UpFailed, find_free_port
+    from orchestrator.runtime.live import LiveFleet, find_free_port
+    from orchestrator.runtime.state_folder import UpFailed
 
     def print_line(line: str) -> None:
         if not headless and not as_json:
@@ -103,7 +104,7 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, *, quie
     from orchestrator.client import Tutti
     from orchestrator.model.messages import LeaderHeartbeat
     from orchestrator.model.state import ControllerState
-    from orchestrator.runtime.live import UpFailed
+    from orchestrator.runtime.state_folder import UpFailed
 
     async with Tutti(connect, fleet, actor="demo") as tutti:
         states: dict[str, ControllerState] = {}

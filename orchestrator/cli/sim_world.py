@@ -124,15 +124,16 @@ def stall(name: str, to: str, fleet: str | None, state: Path | None, *, as_json:
 
 def _find_simulation(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
     """Return state folder and controllers of the selected simulated fleet."""
-    from orchestrator.cli.up import default_state
     from orchestrator.model.files import FileError, load_fleet
+    from orchestrator.runtime.state_folder import default_state, find_running_fleets
 
     if state is None:
         base = default_state(fleet or "x").parent
-        folders = [base / fleet] if fleet else sorted(path.parent for path in base.glob("*/world"))
+        simulated = [running.folder for running in find_running_fleets() if (running.folder / "world").is_dir()]
+        folders = [base / fleet] if fleet else simulated
         if len(folders) != 1:
             found = ", ".join(folder.name for folder in folders)
-            text = f"several fleets have been simulated: {found}" if found else f"no simulated fleet below {base}"
+            text = f"several simulated fleets run: {found}" if found else f"no simulated fleet runs below {base}"
             exit_with_error(
                 text, UNREACHABLE, "choose one with --fleet or --state, or start one: `tutti up FILE --sim`"
             )

@@ -1,15 +1,27 @@
 """`tutti up`: a complete fleet on this machine."""
 
 import asyncio
-import os
+import json
 import signal
+import subprocess
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_result
-from orchestrator.cli.base.errors import errors, run_main
+from orchestrator.cli.base.errors import errors, exit_interrupted, exit_with_error, run_main
+from orchestrator.cli.job_terms import DurationType
+
+if TYPE_CHECKING:
+    from orchestrator.runtime.live import LiveFleet
+
+REACH_S = 3.0  # for controllers to be reached before `up` says which are not
+POLL_S = 0.1
+LAST_LINES = 5  # of the log, shown if a detached start fails
 
 NO_REALTIME_WARNING = (
     "this user has no permission for real-time processes, so stops and starts may be late when the "
@@ -21,12 +33,13 @@ NO_REALTIME_WARNING = (
     epilog="""\b
 Examples:
   tutti up deploy/examples/demo.fleet.yaml --sim
+  tutti up lab.fleet.yaml --detach --wait && tutti submit scan.job.yaml
   tutti up lab.fleet.yaml --connect tcp/192.168.1.5:7447
 
 \b
-Exit codes: 0 ended by Ctrl-C or SIGTERM; 130 the same before the fleet was up;
-1 a part could not be started, or ended for good; 2 bad input;
-3 no router at --connect."""
+Exit codes: 0 ended by Ctrl-C, SIGTERM or `tutti down`; 130 the same before the
+fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
+3 no router at --connect. With --detach: 0 it is up."""
 )
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--sim", "simulated", is_flag=True, help="Replace every link by a simulated controller; print which.")
@@ -47,26 +60,41 @@ Exit codes: 0 ended by Ctrl-C or SIGTERM; 130 the same before the fleet was up;
 @click.option("--take-over", is_flag=True, help="Lead the fleet although another coordinator does.")
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
 @click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
+@click.option("--wait", is_flag=True, help="It is up only when every controller is reached; see --limit.")
+@click.option(
+    "--limit",
+    "limit_s",
+    default="60s",
+    show_default=True,
+    type=DurationType("1h"),
+    help="With --wait: fail if a controller is not reached within this time.",
+)
+@click.option("--detach", is_flag=True, help="Return when it is up; `tutti down` ends it. Its lines go to a log.")
 @json_option
 def up(
     file: Path,
     connect: str,
     port: int,
     state: Path | None,
+    limit_s: float,
     *,
     simulated: bool,
     take_over: bool,
     standby: bool,
     truth: bool,
+    wait: bool,
+    detach: bool,
     as_json: bool,
 ) -> None:
     """Start router, adapter hosts, coordinator (and simulators) for the fleet in FILE. Ctrl-C ends them all.
 
-    Ctrl-C stops the running job first; a process that dies is restarted.
+    Ctrl-C stops the running job first; a process that dies is restarted. Controllers that are not reached yet are
+    named; they are taken in whenever they answer.
     """
     from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
     from orchestrator.runtime.checked import load_checked_fleet
     from orchestrator.runtime.live import LiveFleet
+    from orchestrator.runtime.state_folder import default_state
 
     def print_line(line: str) -> None:
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
@@ -81,7 +109,7 @@ def up(
             loop.add_signal_handler(number, end.set)
         if not set_realtime_priority(RealtimePriority.SERVICE, children=False):
             print_line(NO_REALTIME_WARNING)
-        starting = loop.create_task(live.start())
+        starting = loop.create_task(_start_and_reach(live, limit_s if wait else REACH_S, required=wait))
         ended = loop.create_task(end.wait())
         await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
         if not starting.done():
@@ -89,9 +117,11 @@ def up(
             starting.cancel()
             await asyncio.wait([starting])
             raise SystemExit(INTERRUPTED)
-        await starting
-        words = f"fleet {fleet.fleet} is up; state in {folder}; Ctrl-C ends it"
-        print_result({"fleet": fleet.fleet, "connect": live.connect, "state": str(folder)}, words, as_json=as_json)
+        missing = await starting
+        value = {"fleet": fleet.fleet, "connect": live.connect, "state": str(folder), "not_reached": missing}
+        absent = f"; {', '.join(missing)} not reached yet" if missing else ""
+        words = f"fleet {fleet.fleet} is up{absent}; state in {folder}; Ctrl-C ends it"
+        print_result(value, words, as_json=as_json)
         assert live.failed is not None
         await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
         print_line("stopping")
@@ -99,10 +129,84 @@ def up(
         if live.failed.done():
             raise SystemExit(FAILED)
 
-    run_main(run_fleet())
+    if not detach:
+        run_main(run_fleet())
+        return
+    fleet = load_checked_fleet(file)
+    options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
+    flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
+    options += [name for name, given in flags.items() if given]
+    _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 
 
-def default_state(fleet: str) -> Path:
-    """Return `$XDG_STATE_HOME/tutti/FLEET`, or below `~/.local/state`."""
-    base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(base) / "tutti" / fleet
+async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool) -> list[str]:
+    """Start the fleet, and wait until its controllers are reached; return those that are not at the end of the limit.
+
+    required: then end the fleet again. Raises `UpFailed`.
+    """
+    from orchestrator.client import Tutti
+    from orchestrator.runtime.state_folder import UpFailed
+
+    await live.start()
+    missing = dict.fromkeys(live.fleet.controllers, "no adapter answers")
+    try:
+        async with asyncio.timeout(limit_s), Tutti(live.connect, live.fleet.fleet, actor="up") as tutti:
+            while missing:
+                for name, state in (await tutti.status(limit_s)).items():
+                    fault = next((f"{each.text}; {each.remedy}" for each in state.faults), state.mode)
+                    missing[name] = fault if state.mode == "offline" else ""
+                missing = {name: why for name, why in missing.items() if why and name in live.fleet.controllers}
+                await asyncio.sleep(POLL_S)
+    except TimeoutError:
+        pass
+    except BaseException:
+        await live.close()
+        raise
+    if missing and required:
+        await live.close()
+        reasons = "; ".join(f"{name}: {why}" for name, why in missing.items())
+        raise UpFailed(f"not reached within {limit_s:g} s: {reasons}")
+    return list(missing)
+
+
+def _start_detached(file: Path, folder: Path, options: Sequence[str], *, as_json: bool) -> None:
+    """Start `tutti up` in a session of its own, and return when it is up, or exit with its error."""
+    log = folder / "log" / "up.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    code = "from orchestrator.cli.main import main; main(prog_name='tutti')"
+    command = [sys.executable, "-P", "-c", code, "up", str(file), "--json", "--state", str(folder), *options]
+    with log.open("ab") as lines:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=lines, start_new_session=True
+        )
+    try:
+        value = _read_document(process)
+    except KeyboardInterrupt:
+        process.terminate()
+        process.wait()
+        exit_interrupted()
+    if process.poll() is not None or "fleet" not in value:
+        _exit_with_start_error(value, process.wait(), log)
+    value |= {"pid": process.pid, "log": str(log)}
+    missing = value["not_reached"]
+    absent = f"; {', '.join(missing)} not reached yet" if missing else ""
+    words = f"fleet {value['fleet']} is up{absent}; state in {folder}; lines in {log}; `tutti down` ends it"
+    print_result(value, words, as_json=as_json)
+
+
+def _read_document(process: "subprocess.Popen[bytes]") -> dict[str, Any]:
+    """The object that the process prints first; empty if it ends without one."""
+    assert process.stdout is not None
+    lines: list[bytes] = []
+    for line in process.stdout:
+        lines.append(line)
+        if line.rstrip() == b"}":
+            return json.loads(b"".join(lines))
+    return {}
+
+
+def _exit_with_start_error(error: dict[str, Any], code: int, log: Path) -> NoReturn:
+    if "text" in error:
+        exit_with_error(error["text"], code, error["remedy"], code=error["code"])
+    last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LAST_LINES:]
+    exit_with_error(f"it ended with exit code {code}: {' / '.join(last)}", FAILED, f"see {log}")

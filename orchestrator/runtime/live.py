@@ -7,7 +7,6 @@ their input is closed.
 """
 
 import asyncio
-import fcntl
 import json
 import os
 import signal
@@ -18,13 +17,12 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import TextIO
 
-from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
 from orchestrator.runtime.simulated import make_simulator_options
+from orchestrator.runtime.state_folder import StateLock, UpFailed
 from sim.link.arguments import NEXT
 
 READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
@@ -46,10 +44,6 @@ _ENDPOINT_FIELDS = {
 }
 
 PrintLine = Callable[[str], None]
-
-
-class UpFailed(TuttiError):
-    """The fleet cannot be started. The text names the part, the reason, and the remedy."""
 
 
 @dataclass(slots=True)
@@ -106,14 +100,15 @@ class LiveFleet:
     standby: bool = False
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
-    _lock: TextIO | None = None
+    _lock: StateLock | None = None
 
     async def start(self) -> None:
         """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
         self.failed = asyncio.get_running_loop().create_future()
         try:
-            self._lock_folder()
+            self._lock = StateLock(self.state)
             await self._start_router()
+            self._lock.describe_fleet(self.fleet.fleet, self.connect)
             if self.simulated:
                 await self._start_simulators()
             file = self.state / "fleet.json"
@@ -145,23 +140,9 @@ class LiveFleet:
         for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
             await self._end_child(child)
         if self._lock is not None:
-            self._lock.close()
+            self._lock.release()
 
     # Parts
-
-    def _lock_folder(self) -> None:
-        """Lock the state folder: two fleets with one journal, or one set of simulated ports, would interfere."""
-        try:
-            self.state.mkdir(parents=True, exist_ok=True)
-            self._lock = (self.state / "lock").open("w")
-        except OSError as error:
-            raise UpFailed(f"{self.state} cannot be used: {error.strerror}; choose another folder: --state") from None
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UpFailed(
-                f"another `tutti up` uses {self.state}; end that one, or choose another folder: --state"
-            ) from None
 
     async def _start_simulators(self) -> None:
         """Replace every link by that of a simulated controller."""

@@ -126,7 +126,7 @@ def _exit_with_known_error(error: Exception) -> None:
     from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable
     from orchestrator.model.errors import Refusal
     from orchestrator.model.files import FileError
-    from orchestrator.runtime.live import UpFailed
+    from orchestrator.runtime.state_folder import UpFailed
 
     match error:
         case FileError():

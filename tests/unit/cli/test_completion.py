@@ -18,15 +18,17 @@ from orchestrator.cli.main import main
 @pytest.fixture(scope="module")
 def world() -> Iterator[CommandWorld]:
     with pytest.MonkeyPatch.context() as patch:
-        for world in open_world(patch):
+        opened = open_world(patch)
+        world = next(opened)
 
-            async def open_bus(*_: object) -> Any:
-                return world.fleet.make_client("completion").bus
+        async def open_bus(*_: object) -> Any:
+            return world.fleet.make_client("completion").bus
 
-            patch.setattr("orchestrator.bus.zenoh.bus.open_bus", open_bus)
-            patch.setattr(completion, "asyncio", SimpleNamespace(run=world.wait, timeout=asyncio.timeout))
-            world.done("axis", "enable", "gantry")
-            yield world
+        patch.setattr("orchestrator.bus.zenoh.bus.open_bus", open_bus)
+        patch.setattr(completion, "asyncio", SimpleNamespace(run=world.wait, timeout=asyncio.timeout))
+        world.done("axis", "enable", "gantry")
+        yield world
+        next(opened, None)
 
 
 def offered(line: str) -> list[str]:

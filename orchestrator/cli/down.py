@@ -1,0 +1,133 @@
+"""`tutti down`: end a fleet that `tutti up` runs on this machine."""
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED, UNREACHABLE
+from orchestrator.cli.base.common import actor_name, check_fleet_option, json_option, print_result
+from orchestrator.cli.base.errors import exit_with_error, run_main
+
+if TYPE_CHECKING:
+    from orchestrator.client import Tutti
+    from orchestrator.runtime.state_folder import RunningFleet
+
+REST_S = 10.0  # for axes to come to rest
+END_S = 30.0  # for all processes of the fleet
+POLL_S = 0.1
+
+
+@click.command(epilog="Example: tutti down --fleet demo")
+@click.option(
+    "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
+)
+@click.option(
+    "--fleet",
+    envvar="TUTTI_FLEET",
+    show_envvar=True,
+    default=None,
+    callback=check_fleet_option,
+    help="The fleet, if several run.",
+)
+@json_option
+def down(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
+    """End a fleet that `tutti up` runs on this machine: first its axes come to rest, then its processes end in order.
+
+    Only the processes of that `tutti up` are ended. Exit 1, and nothing is ended, while an axis does not come to rest.
+    """
+    running = _choose_fleet(state, fleet)
+    # From here on it is this process, whatever takes its id later.
+    try:
+        process = os.pidfd_open(running.pid)
+    except ProcessLookupError:
+        exit_with_error(f"fleet {running.fleet} has just ended", UNREACHABLE)
+    try:
+        if _has_ended(running):
+            exit_with_error(f"fleet {running.fleet} has just ended", UNREACHABLE)
+        run_main(_bring_to_rest(running))
+        signal.pidfd_send_signal(process, signal.SIGTERM)
+    except PermissionError:
+        exit_with_error(f"fleet {running.fleet} is run by another user (process {running.pid})", FAILED)
+    finally:
+        os.close(process)
+    _wait_for_end(running)
+    value = {"fleet": running.fleet, "state": str(running.folder)}
+    print_result(value, f"fleet {running.fleet} is down", as_json=as_json)
+
+
+def _choose_fleet(state: Path | None, fleet: str | None) -> "RunningFleet":
+    """The fleet to end; a choice that is not unique ends the command."""
+    from orchestrator.runtime.state_folder import default_state, find_running_fleet, find_running_fleets
+
+    if state is not None:
+        found = find_running_fleet(state)
+        if found is None:
+            exit_with_error(f"no fleet runs with the state folder {state}", UNREACHABLE)
+        return found
+    running = find_running_fleets()
+    chosen = [each for each in running if fleet in (None, each.fleet)]
+    names = ", ".join(each.fleet for each in running)
+    if not chosen:
+        where = f"below {default_state('any').parent}"
+        text = f"no fleet {fleet} runs {where}; there run: {names}" if fleet and names else f"no fleet runs {where}"
+        exit_with_error(
+            text, UNREACHABLE, "name its folder, if it was started with --state: `tutti down --state FOLDER`"
+        )
+    if len(chosen) > 1:
+        exit_with_error(
+            f"several fleets run: {names}", BAD_INPUT, "choose one with --fleet or --state", code="which-fleet"
+        )
+    return chosen[0]
+
+
+async def _bring_to_rest(running: "RunningFleet") -> None:
+    """Stop what moves, and wait until it is at rest. A fleet that does not answer is ended without."""
+    import asyncio
+
+    from orchestrator.bus.zenoh.sessions import RouterUnreachable
+    from orchestrator.client import Tutti
+
+    try:
+        async with Tutti(running.connect, running.fleet, actor=actor_name()) as tutti:
+            moving = await _find_moving(tutti)
+            if moving:
+                await tutti.stop()
+            until_s = time.monotonic() + REST_S
+            while moving and time.monotonic() < until_s:
+                await asyncio.sleep(POLL_S)
+                moving = await _find_moving(tutti)
+    except RouterUnreachable:
+        return
+    if moving:
+        text = f"{', '.join(moving)} still moves {REST_S:g} s after a stop; nothing was ended"
+        exit_with_error(text, FAILED, "stop it: `tutti estop`, or the wired e-stop; then repeat", code="moving")
+
+
+async def _find_moving(tutti: "Tutti") -> list[str]:
+    """The axes that move, of controllers that are reached."""
+    return [
+        f"{name}.{axis}"
+        for name, state in (await tutti.status(1.0)).items()
+        if state.mode != "offline"
+        for axis, now in state.axes.items()
+        if now.moving or now.homing
+    ]
+
+
+def _has_ended(running: "RunningFleet") -> bool:
+    from orchestrator.runtime.state_folder import find_start_ticks
+
+    return find_start_ticks(running.pid) != running.started
+
+
+def _wait_for_end(running: "RunningFleet") -> None:
+    until_s = time.monotonic() + END_S
+    while not _has_ended(running):
+        if time.monotonic() > until_s:
+            text = f"process {running.pid} of fleet {running.fleet} has not ended within {END_S:g} s"
+            exit_with_error(text, FAILED, f"see {running.folder / 'log'}")
+        time.sleep(POLL_S)

@@ -1,0 +1,97 @@
+"""The state folder of a running fleet: one `tutti up` at a time locks it, and says there which process it is."""
+
+import fcntl
+import json
+import os
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from orchestrator.model.errors import TuttiError
+
+LOCK = "lock"
+
+
+class UpFailed(TuttiError):
+    """The fleet cannot be started. The text names the part, the reason, and the remedy."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunningFleet:
+    """A `tutti up` at work. started: when its process began, in the kernel's ticks, which tells it from a later process
+    with the same id."""
+
+    pid: int
+    started: int
+    fleet: str
+    connect: str
+    folder: Path
+
+
+class StateLock:
+    """The lock of a state folder, held until `release` or the end of the process."""
+
+    def __init__(self, folder: Path) -> None:
+        """Lock it: two fleets with one journal, or one set of simulated ports, would interfere. Raises `UpFailed`."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            # Not truncated before it is locked: it belongs to the process that holds it.
+            self._file: TextIO = (folder / LOCK).open("a+")
+        except OSError as error:
+            raise UpFailed(f"{folder} cannot be used: {error.strerror}; choose another folder: --state") from None
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.close()
+            remedy = f"end that one (`tutti down --state {folder}`), or choose another folder: --state"
+            raise UpFailed(f"another `tutti up` uses {folder}; {remedy}") from None
+        self._file.truncate(0)
+
+    def describe_fleet(self, fleet: str, connect: str) -> None:
+        """Write which fleet runs, and in which process."""
+        pid = os.getpid()
+        entry = {"pid": pid, "started": find_start_ticks(pid), "fleet": fleet, "connect": connect}
+        self._file.truncate(0)
+        self._file.write(json.dumps({**entry, "host": socket.gethostname()}))
+        self._file.flush()
+
+    def release(self) -> None:
+        """Release it. Safe to call twice."""
+        if not self._file.closed:
+            self._file.truncate(0)
+            self._file.close()
+
+
+def find_running_fleet(folder: Path) -> RunningFleet | None:
+    """The fleet that runs with this state folder; None without one."""
+    try:
+        entry = json.loads((folder / LOCK).read_text(encoding="utf-8"))
+        found = RunningFleet(entry["pid"], entry["started"], entry["fleet"], entry["connect"], folder)
+        here = entry["host"] == socket.gethostname()
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    # What a killed process has left there names no living one.
+    return found if here and find_start_ticks(found.pid) == found.started else None
+
+
+def find_running_fleets() -> list[RunningFleet]:
+    """All fleets of this user that run with their default state folders, by name."""
+    folders = sorted(path.parent for path in default_state("any").parent.glob(f"*/{LOCK}"))
+    return [found for folder in folders if (found := find_running_fleet(folder)) is not None]
+
+
+def default_state(fleet: str) -> Path:
+    """Return `$XDG_STATE_HOME/tutti/FLEET`, or below `~/.local/state`."""
+    base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(base) / "tutti" / fleet
+
+
+def find_start_ticks(pid: int) -> int | None:
+    """When a process began, in the kernel's ticks after its start; None if it has ended."""
+    try:
+        # The name of the program, in brackets, may contain anything.
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if fields[0] == "Z" else int(fields[19])

@@ -1,0 +1,65 @@
+"""A fleet in the background: `tutti up --detach`, what it says, and `tutti down`."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from children import LIMIT_S, wait_until
+from fleet import COMMAND, EXAMPLES, free_port
+
+from orchestrator.runtime.state_folder import find_start_ticks
+
+pytestmark = pytest.mark.live
+
+
+def run_in(home: Path, *words: str) -> "subprocess.CompletedProcess[str]":
+    environment = {**os.environ, "XDG_STATE_HOME": str(home)}
+    return subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=2 * LIMIT_S, env=environment)
+
+
+def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tmp_path: Path) -> None:
+    port = free_port()
+    endpoint = ["--connect", f"tcp/127.0.0.1:{port}"]
+    up = ["up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--port", str(port), "--detach"]
+    started = run_in(tmp_path, *up, "--wait", "--json")
+    assert started.returncode == 0, started.stderr + started.stdout
+    value = json.loads(started.stdout)
+    try:
+        assert value["not_reached"] == []
+        assert Path(value["log"]).read_text().startswith("router on")
+        again = run_in(tmp_path, *up)
+        assert (again.returncode, again.stdout) == (1, "")
+        assert "another `tutti up` uses" in again.stderr
+        for words in (["enable", "gantry"], ["home", "gantry"]):
+            assert run_in(tmp_path, "axis", *words, *endpoint).returncode == 0
+        job = tmp_path / "slow.job.yaml"
+        job.write_text("schema: tutti.job/1\nname: slow\nsteps: [{do: move, to: {gantry.x: 300}, speed: 0.05}]\n")
+        assert run_in(tmp_path, "submit", str(job), *endpoint).returncode == 0
+
+        def moves() -> bool:
+            return json.loads(run_in(tmp_path, "axis", "ls", "--json", *endpoint).stdout)["gantry.x"]["moving"]
+
+        wait_until(moves, "the axis moves")
+    finally:
+        down = run_in(tmp_path, "down")
+    assert (down.returncode, down.stdout.strip()) == (0, "fleet demo is down"), down.stderr
+    assert find_start_ticks(value["pid"]) is None
+    assert run_in(tmp_path, "down").returncode == 3
+
+
+@pytest.mark.nightly
+def test_a_controller_that_is_not_reached_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "lonely.fleet.yaml"
+    text = (EXAMPLES / "demo.fleet.yaml").read_text().partition("  stage:")[0]
+    file.write_text(text.replace("host: 192.168.1.20, port: 23", f"host: 127.0.0.1, port: {free_port()}"))
+    up = ["up", str(file), "--port", str(free_port()), "--detach"]
+    started = run_in(tmp_path, *up)
+    assert started.returncode == 0, started.stderr
+    assert started.stdout.startswith("fleet demo is up; gantry not reached yet; state in")
+    assert run_in(tmp_path, "down").returncode == 0
+    refused = run_in(tmp_path, *up, "--wait", "--limit", "1s")
+    assert refused.returncode == 1
+    assert "not reached within 1 s: gantry: " in refused.stderr
+    assert run_in(tmp_path, "down").returncode == 3
