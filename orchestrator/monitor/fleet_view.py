@@ -59,7 +59,7 @@ class LiveView:
             if sample.key.endswith("/event"):
                 event = ControllerEvent.model_validate_json(sample.payload)
                 self.events = [*self.events, event][-MAX_EVENTS_SHOWN:]
-                return f"{format_time(event.utc, precise=True)} {event.controller}: {event.kind}: {event.text}"
+                return f"{format_time(event.utc, precise=True)} {event.controller}: {_describe_event(event)}"
             if "/job/" in sample.key:
                 progress = JobProgress.model_validate_json(sample.payload)
                 return format_job_line(progress) if self.store_progress(progress) else None
@@ -116,20 +116,25 @@ class LiveView:
         """Render the whole screen."""
         permits = name_missing_permits(self.queue)
         parts: list[RenderableType] = [make_state_table(self.states, self.leases, self.find_ages(), permits)]
+        parts += self.render_jobs()
+        if self.events:
+            table = Table.grid(padding=(0, 2))
+            for event in self.events:
+                text = Text(event.text, overflow="ellipsis")
+                table.add_row(format_time(event.utc), event.controller, event.kind, text)
+            parts.append(table)
+        return Group(*parts)
+
+    def render_jobs(self) -> list[RenderableType]:
+        """Render why no job begins, if so, and the active jobs."""
+        parts: list[RenderableType] = []
         if self.queue is not None and self.queue.stopped is not None:
             parts.append(Text(describe_queue(self.queue), style="bold yellow"))
         shown = sorted(self.jobs.values(), key=lambda each: (each.state == "queued", each.job_id))
         parts += [make_job_bar(each) for each in shown[:MAX_JOBS_SHOWN]]
         if len(shown) > MAX_JOBS_SHOWN:
             parts.append(Text(f"and {len(shown) - MAX_JOBS_SHOWN} more jobs; see `tutti job ls`", style="dim"))
-        if self.events:
-            table = Table.grid(padding=(0, 2))
-            for event in self.events:
-                table.add_row(
-                    format_time(event.utc), event.controller, event.kind, Text(event.text, overflow="ellipsis")
-                )
-            parts.append(table)
-        return Group(*parts)
+        return parts
 
 
 def make_state_table(
@@ -164,16 +169,25 @@ def make_state_table(
                 _describe_ready(state, now, permits.get(f"{controller}.{axis}")) if known and age_s is None else "",
                 style=row_style,
             )
-        if state.estop is not None:
-            why = f": {state.estop.reason}" if state.estop.reason else ""
-            by = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
-            troubles.append(Text(by, style="bold red"))
-        held = {holder for holder in state.leases.values() if holder.startswith("manual-")}
-        troubles += [
-            Text(f"{controller}: {_describe_holder(holder, leases or {})}", style="yellow") for holder in sorted(held)
-        ]
-        troubles += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
+        troubles += _list_troubles(controller, state, leases or {}, age_s)
     return Group(table, *troubles)
+
+
+def _list_troubles(
+    controller: str, state: ControllerState, leases: Mapping[str, LeaseState], age_s: float | None
+) -> list[Text]:
+    """E-stop, manual control and faults of a controller; of a state that is too old to be shown as live, dimmed and
+    with its age."""
+    lines: list[tuple[str, str]] = []
+    if state.estop is not None:
+        why = f": {state.estop.reason}" if state.estop.reason else ""
+        lines.append((f"E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe", "bold red"))
+    held = {holder for holder in state.leases.values() if holder.startswith("manual-")}
+    lines += [(_describe_holder(holder, leases), "yellow") for holder in sorted(held)]
+    lines += [(f"{fault.text} → {fault.remedy}", "red") for fault in state.faults]
+    if age_s is None:
+        return [Text(f"{controller}: {line}", style) for line, style in lines]
+    return [Text(f"{controller}, {age_s:.0f} s ago: {line}", "dim") for line, _ in lines]
 
 
 def name_missing_permits(queue: QueueState | None) -> dict[str, str]:
@@ -220,6 +234,10 @@ def describe_axis(axis: AxisState, *, estop: bool = False) -> Text:
     if axis.limit != "none":
         words.append((f"on {axis.limit} limit", "red"))
     return Text(", ").join(Text(word, style=style) for word, style in words or [("ready", "green")])
+
+
+def _describe_event(event: ControllerEvent) -> str:
+    return event.text if event.text.startswith(event.kind) else f"{event.kind}: {event.text}"
 
 
 def _describe_clock(state: ControllerState) -> str:

@@ -1,4 +1,4 @@
-"""A fleet in the background: `tutti up --detach`, what it says, and `tutti down`."""
+"""A fleet in the background: `tutti up --detach`, what it says, and `tutti down`; and `tutti watch` on a terminal."""
 
 import json
 import os
@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import COMMAND, EXAMPLES, free_port
+from fleet import COMMAND, EXAMPLES, RunningFleet, free_port
 
 from orchestrator.runtime.state_folder import find_start_ticks
+from orchestrator.runtime.terminal_process import TerminalProcess
 
 pytestmark = pytest.mark.live
+CODE = COMMAND[-1]
 
 
 def run_in(home: Path, *words: str) -> "subprocess.CompletedProcess[str]":
@@ -47,6 +49,20 @@ def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tm
     assert (down.returncode, down.stdout.strip()) == (0, "fleet demo is down"), down.stderr
     assert find_start_ticks(value["pid"]) is None
     assert run_in(tmp_path, "down").returncode == 3
+
+
+def test_watch_is_left_by_q_and_restores_the_terminal(shared: RunningFleet) -> None:
+    watch = TerminalProcess(CODE, ["watch", "--connect", shared.endpoint], releases=False)
+    try:
+        wait_until(lambda: "fleet demo  connected" in watch.screen_text, "the screen is there")
+        assert "stage" in watch.screen_text
+        watch.type_text("/gantry.x\r")
+        wait_until(lambda: "filter: gantry.x" in watch.screen_text, "the filter is shown")
+        watch.type_text("q")
+        assert watch.wait() == 0
+        assert watch.terminal_mode() == watch.before
+    finally:
+        watch.close()
 
 
 @pytest.mark.nightly

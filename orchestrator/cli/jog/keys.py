@@ -26,6 +26,7 @@ _NUMBERED = {
     57420: "down",
 } | {57399 + digit: str(digit) for digit in range(10)}
 _CONTROLS = {0x08: "backspace", 0x09: "tab", 0x0A: "enter", 0x0D: "enter", 0x20: "space", 0x7F: "backspace"}
+_EDITING = {"5": "pageup", "6": "pagedown"}  # by their number before `~`
 _KINDS: dict[str, KeyKind] = {"": "press", "1": "press", "2": "repeat", "3": "release"}
 _SHIFT, _ALT, _CTRL = 1, 2, 4
 # Device control, operating system command and similar: text up to the string terminator.
@@ -155,6 +156,8 @@ def _interpret_sequence(parameters: str, final: str) -> TerminalEvent | None:
     if final in _ARROWS:
         # With any modifiers: a Shift key that is released first must not hide the release of the arrow.
         return KeyEvent(_ARROWS[final], kind)
+    if final == "~":
+        return KeyEvent(_EDITING[code], kind) if code in _EDITING else None
     number = code.partition(":")[0]
     if final != "u" or not number.isdecimal():
         return None

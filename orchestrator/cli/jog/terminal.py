@@ -5,6 +5,7 @@ import io
 import os
 import select
 import signal
+import sys
 import termios
 import time
 import tty
@@ -105,7 +106,7 @@ class RawTerminal:
 
     def write_text(self, text: str) -> None:
         """Write all of it, or nothing when the terminal is hung up."""
-        data = text.encode()
+        data = text.encode(sys.stdout.encoding or "utf-8", sys.stdout.errors or "strict")
         with contextlib.suppress(OSError):
             while data:
                 data = data[os.write(self._fd_out, data) :]
