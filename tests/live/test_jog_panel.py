@@ -98,6 +98,17 @@ def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) 
     wait_until(lambda: not fleet.status()["gantry"].leases, "it is given back after a while")
 
 
+def test_a_step_is_a_job_of_the_panel(fleet: RunningFleet, start: Start) -> None:
+    panel = start("gantry.x")
+    before = fleet.status()["gantry"].axes["x"].position
+    panel.type_text("\t\t\t")
+    wait_until(lambda: "[1]" in panel.screen_text, "the size is chosen")
+    panel.press_arrow("left")
+    panel.release_arrow("left")
+    wait_until(lambda: "done: move gantry.x by -1" in panel.screen_text, "the step is made")
+    assert fleet.status()["gantry"].axes["x"].position == pytest.approx(before - 1)
+
+
 @pytest.mark.nightly
 def test_a_plain_terminal_taps_and_holds(fleet: RunningFleet, start: Start) -> None:
     panel = start("gantry.x", releases=False)

@@ -39,9 +39,10 @@ moves at most 0.2 s longer than requests arrive, then slows down by itself."""
 def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     """Jog AXES (axes or controllers; without: all) by the arrow keys, on a panel that shows their positions.
 
-    ←/→ jog the chosen axis in its negative/positive direction while held, ↑/↓ choose the axis, + - 1…9 the speed;
-    space stops, s stops the whole fleet, ! is an e-stop, q or Ctrl-C exits. A jogged axis is leased until 3 s after
-    it has come to rest: meanwhile jobs that need it wait, and other users are refused.
+    ←/→ jog the chosen axis in its negative/positive direction while held, or by steps of 0.01 to 10 units (Tab), ↑/↓
+    choose the axis, + - 1…9 the speed; e enables, h twice homes, z twice sets the position to 0. Space and Esc stop, s
+    stops the whole fleet, x is an e-stop, q or Ctrl-C exits. A jogged axis is leased until 3 s after it has come to
+    rest: meanwhile jobs that need it wait, and other users are refused.
     """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         exit_with_error(

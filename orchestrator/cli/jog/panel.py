@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from orchestrator.cli.base.codes import INTERRUPTED
 from orchestrator.cli.jog.held_key import HeldKey, KeyChange
 from orchestrator.cli.jog.keys import FocusChange, KeyEvent
+from orchestrator.cli.jog.work import AxisWork, CancelWork, RunWork
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
@@ -69,7 +70,17 @@ class ExitPanel:
     code: int
 
 
-PanelAction = AcquireAxis | ReleaseAxis | JogAxis | StopJog | RequestFleetStop | RequestFleetEstop | ExitPanel
+PanelAction = (
+    AcquireAxis
+    | ReleaseAxis
+    | JogAxis
+    | StopJog
+    | RunWork
+    | CancelWork
+    | RequestFleetStop
+    | RequestFleetEstop
+    | ExitPanel
+)
 
 
 @dataclass(slots=True)
@@ -105,6 +116,7 @@ class JogPanel:
     refusal: Refusal | None = None
     note: str = ""
     holder: str | None = None
+    work: AxisWork = field(default_factory=AxisWork)
     _acquired: frozenset[str] = frozenset()
     _acquiring: bool = False
     _step: int = FRACTIONS.index(FIRST_FRACTION)
@@ -187,14 +199,15 @@ class JogPanel:
         self._held_key.note_activity(now_ns)
         if key.kind == "release":
             return []
-        bound = self._key_bindings().get(key.name)
+        # Letters are keys: Shift and Caps Lock do not matter.
+        bound = self._key_bindings().get(key.name.lower())
         if bound is None or (key.kind == "repeat" and key.name not in ("+", "=", "-", "up", "down")):
             return []
         return bound(now_ns)
 
     def handle_focus(self, focus: FocusChange, now_ns: int) -> list[PanelAction]:
         """Handle a change of focus: a window without the keyboard receives no release."""
-        if focus.on or self._motion is None:
+        if focus.on or (self._motion is None and self.work.running is None):
             return []
         self.note = "stopped, because this window has lost the keyboard focus"
         return self._stop_and_block(now_ns)
@@ -256,6 +269,11 @@ class JogPanel:
         because it explains more."""
         self.refusal = self.refusal or refusal
 
+    def handle_work_done(self, work: RunWork, refusal: Refusal | None) -> None:
+        """Note the end of a work, or why it was not done."""
+        self.work.running = None
+        self.refusal, self.note = refusal, "" if refusal is not None else f"done: {work.words}"
+
     def show_note(self, note: str) -> None:
         """Show the result of stopping the fleet."""
         self.note = note
@@ -271,8 +289,14 @@ class JogPanel:
             "-": lambda now_ns: self._change_speed(self._step - 1, now_ns),
             "space": self._stop_and_block,
             "escape": self._stop_and_block,
+            "tab": self._choose_step_size,
+            "e": lambda now_ns: self._begin_work(now_ns, lambda: self.work.start_enabling(self.chosen_axis)),
+            "h": lambda now_ns: self._begin_work(now_ns, lambda: self.work.start_homing(self.chosen_axis, now_ns), "h"),
+            "z": lambda now_ns: self._begin_work(
+                now_ns, lambda: self.work.start_zeroing(self.chosen_axis, now_ns), "z"
+            ),
             "s": lambda now_ns: [*self._stop_and_block(now_ns), RequestFleetStop()],
-            "!": lambda now_ns: [RequestFleetEstop(), *self._stop_and_block(now_ns)],
+            "x": lambda now_ns: [RequestFleetEstop(), *self._stop_and_block(now_ns)],
             "q": lambda now_ns: [*self._stop_and_block(now_ns), ExitPanel(0)],
             "ctrl+c": lambda now_ns: [*self._stop_and_block(now_ns), ExitPanel(INTERRUPTED)],
             "ctrl+z": self._refuse_background,
@@ -286,9 +310,13 @@ class JogPanel:
         """Handle a change of the held key."""
         if grip is KeyChange.BEGIN:
             self._blocked, self.refusal, self.note = False, None, ""
-            return [*self._end_motion(now_ns), *self._handle_press(now_ns)]
+            if self.work.running is not None:
+                return self._refuse_while_working()
+            ended = self._end_motion(now_ns)
+            return [*ended, *(self._handle_press(now_ns) if self.work.step_size is None else self._make_step())]
         if grip is KeyChange.GO_ON:
-            return [] if self._blocked else self._handle_press(now_ns)
+            # A key that is held makes one step.
+            return [] if self._blocked or self.work.step_size is not None else self._handle_press(now_ns)
         if grip is KeyChange.SILENT and self._motion is not None:
             self.note = "stopped, because the terminal sends no more events of the key: press it again"
         return self._end_motion(now_ns) if grip is not None else []
@@ -304,6 +332,36 @@ class JogPanel:
         back = self._release_axes()
         self._acquiring = True
         return [*back, AcquireAxis(self.chosen_axis)]
+
+    def _make_step(self) -> list[PanelAction]:
+        """Start a step in the direction of the pressed key. Its job acquires the axis itself."""
+        assert self._held_key.key is not None
+        axis, direction = self.chosen_axis, _DIRECTIONS[self._held_key.key]
+        speed = self.key_speed() / self.axes[axis].limits.velocity
+        return [*self._release_axes(), self.work.start_step(axis, direction, speed)]
+
+    def _begin_work(self, now_ns: int, start: "Callable[[], RunWork | None]", key: str = "") -> list[PanelAction]:
+        """Start the work of a key, or ask for its second press."""
+        if self.work.running is not None:
+            return self._refuse_while_working()
+        self.refusal, self.note = None, ""
+        ended = self._stop_and_block(now_ns)
+        work = start()
+        if work is None:
+            self.note = f"press {key} again within 3 s"
+            return ended
+        return [*ended, *self._release_axes(), work]
+
+    def _refuse_while_working(self) -> list[PanelAction]:
+        assert self.work.running is not None
+        self._blocked, self.note = True, f"not while it works: {self.work.running.words}; space stops it"
+        return []
+
+    def _choose_step_size(self, now_ns: int) -> list[PanelAction]:
+        if self.work.running is not None:
+            return self._refuse_while_working()
+        self.work.choose_next_size()
+        return self._stop_and_block(now_ns)
 
     def _begin_motion(self, now_ns: int) -> list[PanelAction]:
         """Start the motion of the held key, now that its axis is acquired."""
@@ -328,7 +386,8 @@ class JogPanel:
         """Stop, and ignore the held key until the next press."""
         self._held_key.release_key()
         self._blocked = True
-        return self._end_motion(now_ns)
+        cancelled = [] if self.work.running is None else [CancelWork()]
+        return [*self._end_motion(now_ns), *cancelled]
 
     def _show_refusal(self, refusal: Refusal) -> None:
         """Show a refusal: nothing moves until the next key press."""
@@ -343,6 +402,7 @@ class JogPanel:
 
     def _choose_axis(self, by: int, now_ns: int) -> list[PanelAction]:
         self.chosen = (self.chosen + by) % len(self.axes)
+        self.work.forget_question()
         return self._stop_and_block(now_ns)
 
     def _change_speed(self, step: int, now_ns: int) -> list[PanelAction]:

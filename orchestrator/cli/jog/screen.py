@@ -8,6 +8,7 @@ from rich.text import Text
 
 from orchestrator.cli.jog.held_key import REPEAT_WAIT_NS, SILENCE_NS, TAP_NS
 from orchestrator.cli.jog.panel import IDLE_NS, JogPanel
+from orchestrator.cli.jog.work import STEP_SIZES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
 from orchestrator.model.state import AxisState
@@ -17,7 +18,7 @@ STALE_NS = 2 * NS_PER_S  # without a state of a controller that publishes severa
 WIDE_COLUMNS = 100  # columns from which there is room for wider gaps
 # Minimum widths, so that columns do not shift while figures grow.
 _MIN_WIDTHS = {"position>": 12, "velocity>": 10, "− room>": 6, "+ room>": 6}
-OTHER_LINES = 13  # lines of the screen that are neither rows of axes nor messages
+OTHER_LINES = 15  # lines of the screen that are neither rows of axes nor messages
 
 _LIMITS = {"none": "", "reverse": "− end", "forward": "+ end", "both": "both"}
 _ARROWS = {-1: "◀◀◀", 0: " ■ ", 1: "▶▶▶"}
@@ -115,7 +116,9 @@ def _render_motion(panel: JogPanel) -> RenderableType:
     why = "" if now is None or now.referenced else ", slow: unreferenced"
     unit = axis.unit
     doing = "at rest"
-    if panel.jog_direction:
+    if panel.work.running is not None:
+        doing = panel.work.running.words
+    elif panel.jog_direction:
         doing = "jogging"
     elif now is not None and now.moving:
         doing = "moving"
@@ -126,6 +129,7 @@ def _render_motion(panel: JogPanel) -> RenderableType:
             (_ARROWS[panel.jog_direction], "bold cyan" if panel.jog_direction else "dim"),
             f"  {doing}",
         ),
+        _describe_arrows(panel, unit),
         Text.assemble(
             "speed  ",
             ("━" * filled, "cyan"),
@@ -135,6 +139,18 @@ def _render_motion(panel: JogPanel) -> RenderableType:
             f" of {most:.4g} {unit}/s{why}",
         ),
     )
+
+
+def _describe_arrows(panel: JogPanel, unit: str) -> Text:
+    """What a press of an arrow does now, of all that `tab` chooses."""
+    text = Text("arrows ")
+    for size in (None, *STEP_SIZES):
+        words = "hold" if size is None else f"{size:g}"
+        text.append(
+            f"[{words}]" if size == panel.work.step_size else f" {words} ",
+            "bold cyan" if size == panel.work.step_size else "dim",
+        )
+    return text.append(f" {unit}", "dim")
 
 
 def _list_troubles(panel: JogPanel, now_ns: int) -> list[Text]:
@@ -172,12 +188,16 @@ def _is_stale(panel: JogPanel, name: str, now_ns: int) -> bool:
 def _render_keys() -> RenderableType:
     text = Text()
     for key, meaning in (
-        ("←/→", "jog while held"),
+        ("←/→", "jog or step"),
         ("↑/↓", "axis"),
         ("+ - 1…9", "speed"),
-        ("space", "stop\n"),
+        ("tab", "step size\n"),
+        ("e", "enable"),
+        ("h h", "home"),
+        ("z z", "zero\n"),
+        ("space esc", "stop"),
         ("s", "stop the fleet"),
-        ("!", "e-stop"),
+        ("x", "e-stop"),
         ("q", "leave"),
     ):
         text.append(key, style="bold").append(f" {meaning}   ".replace("\n   ", "\n"), style="dim")

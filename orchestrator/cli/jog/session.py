@@ -22,6 +22,8 @@ from orchestrator.cli.jog.panel import (
 )
 from orchestrator.cli.jog.screen import render_panel
 from orchestrator.cli.jog.terminal import ESCAPE_TIMEOUT_S, RawTerminal
+from orchestrator.cli.jog.work import CancelWork, RunWork
+from orchestrator.cli.jog.work_runner import WorkRunner
 from orchestrator.client import Refusal, Tutti
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
@@ -44,10 +46,11 @@ class JogSession:
         self._ended = ended
         self._loop = asyncio.get_running_loop()
         self._hand: ManualControl | None = None
-        self._leasing: asyncio.Queue[str | ManualControl | None] = asyncio.Queue()
+        self._leasing: asyncio.Queue[str | ManualControl | asyncio.Event | None] = asyncio.Queue()
         self._leaving = False
         self._endless: list[asyncio.Task[None]] = []
         self._requests: set[asyncio.Task[None]] = set()
+        self._works = WorkRunner(tutti, panel, self._start_request)
         self._timer: asyncio.TimerHandle | None = None
         self._escape: asyncio.TimerHandle | None = None
 
@@ -65,6 +68,7 @@ class JogSession:
                 timer.cancel()
         for task in self._endless:
             task.cancel()
+        self._works.cancel()
         self._release_axes()
         self._leasing.put_nowait(None)
         await asyncio.wait(self._requests, timeout=EXIT_TIMEOUT_S)
@@ -133,6 +137,8 @@ class JogSession:
                 self._start_request(self._send_jog(action))
             elif isinstance(action, StopJog):
                 self._start_request(self._stop_jog())
+            elif isinstance(action, RunWork | CancelWork):
+                self._handle_work(action)
             elif isinstance(action, RequestFleetStop):
                 self._start_request(self._stop_fleet())
             elif isinstance(action, RequestFleetEstop):
@@ -145,6 +151,13 @@ class JogSession:
         due_ns = self._panel.next_tick_ns()
         if due_ns is not None:
             self._timer = self._loop.call_later(max(0, due_ns - raw_ns()) / NS_PER_S, self._handle_tick)
+
+    def _handle_work(self, action: RunWork | CancelWork) -> None:
+        if isinstance(action, RunWork):
+            # Its job acquires the axis: it waits for the release before.
+            self._leasing.put_nowait(self._works.start(action))
+        else:
+            self._works.cancel()
 
     def _handle_tick(self) -> None:
         self._perform_actions(self._panel.handle_time(raw_ns()))
@@ -160,6 +173,9 @@ class JogSession:
         while (wanted := await self._leasing.get()) is not None:
             if isinstance(wanted, ManualControl):
                 await wanted.release()
+                continue
+            if isinstance(wanted, asyncio.Event):
+                wanted.set()
                 continue
             hand = self._tutti.manual_control([wanted], what="jog panel")
             try:

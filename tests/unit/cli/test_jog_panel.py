@@ -15,6 +15,7 @@ from orchestrator.cli.jog.panel import (
     RequestFleetStop,
     StopJog,
 )
+from orchestrator.cli.jog.work import CONFIRM_NS, CancelWork, RunWork
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
@@ -294,7 +295,9 @@ def test_stops_and_ways_out() -> None:
     for key, actions in (
         ("space", [StopJog()]),
         ("s", [StopJog(), RequestFleetStop()]),
-        ("!", [RequestFleetEstop(), StopJog()]),
+        ("escape", [StopJog()]),
+        ("x", [RequestFleetEstop(), StopJog()]),
+        ("X", [RequestFleetEstop(), StopJog()]),
         ("q", [StopJog(), ExitPanel(0)]),
         ("ctrl+c", [StopJog(), ExitPanel(130)]),
         ("ctrl+z", [StopJog()]),
@@ -323,3 +326,103 @@ def test_the_owner_of_an_axis_is_shown() -> None:
     )
     assert desk.panel.describe_holder("gantry.y") == "ann (jog panel)"
     assert desk.panel.describe_holder("stage.x") == ""
+
+
+# The keys beside the speed keys 1 to 9, + and - on common keyboards, with Shift or without.
+BESIDE_SPEED_KEYS = set("`~!@#$%^&*()qwertyuiop[]{}=_") | {"backspace", "enter"}
+
+
+def keys_for(action: type) -> set[str]:
+    """All keys that cause an action while an axis is jogged."""
+    names = [chr(code) for code in range(33, 127)]
+    names += ["space", "escape", "tab", "enter", "backspace", "pageup", "pagedown", "ctrl+a", "ctrl+d", "alt+x"]
+    found: set[str] = set()
+    for name in names:
+        desk = Desk()
+        desk.key(RIGHT)
+        if any(isinstance(each, action) for each in desk.key(KeyEvent(name))):
+            found.add(name)
+    return found
+
+
+def test_stop_and_estop_keys_are_those_that_the_screen_shows() -> None:
+    assert keys_for(RequestFleetEstop) == {"x", "X"}
+    assert keys_for(RequestFleetStop) == {"s", "S"}
+    assert not keys_for(RequestFleetEstop) & BESIDE_SPEED_KEYS
+    assert not keys_for(RequestFleetStop) & BESIDE_SPEED_KEYS
+
+
+def sizes(desk: Desk) -> list[float | None]:
+    found: list[float | None] = []
+    for _ in range(5):
+        found.append(desk.panel.work.step_size)
+        desk.key(KeyEvent("tab"))
+    return found
+
+
+def test_an_arrow_makes_one_step_however_long_it_is_held() -> None:
+    desk = Desk()
+    assert sizes(desk) == [None, 0.01, 0.1, 1.0, 10.0]
+    desk.key(KeyEvent("tab"), KeyEvent("tab"))
+    step = RunWork("move gantry.x by 0.1", {"do": "move", "by": {"gantry.x": 0.1}, "speed": 0.05})
+    assert desk.key(RIGHT) == [step]
+    assert desk.key(KeyEvent("right", "repeat")) == [] and desk.wait(NS_PER_S // 2) == []
+    desk.panel.handle_work_done(step, None)
+    assert desk.key(KeyEvent("right", "repeat"), KeyEvent("right", "release")) == []
+    assert desk.panel.note == "done: move gantry.x by 0.1"
+    assert desk.key(LEFT)[-1].step["by"] == {"gantry.x": -0.1}  # type: ignore[union-attr]
+
+
+def test_repeats_of_a_plain_terminal_make_no_further_steps() -> None:
+    desk = Desk(releases=False)
+    desk.key(KeyEvent("tab"))
+    (step,) = desk.key(RIGHT)
+    assert isinstance(step, RunWork)
+    desk.panel.handle_work_done(step, None)
+    for wait_ms in (500, 40, 40, 40, 40):
+        desk.wait(wait_ms * NS_PER_MS)
+        assert desk.key(RIGHT) == []
+
+
+def test_a_jogged_axis_is_released_before_its_step() -> None:
+    desk = Desk()
+    desk.key(RIGHT, KeyEvent("right", "release"), KeyEvent("tab"))
+    assert [type(each) for each in desk.key(RIGHT)] == [ReleaseAxis, RunWork]
+    assert not desk.panel.is_acquired
+
+
+def test_one_work_at_a_time_and_each_stop_key_ends_it() -> None:
+    for key, actions in (
+        ("space", [CancelWork()]),
+        ("escape", [CancelWork()]),
+        ("s", [CancelWork(), RequestFleetStop()]),
+        ("x", [RequestFleetEstop(), CancelWork()]),
+        ("q", [CancelWork(), ExitPanel(0)]),
+        ("down", [CancelWork()]),
+    ):
+        desk = Desk()
+        assert desk.key(KeyEvent("e")) == [RunWork("enable gantry.x", {"do": "enable", "axes": ["gantry.x"]})]
+        assert desk.key(RIGHT, KeyEvent("e"), KeyEvent("h"), KeyEvent("z"), KeyEvent("tab")) == []
+        assert "not while it works: enable gantry.x" in desk.panel.note
+        assert desk.key(KeyEvent(key)) == actions
+    desk = Desk()
+    desk.key(KeyEvent("e"))
+    assert desk._do(lambda: desk.panel.handle_focus(FocusChange(False), desk.now_ns)) == [CancelWork()]
+
+
+def test_home_and_zero_need_a_second_press() -> None:
+    for key, step in (
+        ("h", {"do": "home", "axes": ["gantry.x"]}),
+        ("z", {"do": "set-position", "axes": {"gantry.x": 0}}),
+    ):
+        desk = Desk()
+        assert desk.key(KeyEvent(key)) == []
+        assert f"press {key} again" in desk.panel.note
+        (work,) = desk.key(KeyEvent(key))
+        assert isinstance(work, RunWork) and work.step == step
+        desk.panel.handle_work_done(work, Refusal("estop-latched", "e-stop by ann", "reset it"))
+        assert desk.panel.refusal is not None and not desk.panel.note
+        desk.key(KeyEvent(key))
+        desk.now_ns += CONFIRM_NS
+        assert desk.key(KeyEvent(key)) == []
+        assert desk.key(DOWN, KeyEvent(key)) == []

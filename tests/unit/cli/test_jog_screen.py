@@ -105,3 +105,14 @@ def test_the_chosen_axis_and_the_keys_are_always_in_sight(rows: int) -> None:
     assert any("▸ gantry.a25" in line for line in lines)
     assert any("e-stop" in line for line in lines)
     assert all(len(line) <= 80 for line in lines)
+
+
+def test_the_sizes_of_a_step_and_the_keys_are_shown() -> None:
+    made = panel()
+    made.handle_key(KeyEvent("tab"), NS_PER_S)
+    text = "\n".join(shown(made))
+    assert "arrows  hold [0.01] 0.1  1  10  mm" in text
+    for keys in ("space esc stop", "s stop the fleet", "x e-stop", "e enable", "h h home", "z z zero", "tab step size"):
+        assert keys in text
+    made.handle_key(KeyEvent("e"), NS_PER_S)
+    assert "enable gantry.a0" in "\n".join(shown(made))
