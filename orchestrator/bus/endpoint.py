@@ -4,6 +4,8 @@ import re
 
 from orchestrator.model.errors import TuttiError
 
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"  # of the router that `tutti up` starts
+
 _NETWORK = re.compile(r"(?:tcp|tls|udp|quic|ws)/(?:\[[0-9a-fA-F:%.]+\]|[^\s/:]+):(\d{1,5})")
 _LOCAL = re.compile(r"unixsock-stream/\S+")
 

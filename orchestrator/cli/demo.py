@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
-from orchestrator.cli.base.common import console, json_option, print_json
+from orchestrator.cli.base.common import console, json_option, print_json, utc_option
 from orchestrator.cli.base.errors import exit_with_error, run_main
 
 READY_TIMEOUT_S = 30.0  # for the adoption of all controllers; takes a second on an idle machine
@@ -31,6 +31,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
 @click.option("--headless", is_flag=True, help="Show no progress.")
 @click.option("-v", "--verbose", is_flag=True, help="Print the report with members and budgets.")
 @json_option
+@utc_option
 @click.option("--keep", type=click.Path(path_type=Path), default=None, help="Keep logs and journal in this folder.")
 def demo(which: str, keep: Path | None, *, headless: bool, verbose: bool, as_json: bool) -> None:
     """Start router, simulators, adapter hosts and coordinator, run the example job, and print its report.

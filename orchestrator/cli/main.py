@@ -12,7 +12,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "up": ("up", "Start everything for a fleet on this machine."),
     "down": ("down", "End a fleet that runs on this machine."),
     "status": ("fleet", "Show every controller and axis."),
-    "watch": ("watch", "Watch the fleet and the running job live."),
+    "watch": ("watching.command", "Watch the fleet and the running job live."),
     "stop": ("fleet", "Stop all axes by their ramps."),
     "estop": ("fleet", "Stop everything immediately, and latch."),
     "reset": ("fleet", "Release the e-stop latch and clear faults."),

@@ -6,6 +6,7 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from orchestrator.bus.base import Bus, BusSample, NoReply, RequestRefused, RequestTimeout
+from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.bus.fleets import find_fleets
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.base import Model
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 M = TypeVar("M", bound=Model)
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 ANSWER_S = 3.0
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from rich.console import Console, ConsoleDimensions
 
-from orchestrator.bus.endpoint import BadEndpoint, check_endpoint
+from orchestrator.bus.endpoint import DEFAULT_ENDPOINT, BadEndpoint, check_endpoint
 from orchestrator.cli.base.errors import run_main
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_ACTOR = 80  # characters, as in a job file
 PIPE_COLUMNS = 1000  # a pipe or a file has no width: nothing is cut or wrapped
 
@@ -81,16 +80,7 @@ def fleet_options(command: F) -> F:
         shell_complete=_complete_fleets,
         help="The fleet, if there are several.",
     )
-    utc = click.option(
-        "--utc",
-        is_flag=True,
-        envvar="TUTTI_UTC",
-        show_envvar=True,
-        expose_value=False,
-        callback=_note_utc,
-        help="Show times in UTC, not in local time.",
-    )
-    return connect(fleet(utc(command)))
+    return connect(fleet(utc_option(command)))
 
 
 def _note_utc(_: click.Context, __: click.Parameter, value: bool) -> None:  # noqa: FBT001
@@ -111,6 +101,15 @@ def check_fleet_option(_: click.Context, option: click.Parameter, value: str | N
         raise click.BadParameter(str(error), param=option) from None
 
 
+utc_option = click.option(
+    "--utc",
+    is_flag=True,
+    envvar="TUTTI_UTC",
+    show_envvar=True,
+    expose_value=False,
+    callback=_note_utc,
+    help="Show times in UTC, not in local time.",
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs, errors too.")
 processes_option = click.option(
     "--processes", default=1, show_default=True, type=click.IntRange(1, 256), help="Number of parallel processes."

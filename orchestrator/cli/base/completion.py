@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
-from orchestrator.cli.base.common import DEFAULT_ENDPOINT
+from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
