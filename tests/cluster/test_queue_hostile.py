@@ -25,6 +25,8 @@ SERVICE: dict[str, dict[str, Any]] = {
     "submit": {"job": SHORT.to_plain(), "client_key": "k", "terms": {"priority": 1}},
     "dry-run": {"job": SHORT.to_plain(), "first": 0, "begin": {"gantry.y": {"known": True}}},
     "list": {"limit": 5, "state": "done", "name": "x", "since": "2026-01-01T00:00:00Z"},
+    "find": {"reference": "last"},
+    "names": {},
     "show": {"job_id": "x"},
     "recording": {"job_id": "x", "step": 0},
     "cancel": {"job_id": "x"},
