@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
-from orchestrator.cli.base.common import console, fleet_options, json_option, print_result, with_fleet
+from orchestrator.cli.base.common import fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
@@ -68,7 +68,8 @@ def check(file: Path, connect: str, fleet: str | None, *, live: bool, as_json: b
 @click.option("-o", "--out", type=click.Path(path_type=Path), default=None, help="The file to write; default: stdout.")
 @click.option("--name", default=None, help="Name of the fleet; default: the beginning of the file's name.")
 @click.option("--force", is_flag=True, help="Write over an existing file.")
-def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: bool) -> None:
+@json_option
+def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: bool, as_json: bool) -> None:
     """Write a commented fleet file for controllers of some makes. It passes `fleet check` and runs with `--sim`."""
     from orchestrator.runtime.example_fleet import make_example_fleet
 
@@ -82,7 +83,7 @@ def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: b
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--make") from None
     if out is None:
-        click.echo(text, nl=False)
+        print_json({"text": text}) if as_json else click.echo(text, nl=False)
         return
     try:
         with out.open("w" if force else "x", encoding="utf-8") as file:
@@ -93,8 +94,8 @@ def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: b
         exit_with_error(f"{out} cannot be written: {error.strerror}", BAD_INPUT)
     loaded = load_or_fail(out)
     controllers, axes = len(loaded.controllers), len(loaded.axis_names)
-    console.print(f"{out}: {controllers} controllers, {axes} axes", highlight=False, soft_wrap=True)
-    console.print(f"next: tutti up {out} --sim", highlight=False, soft_wrap=True)
+    words = f"{out}: {controllers} controllers, {axes} axes\nnext: tutti up {out} --sim"
+    print_result({"file": str(out), "fleet": loaded.fleet, "axes": loaded.axis_names}, words, as_json=as_json)
 
 
 def _parse_make(text: str) -> "MakeCount":
