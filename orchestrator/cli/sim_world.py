@@ -47,8 +47,12 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None, *, as_j
     _write_change(folder, controller, change, f"{name} is {to}", as_json=as_json)
 
 
-@click.command("analog", epilog="Example: tutti sim analog gantry 1 2.5")
-@click.argument("controller")
+@click.command(
+    "analog",
+    epilog="Example: tutti sim analog gantry 1 -2.5",
+    context_settings={"ignore_unknown_options": True},  # negative numbers
+)
+@click.argument("controller", shell_complete=complete_controllers)
 @click.argument("number", type=click.IntRange(min=1))
 @click.argument("volts", type=float)
 @_fleet
@@ -59,7 +63,7 @@ def set_analog(
 ) -> None:
     """Set the voltage at an analogue input of a simulated controller, by its number there."""
     if not abs(volts) <= MOST_VOLTS:  # also not a number
-        exit_with_error(f"{volts:g} V is not from -{MOST_VOLTS} to {MOST_VOLTS} V", BAD_INPUT)
+        raise click.BadParameter(f"{volts:g} V is not from -{MOST_VOLTS} to {MOST_VOLTS} V", param_hint="VOLTS")
     folder, controllers = _find_simulation(fleet, state)
     if controller not in controllers:
         raise unknown_name("controller", controller, controllers)
@@ -149,9 +153,6 @@ def _find_axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path,
     folder, controllers = _find_simulation(fleet, state)
     controller, axis = _split_name(name, {c: each.axes for c, each in controllers.items()}, "axis")
     return folder, controller, controllers[controller].axes[axis]
-
-
-
 
 
 def _split_name(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
