@@ -47,11 +47,7 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None, *, as_j
     _write_change(folder, controller, change, f"{name} is {to}", as_json=as_json)
 
 
-@click.command(
-    "analog",
-    epilog="Example: tutti sim analog gantry 1 -2.5",
-    context_settings={"ignore_unknown_options": True},  # negative numbers
-)
+@click.command("analog", epilog="Example: tutti sim analog gantry 1 -- -2.5")
 @click.argument("controller", shell_complete=complete_controllers)
 @click.argument("number", type=click.IntRange(min=1))
 @click.argument("volts", type=float)
@@ -61,7 +57,10 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None, *, as_j
 def set_analog(
     controller: str, number: int, volts: float, fleet: str | None, state: Path | None, *, as_json: bool
 ) -> None:
-    """Set the voltage at an analogue input of a simulated controller, by its number there."""
+    """Set the voltage at an analogue input of a simulated controller, by its number there.
+
+    A negative voltage needs `--` before it.
+    """
     if not abs(volts) <= MOST_VOLTS:  # also not a number
         raise click.BadParameter(f"{volts:g} V is not from -{MOST_VOLTS} to {MOST_VOLTS} V", param_hint="VOLTS")
     folder, controllers = _find_simulation(fleet, state)

@@ -187,6 +187,9 @@ class JobForecaster:
             )
         elif self._outputs.get(step.output) == step.value:
             self._notes.append(f"{step.output} is {'active' if step.value else 'inactive'} already")
+        wired = [end for wire in self._fleet.wiring if wire.from_ == step.output for end in wire.to]
+        if step.value and wired:
+            self._notes.append(f"no controller waits for {', '.join(wired)}, which the output is wired to")
         self._outputs[step.output] = step.value
         return _Span()
 
@@ -379,7 +382,7 @@ def _longest_move(name: str, axis: Axis, after: AxisForecast, order: Order) -> A
 
 def _find_reserved_outputs(fleet: Fleet) -> dict[str, str]:
     """Outputs that jobs may not switch, with what they are."""
-    reserved = {wire.from_: "a trigger line" for wire in fleet.wiring}
+    reserved: dict[str, str] = {}
     for controller, config in fleet.controllers.items():
         for name, axis in config.axes.items():
             if axis.brake is not None and axis.brake.output is not None:

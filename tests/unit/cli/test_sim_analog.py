@@ -25,7 +25,7 @@ def test_the_line_sets_the_voltage(state: Path) -> None:
     os.mkfifo(pipe)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     try:
-        done = CliRunner().invoke(main, ["sim", "analog", "--state", str(state), "gantry", "1", "-2.5"])
+        done = CliRunner().invoke(main, ["sim", "analog", "--state", str(state), "gantry", "1", "--", "-2.5"])
         assert done.exit_code == 0, done.output
         assert EnvironmentChange.model_validate_json(os.read(reader, 1000)).analog == (1, -2.5)
     finally:

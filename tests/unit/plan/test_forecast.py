@@ -145,8 +145,8 @@ def test_outputs_that_serve_something_else() -> None:
     found = forecast("[" + ", ".join(f"{{do: output, output: {name}, value: true}}" for name in outputs) + "]", fleet)
     assert texts(found) == [
         "0 output-in-use: output gantry.brake is the brake of gantry.x, which switches it by itself",
-        "1 output-in-use: output gantry.start is a trigger line, which switches it by itself",
     ]
+    assert found.steps[1].conditions == ["no controller waits for stage.start, which the output is wired to"]
     assert found.steps[3].conditions == ["gantry.lamp is active already"]
     assert forecast("[{do: enable, axes: [gantry]}]", fleet).least_s == 0.5
 
