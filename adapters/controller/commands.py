@@ -159,7 +159,12 @@ class ControllerCommands:
         return reply(refused=refusal.model_copy(update={"member": self._context.controller})).to_json()
 
     async def _handle_adopt(self, request: AdoptRequest) -> AdoptedReply:
-        if await self._fence.adopt_leader(request):
+        leader = request.leader
+        if (leader.epoch, leader.coordinator) != (request.epoch, request.coordinator):
+            raise Refusal("bad-request", "the heartbeat in an adoption must be that of the adopting coordinator", "")
+        fresh = await self._fence.adopt_leader(request)
+        self._context.follow_leader(self._context.controller, leader)
+        if fresh:
             self._components.leases.end_all(f"new leader, epoch {request.epoch}")
             await self._components.participant.abandon_step(f"new leader, epoch {request.epoch}")
         self._publisher.publish_state()

@@ -14,6 +14,7 @@ from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import OpenLink
 from orchestrator.link.trace import TraceRing
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import LeaderHeartbeat
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,7 @@ class ControllerContext:
 
     instance: identifies this start of the supervisor.
     scale: returns fleet time, or None before the first message of a coordinator.
+    follow_leader: called with the coordinator that has adopted the controller.
     replace_supervisor: requests from the host that it replaces this supervisor by one with another configuration.
     sessions: when the commands that a person waits for were last seen.
     lowering_lock: lock that lets one controller of the host lower profiles at a time."""
@@ -38,6 +40,7 @@ class ControllerContext:
     log: ProcessLog
     instance: str
     scale: Callable[[], FleetScale | None]
+    follow_leader: Callable[[str, LeaderHeartbeat], None]
     replace_supervisor: Callable[[str, Controller], None]
     sessions: SessionSigns
     lowering_lock: asyncio.Lock

@@ -4,7 +4,7 @@ import asyncio
 
 from adapters.controller.store import PersistentMemory
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import AdoptRequest, FencedRequest
+from orchestrator.model.messages import MAX_EPOCH_STEP, AdoptRequest, FencedRequest
 from orchestrator.model.state import EstopLatch
 
 
@@ -41,6 +41,12 @@ class EpochFence:
                     f"epoch {request.epoch} of coordinator {request.coordinator[:8]} is over; epoch "
                     f"{known.epoch} of {known.coordinator[:8]} has been seen",
                     "stop the old coordinator",
+                )
+            if request.epoch > known.epoch + MAX_EPOCH_STEP:
+                raise Refusal(
+                    "far-epoch",
+                    f"epoch {request.epoch} is far from the known epoch {known.epoch}",
+                    "no restart makes such a step; see `tutti status` for the coordinator, and SECURITY.md",
                 )
             if (request.epoch, request.coordinator) != (known.epoch, known.coordinator):
                 self._remembered.change_values(epoch=request.epoch, coordinator=request.coordinator)

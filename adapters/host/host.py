@@ -16,6 +16,7 @@ from adapters.controller.log import ControllerLog
 from adapters.controller.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
+from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from adapters.toolkit.firing import apply_writer_delay
 from orchestrator.bus.base import (
     Bus,
@@ -39,9 +40,6 @@ from orchestrator.model.messages import EstopMessage, LeaderHeartbeat, TimeReply
 from orchestrator.model.problems import Problem
 from orchestrator.model.state import EstopLatch
 
-# A coordinator that is silent for this long (five of its heartbeats) is lost. Then armed steps are unloaded, and moving
-# axes are stopped by their own ramps.
-COORDINATOR_LOST_NS = 500 * NS_PER_MS
 TIME_EXCHANGES = 8
 REPLY_SEND_NS = 20 * NS_PER_MS  # for the reply to `configure` to be sent before its supervisor is closed
 BACKLOG_LIMIT = 200  # samples; some seconds of states and events
@@ -154,8 +152,7 @@ class AdapterHost:
         self._environment = environment
         self._log = ProcessLog("host", name, environment.clock, environment.sink, (environment.bus, environment.keys))
         self._scale: FleetScale | None = None
-        self._leadership: LeaderHeartbeat | None = None
-        self._leader_seen_ns: int | None = None
+        self._leaders = LeaderWatch(environment.clock)
         self._congested = False
         self._declared: list[BusDeclaration] = []
         self._tasks: set[asyncio.Task[None]] = set()
@@ -192,7 +189,7 @@ class AdapterHost:
                 open_link=open_link,
                 timed_writer=around.timed_writer,
                 shared=line.shared,
-                log=ControllerLog(driver_log, controller, lambda: self._leadership and self._leadership.epoch),
+                log=ControllerLog(driver_log, controller, lambda: self._leaders.epoch),
             )
         )
         log = ProcessLog("controller", controller, around.clock, around.sink, (around.bus, around.keys))
@@ -210,6 +207,7 @@ class AdapterHost:
             log=log,
             instance=f"{around.instance}-{self._starts}",
             scale=lambda: self._scale,
+            follow_leader=self._follow_leader,
             replace_supervisor=lambda controller, config: self._spawn_task(
                 self._replace_supervisor(controller, config)
             ),
@@ -281,15 +279,19 @@ class AdapterHost:
         except ValidationError as error:
             self._log.warning(f"unreadable leader message: {error.errors()[0]['msg']}")
             return
-        known = self._leadership
-        if known is not None and heartbeat.epoch < known.epoch:
+        self._leaders.receive_heartbeat(heartbeat)
+
+    def _follow_leader(self, controller: str, leader: LeaderHeartbeat) -> None:
+        """A coordinator has adopted `controller`: its heartbeat counts, and its fleet time is used."""
+        newest = self._leaders.epoch
+        self._leaders.follow(controller, leader)
+        if newest is not None and leader.epoch < newest:
             return
-        self._leadership, self._leader_seen_ns = heartbeat, self._environment.clock.now_ns()
-        if self._scale is not None and self._scale.scale_id == heartbeat.scale_id:
+        if self._scale is not None and self._scale.scale_id == leader.scale_id:
             return
-        self._scale = exact_scale(heartbeat, self._environment.clock)
+        self._scale = exact_scale(leader, self._environment.clock)
         if self._scale is None:
-            self._spawn_task(self._estimate_scale(heartbeat))
+            self._spawn_task(self._estimate_scale(leader))
 
     async def _estimate_scale(self, heartbeat: LeaderHeartbeat) -> None:
         """Estimate the fleet time of a coordinator on another machine."""
@@ -313,14 +315,9 @@ class AdapterHost:
         while True:
             await sleep_ns(clock, COORDINATOR_LOST_NS // 5)
             self._watch_backlog()
-            heard_ns = self._leader_seen_ns
-            if heard_ns is not None and clock.now_ns() - heard_ns > COORDINATOR_LOST_NS:
-                self._leader_seen_ns = None
-                silent_ms = (clock.now_ns() - heard_ns) // NS_PER_MS
-                for unit in self.supervisors.values():
-                    self._spawn_task(
-                        unit.handle_coordinator_loss(f"the coordinator has been silent for {silent_ms} ms")
-                    )
+            for controller, silent_ns in self._leaders.find_lost().items():
+                reason = f"the coordinator has been silent for {silent_ns // NS_PER_MS} ms"
+                self._spawn_task(self.supervisors[controller].handle_coordinator_loss(reason))
 
     def _watch_backlog(self) -> None:
         """Log once that the bus does not keep up, and once that it does again."""

@@ -109,6 +109,10 @@ class FleetKeys:
         """The leader's heartbeat, with epoch and uuid."""
         return f"{self.prefix}/leader"
 
+    def leader_answer(self, coordinator: str | None = None) -> str:
+        """The heartbeat of one coordinator, as its answer to the question whether it leads; served by it."""
+        return f"{self.prefix}/leads/{_make_chunk(coordinator, 'coordinator')}"
+
     # Common
 
     @property

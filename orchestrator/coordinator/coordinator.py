@@ -25,13 +25,14 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import AdoptedReply, AdoptRequest
+from orchestrator.model.messages import AdoptedReply, AdoptRequest, LeaderHeartbeat
 from orchestrator.model.state import ControllerState
 
 T = TypeVar("T")
 
 ADOPT_S = 2.0
 LEAVE_S = 2.0
+MAX_CONTRADICTIONS = 20  # that are reported; more are the same again
 
 
 class Coordinator:
@@ -78,10 +79,12 @@ class Coordinator:
         self._adopted: dict[str, str] = {}
         self._declared: list[BusDeclaration] = []
         self._tasks: set[asyncio.Task[None]] = set()
+        self._contradictions: set[tuple[int, str]] = set()
         self.leadership_lost = asyncio.Event()
 
     async def start(self, *, take_over: bool = False, vacant: bool = False) -> None:
         """Become the leader. Raises `AnotherLeader`, `JournalError`. take_over, vacant: see `Leadership.acquire`."""
+        self.leadership.on_contradicted = self._report_contradiction
         await self.leadership.acquire(take_over=take_over, vacant=vacant)
         self.leadership.on_lost = self._lose_leadership
         self._view.add_state_listener(self._receive_state)
@@ -154,6 +157,16 @@ class Coordinator:
             self._log.warning(f"not enabled at start: {error.text}", controller=controller)
         finally:
             await self._leases.release(holder)
+
+    def _report_contradiction(self, heartbeat: LeaderHeartbeat) -> None:
+        """Something sends heartbeats of a coordinator that does not answer: an alarm, once for each."""
+        sender = (heartbeat.epoch, heartbeat.coordinator)
+        if sender not in self._contradictions and len(self._contradictions) < MAX_CONTRADICTIONS:
+            self._contradictions.add(sender)
+            self._log.warning(
+                f"a heartbeat of coordinator {heartbeat.coordinator[:8]}, epoch {heartbeat.epoch}, is on the bus, and "
+                "no such coordinator answers; this one continues to lead. Find its sender"
+            )
 
     def _lose_leadership(self, reason: str) -> None:
         """A newer leader exists: answer no request, change nothing. The adapters refuse this coordinator anyhow."""

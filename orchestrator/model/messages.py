@@ -89,6 +89,11 @@ class FencedRequest(Request):
     coordinator: str
 
 
+MAX_EPOCH_STEP = 1_000_000
+"""Each start of a coordinator takes one epoch. One that is further from the known one is no real one; if it were
+accepted, it would shut out all coordinators after it."""
+
+
 class LeaderHeartbeat(Model):
     """The leader's heartbeat, with its fleet time: fleet_ns = host_ns - origin_host_ns on the leader's kernel."""
 

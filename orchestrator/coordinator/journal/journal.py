@@ -16,6 +16,7 @@ from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.job import Job
+from orchestrator.model.messages import MAX_EPOCH_STEP
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 
@@ -170,9 +171,13 @@ class Journal:
     # Leadership
 
     def take_epoch(self, seen: int) -> int:
-        """Take the next epoch: above the last one here and above `seen`, in one transaction."""
+        """Take the next epoch: above the last one here and above `seen`, in one transaction.
+
+        seen: of other coordinators and adapters; one that is far from the last one here is no real one, and is ignored.
+        """
         with self._transaction():
-            epoch = max(int(self._read_meta("epoch", "0")), seen) + 1
+            last = int(self._read_meta("epoch", "0"))
+            epoch = max(last, seen if seen <= last + MAX_EPOCH_STEP else 0) + 1
             self._write_meta("epoch", str(epoch))
         return epoch
 

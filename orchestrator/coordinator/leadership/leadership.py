@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import BusDeclaration, BusSample, Priority
+from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, Priority, RequestRefused
+from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
@@ -15,14 +16,31 @@ from orchestrator.model.state import ControllerState
 
 HEARTBEAT_NS = 100 * NS_PER_MS
 LEADER_TIMEOUT_NS = 600 * NS_PER_MS  # a live leader is received within this time
+ANSWER_S = 0.3  # for a coordinator to answer that it leads
+ASK_AGAIN_NS = 1000 * NS_PER_MS  # after an answer, or none
 
 
 class AnotherLeader(TuttiError):
     """Another coordinator leads this fleet. The text names it, and what to do."""
 
 
+async def confirm_leader(bus: Bus, keys: FleetKeys, heartbeat: LeaderHeartbeat) -> bool:
+    """Ask the coordinator of a heartbeat whether it leads in that epoch. A heartbeat alone is no proof: anything can
+    put one on the bus."""
+    try:
+        answer = await bus.request(keys.leader_answer(heartbeat.coordinator), b"", ANSWER_S)
+        found = LeaderHeartbeat.model_validate_json(answer)
+    except (BusError, ValueError):
+        return False
+    return (found.coordinator, found.epoch) == (heartbeat.coordinator, heartbeat.epoch)
+
+
 class Leadership:
-    """Acquires the leadership and keeps it. `on_lost` is called once, when the heartbeat of a newer leader arrives."""
+    """Acquires the leadership and keeps it.
+
+    on_lost: called once, when a coordinator with a newer epoch has answered that it leads. on_contradicted: called with
+    the heartbeat of a coordinator that does not answer.
+    """
 
     def __init__(
         self,
@@ -40,6 +58,9 @@ class Leadership:
         self.scale = FleetScale("", 0)
         self.over = False
         self.on_lost: Callable[[str], None] = lambda _: None
+        self.on_contradicted: Callable[[LeaderHeartbeat], None] = lambda _: None
+        self._asking: asyncio.Task[None] | None = None
+        self._ask_again_ns = 0
         self._last_heartbeat: LeaderHeartbeat | None = None
         self._seq = 0
         self._declared: list[BusDeclaration] = []
@@ -52,6 +73,9 @@ class Leadership:
         if not vacant:
             await sleep_ns(self._clock, LEADER_TIMEOUT_NS)
         other = self._last_heartbeat
+        if other is not None and not await confirm_leader(self._bus, self._keys, other):
+            self.on_contradicted(other)
+            other = None
         if other is not None and not take_over:
             await self.close()
             raise AnotherLeader(
@@ -72,12 +96,15 @@ class Leadership:
         )
         self.scale = FleetScale(scale_id, origin_ns)
         self._declared.append(await self._bus.serve(self._keys.time, self._reply_fleet_time))
+        answer = self._keys.leader_answer(self.coordinator)
+        self._declared.append(await self._bus.serve(answer, self._reply_leads))
         self._beat = asyncio.get_running_loop().create_task(self._send_heartbeats())
 
     async def close(self) -> None:
         """Resign: send no more heartbeats."""
-        if self._beat is not None:
-            self._beat.cancel()
+        for task in (self._beat, self._asking):
+            if task is not None:
+                task.cancel()
         for declared in self._declared:
             await declared.undeclare()
         self._declared.clear()
@@ -112,12 +139,30 @@ class Leadership:
         if heartbeat.coordinator == self.coordinator:
             return
         self._last_heartbeat = heartbeat
-        if self.epoch and not self.over and heartbeat.epoch >= self.epoch:
+        contradicts = self.epoch and not self.over and heartbeat.epoch >= self.epoch
+        if contradicts and self._asking is None and self._clock.now_ns() >= self._ask_again_ns:
+            self._asking = asyncio.get_running_loop().create_task(self._ask_other(heartbeat))
+
+    async def _ask_other(self, heartbeat: LeaderHeartbeat) -> None:
+        """Step down for a coordinator that answers, and for no other."""
+        try:
+            leads = await confirm_leader(self._bus, self._keys, heartbeat)
+        finally:
+            self._asking = None
+            self._ask_again_ns = self._clock.now_ns() + ASK_AGAIN_NS
+        if not leads:
+            self.on_contradicted(heartbeat)
+        elif not self.over:
             self.over = True
             self.on_lost(
                 f"coordinator {heartbeat.coordinator[:8]} leads with epoch {heartbeat.epoch}; "
                 f"this one had epoch {self.epoch}"
             )
+
+    async def _reply_leads(self, _: BusSample) -> bytes:
+        if self.over or not self.epoch:
+            raise RequestRefused("this coordinator does not lead")
+        return self.make_heartbeat().to_json()
 
     async def _reply_fleet_time(self, _: BusSample) -> bytes:
         return TimeReply(scale_id=self.scale.scale_id, fleet_ns=self.fleet_now_ns()).to_json()

@@ -5,6 +5,7 @@ continue with outdated state when it resumes. Its epoch is over then and no adap
 stay locked; so the standby kills it first. A file beside the journal names the leader's process.
 """
 
+import asyncio
 import json
 import os
 import signal
@@ -15,7 +16,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import Clock, sleep_ns
-from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS
+from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS, confirm_leader
 from orchestrator.model.messages import LeaderHeartbeat
 
 POLL_NS = HEARTBEAT_NS // 2
@@ -25,14 +26,27 @@ async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
     """Wait until no heartbeat has arrived for the time within which a live leader is received, measured while this
     process was awake: a process that slept, or was suspended, has received nothing."""
     heard_ns = clock.now_ns()
+    leader: tuple[int, str] | None = None
+    asking: set[asyncio.Task[None]] = set()
+
+    async def ask(heartbeat: LeaderHeartbeat) -> None:
+        nonlocal leader, heard_ns
+        if await confirm_leader(bus, keys, heartbeat):
+            leader, heard_ns = (heartbeat.epoch, heartbeat.coordinator), clock.now_ns()
 
     def receive_heartbeat(sample: BusSample) -> None:
         nonlocal heard_ns
         try:
-            LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
         except ValidationError:
             return
-        heard_ns = clock.now_ns()
+        if (heartbeat.epoch, heartbeat.coordinator) == leader:
+            heard_ns = clock.now_ns()
+        elif not asking:
+            # Of a new leader, or forged: only one that answers keeps this process from leading.
+            task = asyncio.get_running_loop().create_task(ask(heartbeat))
+            asking.add(task)
+            task.add_done_callback(asking.discard)
 
     subscription = await bus.subscribe(keys.leader, receive_heartbeat)
     try:

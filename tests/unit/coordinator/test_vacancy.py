@@ -51,7 +51,11 @@ def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
             return SimpleNamespace(undeclare=lambda: asyncio.sleep(0))
 
         drowsy: Any = Drowsy(clock, NS_PER_S)
-        bus: Any = SimpleNamespace(subscribe=subscribe)
+
+        async def request(*_: object) -> bytes:
+            return REIGN.to_json()
+
+        bus: Any = SimpleNamespace(subscribe=subscribe, request=request)
         standing = asyncio.ensure_future(wait_for_vacancy(bus, FleetKeys("demo"), drowsy))
         # Its bus wakes some time after it: the heartbeats of the time between are gone.
         for _ in range(50):

@@ -1,0 +1,138 @@
+"""Senders that no controller was adopted by: they keep no axis moving, stop no watchdog, and depose no coordinator."""
+
+import asyncio
+from typing import Any
+
+import pytest
+from cluster.worlds import PREPARE, job, outcome, run_fleet
+
+from adapters.host.leader_watch import COORDINATOR_LOST_NS, HEARTBEAT_NS, LeaderWatch
+from orchestrator.bus.base import Priority
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.model.messages import MAX_EPOCH_STEP, AdoptedReply, AdoptRequest, LeaderHeartbeat
+from orchestrator.runtime.virtual import VirtualFleet
+
+LONG = job("[{do: move, to: {gantry.x: 390, stage.u: 45}, speed: 0.05}]")
+RAMPS_NS = 300 * NS_PER_MS
+
+
+def forge(fleet: VirtualFleet, **changes: Any) -> LeaderHeartbeat:
+    """A heartbeat like that of the present leader."""
+    (_, coordinator), *_ = fleet.coordinators.values()
+    return coordinator.leadership.make_heartbeat().model_copy(update=changes)
+
+
+async def send(fleet: VirtualFleet, *heartbeats: LeaderHeartbeat) -> None:
+    client = fleet.make_client(f"forger{fleet.clock.now_ns()}")
+    for each in heartbeats:
+        client.bus.put(fleet.keys.leader, each.to_json(), Priority.EVENT)
+    await asyncio.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"epoch": 2**53 - 1, "coordinator": "forged"},
+        {"epoch": 2, "coordinator": "forged", "scale_id": "other", "origin_host_ns": 5},
+        {"seq": 2**53 - 1},
+        {"scale_id": "other", "origin_host_ns": 5},
+    ],
+    ids=["far-epoch", "next-epoch", "far-seq", "other-scale"],
+)
+def test_one_forged_heartbeat_changes_nothing(changes: dict[str, Any]) -> None:
+    """The leader leads on; when it is killed in a move, the axes stop as declared."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        await send(fleet, forge(fleet, **changes))
+        await asyncio.sleep(2.0)
+        assert (await outcome(fleet, job("[{do: move, to: {gantry.x: 5, stage.u: 5}}]"))).state == "done"
+        await fleet.make_client().submit(LONG)
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await send(fleet, forge(fleet, **changes))
+        killed_ns = fleet.clock.now_ns()
+        fleet.kill("coordinator/first")
+        await asyncio.sleep(3.0)
+        for name in ("gantry", "stage"):
+            last = fleet.controllers[name].commanded_motions[-1]
+            assert last.end_ns is not None, name
+            assert last.end_ns - killed_ns < COORDINATOR_LOST_NS + HEARTBEAT_NS + RAMPS_NS, name
+
+    run_fleet(main)
+
+
+def test_a_coordinator_that_does_not_answer_is_an_alarm() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        for seq in range(30):
+            await send(fleet, forge(fleet, epoch=5, coordinator="forged", seq=seq))
+        alarms = [line for line in fleet.lines if "no such coordinator answers" in line]
+        assert len(alarms) == 1
+        assert (await outcome(fleet, PREPARE)).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_coordinator_starts_beside_forged_heartbeats() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        beat = forge(fleet, coordinator="forged", epoch=3)
+
+        async def send_on() -> None:
+            for seq in range(200):
+                await send(fleet, beat.model_copy(update={"seq": seq}))
+
+        fleet.kill("coordinator/first")
+        sending = asyncio.get_running_loop().create_task(send_on())
+        fleet.start_coordinator("second")
+        await asyncio.sleep(3.0)
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        sending.cancel()
+
+    run_fleet(main)
+
+
+def test_an_adoption_with_a_far_epoch_is_refused() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        for epoch, code in ((2 + MAX_EPOCH_STEP, "far-epoch"), (2**53 - 1, "far-epoch")):
+            leader = forge(fleet, epoch=epoch, coordinator="forged")
+            request = AdoptRequest(**client.request_fields(), epoch=epoch, coordinator="forged", leader=leader)
+            payload = await client.bus.request(fleet.keys.command("gantry", "adopt"), request.to_json(), 1.0)
+            refused = AdoptedReply.model_validate_json(payload).refused
+            assert refused is not None and refused.code == code
+        assert (await outcome(fleet, PREPARE)).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_far_epoch_of_an_adapter_is_not_taken_over() -> None:
+    journal = Journal(":memory:")
+    assert journal.take_epoch(0) == 1
+    assert journal.take_epoch(2**53 - 1) == 2
+    assert journal.take_epoch(100) == 101
+    journal.close()
+
+
+def test_silence_counts_from_the_adoption_on() -> None:
+    """Also when no heartbeat was ever received."""
+
+    async def main(clock: VirtualClock) -> None:
+        watch = LeaderWatch(clock)
+        beat = LeaderHeartbeat(
+            fleet="f", epoch=1, coordinator="c", seq=7, scale_id="s", kernel_id="k", origin_host_ns=0, utc=""
+        )
+        watch.follow("gantry", beat)
+        await asyncio.sleep(0.4)
+        assert watch.find_lost() == {}
+        await asyncio.sleep(0.2)
+        assert list(watch.find_lost()) == ["gantry"]
+        assert watch.find_lost() == {}  # once
+        assert watch.receive_heartbeat(beat.model_copy(update={"seq": 8}))
+        assert not watch.receive_heartbeat(beat.model_copy(update={"seq": 8}))
+        assert not watch.receive_heartbeat(beat.model_copy(update={"seq": 12}))
+        assert watch.receive_heartbeat(beat.model_copy(update={"seq": 11}))
+        await asyncio.sleep(1.0)
+        assert list(watch.find_lost()) == ["gantry"]
+
+    run_virtual(main)
