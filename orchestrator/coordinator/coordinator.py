@@ -1,12 +1,15 @@
 """The coordinator: leads a fleet, adopts its controllers, serves users, runs jobs."""
 
 import asyncio
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 from orchestrator.bus.base import BusDeclaration
 from orchestrator.bus.log import ProcessLog
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.manual import ManualLeases
@@ -41,7 +44,8 @@ class Coordinator:
     def __init__(self, fleet: Fleet, environment: CoordinatorEnvironment) -> None:
         self._environment = environment
         bus, keys, clock = environment.bus, environment.keys, environment.clock
-        self.leadership = Leadership(fleet.fleet, environment)
+        tasks = self._owner = TaskOwner(self._report_defect)
+        self.leadership = Leadership(fleet.fleet, environment, tasks)
         self._log = ProcessLog("coordinator", self.leadership.coordinator[:8], clock, environment.sink, (bus, keys))
         self._log.fleet_ns = lambda: self.leadership.fleet_now_ns() if self.leadership.epoch else None
         self._view = FleetView(fleet, bus, keys, clock, self._log)
@@ -49,7 +53,7 @@ class Coordinator:
         requests = MemberRequests(
             bus, keys, self.leadership, environment.new_id, lambda controller: view.fleet.controllers[controller].host
         )
-        access = self._fleet = FleetAccess(self._view, requests, PermitMonitor(view, clock), clock, self._log)
+        access = self._fleet = FleetAccess(self._view, requests, PermitMonitor(view, clock), clock, self._log, tasks)
         self._leases = LeaseRegistry(access, bus, keys)
         motion = MotionServices(access, self.leadership, environment.journal, self._execute)
         self._plain_steps = PlainSteps(access, motion.targets)
@@ -78,9 +82,10 @@ class Coordinator:
         self._adopting: set[str] = set()
         self._adopted: dict[str, str] = {}
         self._declared: list[BusDeclaration] = []
-        self._tasks: set[asyncio.Task[None]] = set()
         self._contradictions: set[tuple[int, str]] = set()
         self.leadership_lost = asyncio.Event()
+        self.broken = asyncio.Event()
+        """A vital task has ended by a defect: the process must be restarted."""
 
     async def start(self, *, take_over: bool = False, vacant: bool = False) -> None:
         """Become the leader. Raises `AnotherLeader`, `JournalError`. take_over, vacant: see `Leadership.acquire`."""
@@ -109,8 +114,7 @@ class Coordinator:
         await self._leases.close()
         await self._view.close()
         await self.leadership.close()
-        for task in list(self._tasks):
-            task.cancel()
+        self._owner.cancel_all()
 
     async def _execute(self, function: Callable[..., T], *values: Any) -> T:
         """Call the journal; refused once another coordinator has taken an epoch from it, even if its heartbeat has
@@ -158,6 +162,15 @@ class Coordinator:
         finally:
             await self._leases.release(holder)
 
+    def _report_defect(self, error: BaseException, vital: bool) -> None:  # noqa: FBT001 - a callback
+        """A task has ended with an exception that nothing handles: a defect, which is logged with its place."""
+        frames = traceback.extract_tb(error.__traceback__)
+        place = [frame for frame in frames if "site-packages" not in frame.filename][-1:]
+        where = f" ({Path(place[0].filename).name}:{place[0].lineno})" if place else ""
+        self._log.warning(f"a defect of the coordinator: {error!r}{where}")
+        if vital:
+            self.broken.set()
+
     def _report_contradiction(self, heartbeat: LeaderHeartbeat) -> None:
         """Something sends heartbeats of a coordinator that does not answer: an alarm, once for each."""
         sender = (heartbeat.epoch, heartbeat.coordinator)
@@ -184,6 +197,4 @@ class Coordinator:
         self._spawn(leave())
 
     def _spawn(self, coroutine: Any) -> None:
-        task: asyncio.Task[None] = asyncio.get_running_loop().create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._owner.spawn(coroutine, vital=False)

@@ -2,11 +2,12 @@
 
 Prints `ready` when it leads, or stands by to lead as soon as there is no leader. Ends with SIGTERM or SIGINT
 (running jobs are stopped first), with its parent, and when it loses the leadership. Exit codes: 2 bad input, 3 the
-bus cannot be reached, 4 another coordinator leads, 5 the journal cannot be used, 6 the leadership was lost.
+bus cannot be reached, 4 another coordinator leads, 5 the journal cannot be used, 6 the leadership was lost, 7 a defect.
 """
 
 import argparse
 import asyncio
+import contextlib
 import signal
 import sys
 import uuid
@@ -30,7 +31,8 @@ from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vac
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 
-BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST = 2, 3, 4, 5, 6
+BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN = 2, 3, 4, 5, 6, 7
+CLOSE_S = 2.0  # after a defect
 
 
 async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
@@ -91,14 +93,21 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         prepare_live_process()
         if not options.standby:
             _print_ready()
-        waits = [loop.create_task(end.wait()), loop.create_task(coordinator.leadership_lost.wait())]
+        events = (end, coordinator.leadership_lost, coordinator.broken)
+        waits = [loop.create_task(event.wait()) for event in events]
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for wait in waits:
             wait.cancel()
-        leadership_lost = coordinator.leadership_lost.is_set()
-        if not leadership_lost:
-            await coordinator.close()
-        return LEADERSHIP_LOST if leadership_lost else 0
+        if coordinator.leadership_lost.is_set():
+            return LEADERSHIP_LOST
+        if coordinator.broken.is_set():
+            # Whatever does not work any more may not keep it from being restarted.
+            with contextlib.suppress(Exception):
+                async with asyncio.timeout(CLOSE_S):
+                    await coordinator.close("a defect of the coordinator, which is restarted")
+            return BROKEN
+        await coordinator.close()
+        return 0
     finally:
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)

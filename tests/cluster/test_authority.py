@@ -8,7 +8,8 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, HEARTBEAT_NS, LeaderWatch
 from orchestrator.bus.base import Priority
-from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.messages import MAX_EPOCH_STEP, AdoptedReply, AdoptRequest, LeaderHeartbeat
@@ -136,3 +137,36 @@ def test_silence_counts_from_the_adoption_on() -> None:
         assert list(watch.find_lost()) == ["gantry"]
 
     run_virtual(main)
+
+
+def test_the_end_of_a_vital_task_ends_the_process() -> None:
+    """The heartbeat died of an epoch that no message can carry, unreported, while jobs were still accepted."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        (_, coordinator), *_ = fleet.coordinators.values()
+        coordinator.leadership.epoch = 2**53
+        await asyncio.sleep(0.2)
+        assert coordinator.broken.is_set()
+        assert any("a defect of the coordinator: " in line and "leadership.py" in line for line in fleet.lines)
+
+    run_fleet(main)
+
+
+def test_a_task_that_is_not_vital_is_reported() -> None:
+    found: list[tuple[str, bool]] = []
+
+    async def fail(text: str) -> None:
+        raise RuntimeError(text)
+
+    async def main(clock: VirtualClock) -> None:
+        owner = TaskOwner(lambda error, vital: found.append((str(error), vital)))
+        owner.spawn(fail("one"), vital=False)
+        owner.spawn(fail("two"), vital=True)
+        endless = owner.spawn(asyncio.sleep(1e6), vital=True)
+        await sleep_ns(clock, NS_PER_MS)
+        owner.cancel_all()
+        await sleep_ns(clock, NS_PER_MS)
+        assert endless.cancelled()
+
+    run_virtual(main)
+    assert found == [("one", False), ("two", True)]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import Clock
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.fleet.view import FleetView
@@ -12,13 +13,14 @@ from orchestrator.model.messages import Reply, StopMode, StopRequest
 
 @dataclass(frozen=True, slots=True)
 class FleetAccess:
-    """The view of the fleet, requests to its controllers, its permits, and the coordinator's clock and log."""
+    """The view of the fleet, requests to its controllers, its permits, and the coordinator's clock, log and tasks."""
 
     view: FleetView
     requests: MemberRequests
     permits: PermitMonitor
     clock: Clock
     log: ProcessLog
+    tasks: TaskOwner
 
     async def stop_members(self, members: list[str], mode: StopMode, actor: str, reason: str) -> None:
         """Stop controllers, all at once. A stop is repeated until it is answered; a refusal is logged."""

@@ -1,10 +1,10 @@
 """Leases: the right to move axes. One holder each, kept here, enforced in the adapters, published on the bus."""
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, Priority
 from orchestrator.bus.keys import FleetKeys
@@ -72,13 +72,12 @@ class LeaseRegistry:
         self._declared: list[BusDeclaration] = []
         self._renewing: asyncio.Task[None] | None = None
         self._told_ns: dict[str, int] = {}  # by holder: when it was last sent to the adapters
-        self._tasks: set[asyncio.Task[None]] = set()
         self._takings = 0
         self._listeners: list[Callable[[str], None]] = []
 
     async def start(self) -> None:
         """Begin to renew leases, and to answer queries for them."""
-        self._renewing = asyncio.get_running_loop().create_task(self._renew_leases())
+        self._renewing = self._fleet.tasks.spawn(self._renew_leases(), vital=True)
         for controller in self._fleet.view.fleet.controllers:
             self._declared.append(await self._bus.serve(self._keys.lease(controller), self._reply_lease))
 
@@ -270,14 +269,9 @@ class LeaseRegistry:
                 if held.brief:
                     continue
                 if held.until_ns is not None and held.until_ns <= now_ns:
-                    self._spawn(self.release(held.holder, "it was not renewed"))
+                    self._fleet.tasks.spawn(self.release(held.holder, "it was not renewed"), vital=False)
                 elif not held.idle and now_ns - self._told_ns.get(held.holder, 0) >= RENEW_NS:
-                    self._spawn(self._renew_one(held))
-
-    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+                    self._fleet.tasks.spawn(self._renew_one(held), vital=False)
 
     async def _renew_one(self, held: LeaseHold) -> None:
         try:

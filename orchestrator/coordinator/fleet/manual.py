@@ -113,6 +113,6 @@ class ManualLeases:
             await self._leases.release(holder, why)
 
     def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(coroutine)
+        task = self._fleet.tasks.spawn(coroutine, vital=True)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)

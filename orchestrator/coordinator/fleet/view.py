@@ -178,11 +178,15 @@ class FleetView:
             payload = await self._bus.request(
                 self._keys.event(controller), EventsRequest(after=after).to_json(), timeout_s=1.0
             )
+            reply = EventsReply.model_validate_json(payload)
         except BusError as error:
             self._log.warning(f"events after {after} of {controller} are missing: {error}", controller=controller)
             self._awaited.pop(controller, None)  # the next state triggers the query again
             return
-        reply = EventsReply.model_validate_json(payload)
+        except ValidationError as error:
+            self._log.warning(f"events after {after} of {controller} cannot be read: {error.errors()[0]['msg']}")
+            self._awaited.pop(controller, None)
+            return
         if reply.lost:
             self._log.warning(f"{reply.lost} events of {controller} are lost for good", controller=controller)
         for event in reply.events:

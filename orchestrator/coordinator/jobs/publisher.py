@@ -80,7 +80,7 @@ class QueuePublisher:
         """Publish the queue: soon after a quiet time, else when one has passed."""
         self._changed = True
         if self._announcing is None or self._announcing.done():
-            self._announcing = asyncio.get_running_loop().create_task(self._publish_queue())
+            self._announcing = self._services.fleet.tasks.spawn(self._publish_queue(), vital=True)
 
     async def _publish_queue(self) -> None:
         await sleep_ns(self._services.clock, FIRST_DELAY_NS)

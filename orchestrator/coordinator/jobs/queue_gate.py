@@ -115,6 +115,6 @@ class QueueGate:
             except JournalError as error:
                 self._services.log.warning(f"the state of the queue is not recorded: {error}")
 
-        task = asyncio.get_running_loop().create_task(record())
+        task = self._services.fleet.tasks.spawn(record(), vital=True)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)

@@ -571,6 +571,6 @@ class Scheduler:
             except JournalError as error:
                 self._services.log.warning(str(error))
 
-        task = asyncio.get_running_loop().create_task(work())
+        task = self._services.fleet.tasks.spawn(work(), vital=True)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)

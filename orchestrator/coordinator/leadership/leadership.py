@@ -9,6 +9,7 @@ from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, Prio
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.fleet import FleetScale
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.messages import LeaderHeartbeat, TimeReply
@@ -46,7 +47,9 @@ class Leadership:
         self,
         fleet: str,
         environment: CoordinatorEnvironment,
+        tasks: TaskOwner,
     ) -> None:
+        self._tasks = tasks
         self._fleet = fleet
         self._bus = environment.bus
         self._keys = environment.keys
@@ -98,7 +101,7 @@ class Leadership:
         self._declared.append(await self._bus.serve(self._keys.time, self._reply_fleet_time))
         answer = self._keys.leader_answer(self.coordinator)
         self._declared.append(await self._bus.serve(answer, self._reply_leads))
-        self._beat = asyncio.get_running_loop().create_task(self._send_heartbeats())
+        self._beat = self._tasks.spawn(self._send_heartbeats(), vital=True)
 
     async def close(self) -> None:
         """Resign: send no more heartbeats."""
@@ -141,7 +144,7 @@ class Leadership:
         self._last_heartbeat = heartbeat
         contradicts = self.epoch and not self.over and heartbeat.epoch >= self.epoch
         if contradicts and self._asking is None and self._clock.now_ns() >= self._ask_again_ns:
-            self._asking = asyncio.get_running_loop().create_task(self._ask_other(heartbeat))
+            self._asking = self._tasks.spawn(self._ask_other(heartbeat), vital=False)
 
     async def _ask_other(self, heartbeat: LeaderHeartbeat) -> None:
         """Step down for a coordinator that answers, and for no other."""
