@@ -4,7 +4,7 @@ import asyncio
 
 from adapters.controller.store import PersistentMemory
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import MAX_EPOCH_STEP, AdoptRequest, FencedRequest
+from orchestrator.model.messages import COMPARING, MAX_EPOCH_STEP, AdoptRequest, FencedRequest
 from orchestrator.model.state import EstopLatch
 
 
@@ -17,6 +17,7 @@ class EpochFence:
     def __init__(self, remembered: PersistentMemory) -> None:
         self._remembered = remembered
         self._adopted = False
+        self._compared = False
         self._adopting = asyncio.Lock()
 
     @property
@@ -28,6 +29,10 @@ class EpochFence:
     def estop_latch(self) -> EstopLatch | None:
         return self._remembered.values.estop
 
+    def allow_adoption(self) -> None:
+        """The latches of other processes have been compared."""
+        self._compared = True
+
     async def adopt_leader(self, request: AdoptRequest) -> bool:
         """Accept the leader of `request`; return True when it differs from the leader before. Raises `Refusal`,
         `OSError`.
@@ -35,6 +40,8 @@ class EpochFence:
         Requests of the new leader wait meanwhile: only leases of the former leader are dropped by the caller."""
         async with self._adopting:
             known = self._remembered.values
+            if not self._compared:
+                raise Refusal(COMPARING, "e-stop latches are being compared with other processes", "try again")
             if self._is_outdated(request):
                 raise Refusal(
                     "stale-epoch",

@@ -5,6 +5,7 @@ Everything here is common to all makes; make-specific code is behind `Driver`.
 
 import asyncio
 from collections.abc import Coroutine, Mapping
+from contextlib import suppress
 from typing import Any
 from zlib import crc32
 
@@ -31,7 +32,7 @@ from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import ArmRequest, ProposeRequest
+from orchestrator.model.messages import ArmRequest, KeptEstop, ProposeRequest
 from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, EventKind, FaultReport
 
 BACKOFF_FIRST_NS = 200 * NS_PER_MS
@@ -152,7 +153,16 @@ class ControllerSupervisor:
         return self._commands.answer_command if self._declared else None
 
     async def _adopt_fleet_latch(self) -> None:
-        replies = await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)
+        """Latch what any other process of the fleet has latched; only then can this controller be adopted."""
+        replies, kept = await asyncio.gather(
+            self._bus.request_all(self._keys.state(), b"", timeout_s=1.0),
+            self._bus.request_all(self._keys.kept_estop(), b"", timeout_s=1.0),
+        )
+        for key in sorted(kept):
+            with suppress(ValidationError):
+                latch = KeptEstop.model_validate_json(kept[key]).estop
+                if latch is not None:
+                    self._fence.latch_estop(latch)
         for key in sorted(replies):
             try:
                 state = ControllerState.model_validate_json(replies[key])
@@ -161,6 +171,7 @@ class ControllerSupervisor:
             if state.estop is not None and state.controller != self.controller:
                 self._fence.latch_estop(state.estop)
         await self._fence.persist()
+        self._fence.allow_adoption()
 
     async def _keep_connected(self) -> None:
         """Connect to the controller, serve it until the link breaks, and reconnect with growing back-off."""

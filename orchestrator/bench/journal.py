@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.latch import VolatileLatchStore
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S
@@ -99,6 +100,7 @@ def _make_coordinator(fleet: Fleet, clock: VirtualClock, journal: Journal) -> tu
         new_id=make_id,
         sink=lambda _: None,
         save_fleet=lambda _: None,
+        latches=VolatileLatchStore(),
     )
     return Coordinator(fleet, court), Tutti(net.join_process("client"), fleet.fleet, "bench", make_id)
 

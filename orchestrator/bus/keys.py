@@ -117,8 +117,17 @@ class FleetKeys:
 
     @property
     def estop(self) -> str:
-        """E-stops, published by any process with `Priority.ESTOP`; served by every process that keeps the latch."""
+        """E-stops, published by any process with `Priority.ESTOP`."""
         return f"{self.prefix}/estop"
+
+    @property
+    def estop_reset(self) -> str:
+        """Published by a client once every controller has been reset."""
+        return f"{self.prefix}/estop-reset"
+
+    def kept_estop(self, keeper: str | None = None) -> str:
+        """The e-stop that a process without controllers keeps; served by it."""
+        return f"{self.prefix}/kept-estop/{_make_chunk(keeper, 'keeper')}"
 
     def log(self, role: str | None = None, id: str | None = None) -> str:
         """Warnings and errors."""

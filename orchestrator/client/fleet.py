@@ -3,11 +3,12 @@
 import asyncio
 from typing import Any
 
+from orchestrator.bus.base import Priority
 from orchestrator.bus.estop import put_estop
 from orchestrator.client.connection import ANSWER_S, FleetConnection, absence_refusal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import Reply, Request, ResetRequest, StopRequest, TraceReply
+from orchestrator.model.messages import EstopReset, Reply, Request, ResetRequest, StopRequest, TraceReply
 from orchestrator.model.service import FleetNames, FleetReloaded, ReloadFleet, StopFleet, WireFinding, WiringChecked
 from orchestrator.model.state import ControllerInfo, ControllerState
 from orchestrator.model.units import Unit
@@ -81,7 +82,10 @@ class FleetRequests(FleetConnection):
                 for controller, reply in zip(controllers, replies, strict=True)
             }
             if any(answers.values()):
-                break
+                return answers
+        # Those that keep the latch for adapters that start.
+        reset = EstopReset(event=event, actor=self.actor)
+        self.bus.put(self.keys.estop_reset, reset.to_json(), Priority.EVENT)
         return answers
 
     async def reload_fleet(self, fleet: Fleet) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from orchestrator.bus.base import BusDeclaration
+from orchestrator.bus.latch import LatchKeeper
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.access import FleetAccess
@@ -28,7 +29,7 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import AdoptedReply, AdoptRequest, LeaderHeartbeat
+from orchestrator.model.messages import COMPARING, AdoptedReply, AdoptRequest, LeaderHeartbeat
 from orchestrator.model.state import ControllerState
 
 T = TypeVar("T")
@@ -46,6 +47,7 @@ class Coordinator:
         bus, keys, clock = environment.bus, environment.keys, environment.clock
         tasks = self._owner = TaskOwner(self._report_defect)
         self.leadership = Leadership(fleet.fleet, environment, tasks)
+        self._latch_keeper = LatchKeeper(bus, keys, clock.utc, environment.latches)
         self._log = ProcessLog("coordinator", self.leadership.coordinator[:8], clock, environment.sink, (bus, keys))
         self._log.fleet_ns = lambda: self.leadership.fleet_now_ns() if self.leadership.epoch else None
         self._view = FleetView(fleet, bus, keys, clock, self._log)
@@ -90,6 +92,7 @@ class Coordinator:
     async def start(self, *, take_over: bool = False, vacant: bool = False) -> None:
         """Become the leader. Raises `AnotherLeader`, `JournalError`. take_over, vacant: see `Leadership.acquire`."""
         self.leadership.on_contradicted = self._report_contradiction
+        await self._latch_keeper.start(self.leadership.coordinator)
         await self.leadership.acquire(take_over=take_over, vacant=vacant)
         self.leadership.on_lost = self._lose_leadership
         self._view.add_state_listener(self._receive_state)
@@ -113,6 +116,7 @@ class Coordinator:
         self._manual.close()
         await self._leases.close()
         await self._view.close()
+        await self._latch_keeper.close()
         await self.leadership.close()
         self._owner.cancel_all()
 
@@ -138,7 +142,9 @@ class Coordinator:
                 **self._fleet.requests.request_fields("coordinator"), leader=self.leadership.make_heartbeat()
             )
             reply = await self._fleet.requests.request(controller, "adopt", request, AdoptedReply, ADOPT_S)
-            if reply.refused is None:
+            if reply.refused is not None and reply.refused.code == COMPARING:
+                pass  # its next state brings it here again
+            elif reply.refused is None:
                 self._adopted[controller] = instance
                 self._log.info("adopted", controller=controller, epoch=self.leadership.epoch)
                 await self._enable_at_start(controller)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.latch import FileLatchStore, LatchKeeper
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
@@ -56,11 +57,15 @@ async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
 
 async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end: asyncio.Event) -> bool:
     """Wait until there is no leader, and make sure that the last one is gone; False when this process is to end."""
+    # Kept meanwhile: the leader may be away when an e-stop comes.
+    keeper = LatchKeeper(bus, keys, LiveClock().utc, _latch_store(options.journal))
+    await keeper.start(f"standby-{uuid.uuid4().hex}")
     vacant = asyncio.ensure_future(wait_for_vacancy(bus, keys, LiveClock()))
     ended = asyncio.ensure_future(end.wait())
     await asyncio.wait([vacant, ended], return_when=asyncio.FIRST_COMPLETED)
     for wait in (vacant, ended):
         wait.cancel()
+    await keeper.close()
     if end.is_set():
         return False
     killed = LeaderFile(options.journal).kill_other_process()
@@ -71,6 +76,7 @@ async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end:
 
 
 async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, *, urgent: bool) -> int:
+    latches = _latch_store(options.journal)
     loop = asyncio.get_running_loop()
     journal, runs = Journal(options.journal), ThreadExecutor("journal")
     court = CoordinatorEnvironment(
@@ -82,6 +88,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         new_id=lambda: uuid.uuid4().hex,
         sink=make_file_sink(options.log),
         save_fleet=lambda taken: save_fleet(options.fleet, taken),
+        latches=latches,
     )
     coordinator = Coordinator(fleet, court)
     try:
@@ -111,6 +118,11 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
     finally:
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)
+
+
+def _latch_store(journal: Path) -> FileLatchStore:
+    """The e-stop latch beside the journal."""
+    return FileLatchStore(journal.with_name("estop.json"))
 
 
 def _print_ready() -> None:

@@ -8,7 +8,7 @@ from pydantic import Field
 from orchestrator.model.base import HostNs, Id, Int53, Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import ClockMapping, ControllerState, StartClass, StartWish, StepCosts
+from orchestrator.model.state import ClockMapping, ControllerState, EstopLatch, StartClass, StartWish, StepCosts
 from orchestrator.model.units import Quantity
 
 
@@ -88,6 +88,9 @@ class FencedRequest(Request):
     epoch: Int53
     coordinator: str
 
+
+COMPARING = "comparing-latches"
+"""Code of a refusal to be adopted: an adapter that starts has not yet compared e-stop latches with other processes."""
 
 MAX_EPOCH_STEP = 1_000_000
 """Each start of a coordinator takes one epoch. One that is further from the known one is no real one; if it were
@@ -384,6 +387,19 @@ class EstopMessage(Model):
     event: str
     actor: str
     reason: str = ""
+
+
+class EstopReset(Model):
+    """Every controller has been reset: processes that keep the latch `event` (None: any) release it."""
+
+    event: str | None = None
+    actor: str
+
+
+class KeptEstop(Model):
+    """The e-stop that a process keeps for adapter hosts that were not on the bus; None: none since the last reset."""
+
+    estop: EstopLatch | None = None
 
 
 class ResetRequest(Request):

@@ -15,6 +15,7 @@ from adapters.host.host import AdapterHost, HostEnvironment, stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.latch import VolatileLatchStore
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.bus.memory.medium import BusLatency
 from orchestrator.client.api import Tutti
@@ -104,6 +105,7 @@ class VirtualFleet:
         """Wraps the bus of a coordinator that starts, e.g. to observe it."""
         self._draw = Random(seed)
         self._stores: dict[str, VolatileStore] = {}
+        self._latches = VolatileLatchStore()
         self._starts = 0
         for names in group_by_link(fleet):
             self._start_simulator(names)
@@ -308,6 +310,7 @@ class VirtualFleet:
             new_id=self.draw_id,
             sink=self.lines.append,
             save_fleet=self._save_fleet,
+            latches=self._latches,
         )
 
     async def _run_journal_call(self, function: Callable[..., T], *values: Any) -> T:

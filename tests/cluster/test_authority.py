@@ -1,6 +1,7 @@
 """Senders that no controller was adopted by: they keep no axis moving, stop no watchdog, and depose no coordinator."""
 
 import asyncio
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -8,11 +9,13 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, HEARTBEAT_NS, LeaderWatch
 from orchestrator.bus.base import Priority
+from orchestrator.bus.latch import FileLatchStore
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.messages import MAX_EPOCH_STEP, AdoptedReply, AdoptRequest, LeaderHeartbeat
+from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual import VirtualFleet
 
 LONG = job("[{do: move, to: {gantry.x: 390, stage.u: 45}, speed: 0.05}]")
@@ -170,3 +173,62 @@ def test_a_task_that_is_not_vital_is_reported() -> None:
 
     run_virtual(main)
     assert found == [("one", False), ("two", True)]
+
+
+def test_an_estop_while_the_only_host_restarts_is_latched_when_it_is_back() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.make_client()
+        fleet.kill("host/local")
+        await asyncio.sleep(0.1)
+        await client.estop("nothing receives it but the coordinator", timeout_s=0.1)
+        fleet.start_host("local")
+        states = await fleet.wait_until(lambda states: len(states) == 2 and all(each.epoch for each in states.values()))
+        assert {name: state.estop and state.estop.actor for name, state in states.items()} == {
+            "gantry": "client",
+            "stage": "client",
+        }
+        starts = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
+        await client.start_queue()
+        waiting = await client.submit(job("[{do: enable, axes: [gantry]}, {do: home, axes: [gantry]}]"))
+        await asyncio.sleep(2.0)
+        assert {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()} == starts
+        while any((await client.reset()).values()):  # a reset restarts the SHRC-203
+            await asyncio.sleep(0.5)
+        await client.start_queue()
+        assert (await client.wait_for_job(waiting)).state == "done"
+        # The reset has reached the keeper: a host that starts now is not latched.
+        fleet.kill("host/local")
+        fleet.start_host("local")
+        states = await fleet.wait_until(lambda states: len(states) == 2 and all(each.epoch for each in states.values()))
+        assert all(state.estop is None for state in states.values())
+
+    run_fleet(main)
+
+
+def test_a_coordinator_that_starts_has_the_latch_of_the_one_before() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        fleet.kill("host/local")
+        await client.estop("test", timeout_s=0.1)
+        fleet.kill("coordinator/first")
+        fleet.start_coordinator("second")
+        await asyncio.sleep(1.5)
+        fleet.start_host("local")
+        states = await fleet.wait_until(lambda states: len(states) == 2 and all(each.epoch for each in states.values()))
+        assert all(state.estop is not None for state in states.values())
+
+    run_fleet(main)
+
+
+def test_a_stored_latch_that_cannot_be_read_counts_as_latched(tmp_path: Path) -> None:
+    store = FileLatchStore(tmp_path / "estop.json")
+    assert store.load() is None
+    latch = EstopLatch(event="e", actor="a", reason="r", utc="")
+    store.save(latch)
+    assert FileLatchStore(tmp_path / "estop.json").load() == latch
+    store.save(None)
+    assert store.load() is None
+    (tmp_path / "estop.json").write_bytes(b"\x00garbage")
+    found = store.load()
+    assert found is not None and "cannot be read" in found.reason

@@ -75,6 +75,8 @@ EXAMPLES: dict[str, Any] = {
 SILENT = {
     "lease/{id}/{axis}": "no make here lets axes of one controller move for different holders",
     "leads/{coordinator}": "only served",
+    "kept-estop/{keeper}": "only served",
+    "estop-reset": "published after a reset",
     "log/{role}/{id}": "in virtual time logs go to their sinks",
 }
 
@@ -208,11 +210,11 @@ def test_looking_around_on_the_whole_fleet_gets_values_and_no_errors(monkeypatch
         client = fleet.make_client()
         found = await client.bus.request_all(f"{client.keys.prefix}/**", b"", 5.0)
         own = [key.removeprefix(client.keys.prefix + "/") for key in found]
-        return {"leads/{coordinator}" if key.startswith("leads/") else key for key in own}
+        return {re.sub("^(leads|kept-estop)/.*", r"\1", key) for key in own}
 
     per_controller = {f"ctl/{c}/{leaf}" for c in ("gantry", "stage") for leaf in ("state", "info", "clock")}
     leases = {"lease/gantry", "lease/stage"}
-    assert per_controller | leases | {"time", "leads/{coordinator}"} == {
+    assert per_controller | leases | {"time", "leads", "kept-estop"} == {
         key for key in run_fleet(main) if key.count("/") < 3
     }
     assert refusals == []

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.latch import LatchStore
 from orchestrator.bus.log import LogSink
 from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor
@@ -16,7 +17,7 @@ from orchestrator.model.fleet import Fleet
 class CoordinatorEnvironment:
     """The environment of a coordinator: everything that differs between live and virtual fleets.
 
-    save_fleet: stores a reloaded fleet for the next start.
+    save_fleet: stores a reloaded fleet for the next start. latches: stores the e-stop latch.
     """
 
     bus: Bus
@@ -27,3 +28,4 @@ class CoordinatorEnvironment:
     new_id: Callable[[], str]
     sink: LogSink
     save_fleet: Callable[[Fleet], None]
+    latches: LatchStore

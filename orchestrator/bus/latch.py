@@ -1,0 +1,117 @@
+"""The e-stop latch of a process that drives no controller: kept, stored, and handed to adapter hosts that start.
+
+An adapter host that is restarting receives no e-stop. Every coordinator, leading or standing by, keeps the latch until
+it is reset; an adapter compares before it can be adopted.
+"""
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+
+from pydantic import ValidationError
+
+from orchestrator.bus.base import Bus, BusDeclaration, BusSample
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.model.messages import EstopMessage, EstopReset, KeptEstop
+from orchestrator.model.state import EstopLatch
+
+
+class LatchStore(Protocol):
+    """Storage for a latch that outlives the process."""
+
+    def load(self) -> EstopLatch | None: ...
+
+    def save(self, latch: EstopLatch | None) -> None:
+        """Save it, or that there is none. Raises `OSError`."""
+        ...
+
+
+class LatchKeeper:
+    """Keeps the first e-stop since the last reset."""
+
+    def __init__(self, bus: Bus, keys: FleetKeys, utc: Callable[[], str], store: LatchStore) -> None:
+        self._bus = bus
+        self._keys = keys
+        self._utc = utc
+        self._store = store
+        self._declared: list[BusDeclaration] = []
+        self.latch: EstopLatch | None = store.load()
+
+    async def start(self, name: str) -> None:
+        """Receive e-stops and resets, and answer with the latch. name: of this keeper, unique on the bus."""
+        self._declared = [
+            await self._bus.subscribe(self._keys.estop, self._receive_estop),
+            await self._bus.subscribe(self._keys.estop_reset, self._receive_reset),
+            await self._bus.serve(self._keys.kept_estop(name), self._answer),
+        ]
+
+    async def close(self) -> None:
+        """Leave the bus. The stored latch stays."""
+        for declared in self._declared:
+            await declared.undeclare()
+        self._declared.clear()
+
+    def _receive_estop(self, sample: BusSample) -> None:
+        """Every sample on that key counts, also one with an unreadable payload."""
+        try:
+            estop = EstopMessage.model_validate_json(sample.payload)
+        except ValidationError:
+            estop = EstopMessage(event="garbled", actor="unknown", reason="an e-stop whose payload could not be read")
+        if self.latch is None:
+            self._change(EstopLatch(event=estop.event, actor=estop.actor, reason=estop.reason, utc=self._utc()))
+
+    def _receive_reset(self, sample: BusSample) -> None:
+        """A reset that cannot be read, or is of another e-stop, resets nothing."""
+        with suppress(ValidationError):
+            reset = EstopReset.model_validate_json(sample.payload)
+            if self.latch is not None and reset.event in (None, self.latch.event):
+                self._change(None)
+
+    def _change(self, latch: EstopLatch | None) -> None:
+        self.latch = latch
+        # A full disk takes nothing from what this process knows.
+        with suppress(OSError):
+            self._store.save(latch)
+
+    async def _answer(self, _: BusSample) -> bytes:
+        return KeptEstop(estop=self.latch).to_json()
+
+
+class VolatileLatchStore:
+    """A store in memory that outlives a virtual process, as a disk does."""
+
+    def __init__(self) -> None:
+        self._latch: EstopLatch | None = None
+
+    def load(self) -> EstopLatch | None:
+        return self._latch
+
+    def save(self, latch: EstopLatch | None) -> None:
+        self._latch = latch
+
+
+class FileLatchStore:
+    """A store in a small JSON file, replaced as a whole and synced to disk. Without the file nothing is latched."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def load(self) -> EstopLatch | None:
+        """The stored latch. An unreadable file counts as a latched e-stop: that is the safe interpretation."""
+        try:
+            return KeptEstop.model_validate_json(self._path.read_bytes()).estop
+        except FileNotFoundError:
+            return None
+        except (OSError, ValidationError) as error:
+            reason = f"{self._path} cannot be read ({type(error).__name__}); reset the e-stop to continue"
+            return EstopLatch(event="unreadable-store", actor="coordinator", reason=reason, utc="")
+
+    def save(self, latch: EstopLatch | None) -> None:
+        fresh = self._path.with_suffix(".new")
+        with fresh.open("wb") as file:
+            file.write(KeptEstop(estop=latch).to_json())
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(self._path)
