@@ -14,7 +14,7 @@ from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.can import CanFrame, decode_frames, encode_frames
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.links import CanBusLink
-from orchestrator.model.messages import EstopMessage
+from orchestrator.model.messages import EstopMessage, EstopReset
 from orchestrator.runtime.virtual import VirtualFleet
 from sim.smc30.framing import compute_checksum
 
@@ -79,6 +79,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("coordinator-overtaken", "fleet", jog_may_continue=True),
         FaultKind("journal-full", "fleet", must_stop=False),
         FaultKind("wall-clock", "fleet", must_stop=False, harmless=True),
+        FaultKind("adversary", "fleet", must_stop=False, harmless=True),
         # People and second masters.
         FaultKind("operator-interrupts", "fleet", of_job=True, attended=True, jog_may_continue=True),
         FaultKind("operator-lost", "fleet", of_job=True, attended=True, jog_may_continue=True),
@@ -201,11 +202,35 @@ class FaultInjector:
             case "journal-full":
                 fleet.disk_full = True
                 return lambda: setattr(fleet, "disk_full", False)
+            case "adversary":
+                self._send_forged_messages()
             case "wall-clock":
                 self._clock.wall_step_ns += self._draw.choice((-3600, -1, 1, 3600)) * NS_PER_S
             case _:  # "none", and those that a client causes: "stop", "operator-interrupts", "operator-lost"
                 pass
         return _do_nothing
+
+    def _send_forged_messages(self) -> None:
+        """Put on the bus what any session can: heartbeats of a leader that does not exist or is far ahead, resets of
+        another e-stop, and garbage on every key that something subscribes to."""
+        fleet, keys = self._fleet, self._fleet.keys
+        bus = fleet.net.join_process(f"adversary-{self._clock.now_ns()}")
+        real = fleet.coordinators[self.leader_name][1].leadership
+        beat = real.make_heartbeat()
+        forged = [
+            beat.model_copy(update={"epoch": 2**53 - 1, "coordinator": "forged"}),
+            beat.model_copy(update={"epoch": beat.epoch + 1, "coordinator": "forged", "scale_id": "forged"}),
+            beat.model_copy(update={"seq": 2**53 - 1}),
+            beat.model_copy(update={"scale_id": "forged", "origin_host_ns": 0}),
+        ]
+        for each in self._draw.sample(forged, 3):
+            bus.put(keys.leader, each.to_json(), Priority.EVENT)
+        bus.put(keys.estop_reset, EstopReset(event="another", actor="forged").to_json(), Priority.EVENT)
+        garbage = [b"", b"\xff\x00", b"{}", b"null", b'{"epoch": 1e999}', bytes(self._draw.randbytes(200)), b"[" * 5000]
+        for controller in self._whole_fleet.controllers:
+            for key in (keys.leader, keys.estop_reset, keys.session("forged"), keys.state(controller)):
+                bus.put(key, self._draw.choice(garbage), Priority.EVENT)
+            bus.put(keys.event(controller), self._draw.choice(garbage), Priority.EVENT)
 
     def _inject_host_fault(self, fault: str, member: str) -> Repair:
         fleet = self._fleet
