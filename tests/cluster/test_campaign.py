@@ -11,7 +11,8 @@ from orchestrator.campaign.runs import CELLS, PAIRS, PHASES, ROUND, cells_of_see
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, run_scenario
 
 DIRECTED = [
-    FaultCell(STAGES[number % len(STAGES)], fault, MAKES[number % len(MAKES)]) for number, fault in enumerate(FAULTS)
+    FaultCell(STAGES[number % len(STAGES)], name, (fault.makes or MAKES)[number % len(fault.makes or MAKES)])
+    for number, (name, fault) in enumerate(FAULTS.items())
 ]
 """Each fault once, with stages and makes in turn."""
 
