@@ -17,7 +17,19 @@ Id = Annotated[str, Field(pattern=ID_PATTERN, min_length=1, max_length=64)]
 # Many JSON readers hold numbers as doubles: integers are exact below 2^53 only.
 Int53 = Annotated[int, Field(ge=-(2**53 - 1), le=2**53 - 1)]
 
-HostNs = Annotated[int, BeforeValidator(lambda value: int(value)), PlainSerializer(str, when_used="json")]
+
+def _parse_host_ns(value: object) -> int:
+    """An integer, or decimal text of at most 19 digits; anything else, such as a list, is a `ValueError`."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if isinstance(value, str) and len(value) <= 20 and value.removeprefix("-").isdecimal() and value.isascii():
+        return int(value)
+    raise ValueError("a host instant must be an integer, or decimal text of at most 19 digits")
+
+
+HostNs = Annotated[
+    int, BeforeValidator(_parse_host_ns), Field(ge=-(2**63), lt=2**63), PlainSerializer(str, when_used="json")
+]
 """A host instant in ns. It can exceed 2^53 (104 days after boot), so it is sent over the bus as decimal text."""
 
 
