@@ -56,6 +56,7 @@ from orchestrator.model.messages import (
     StopRequest,
     TraceReply,
 )
+from orchestrator.model.state import FaultReport
 from orchestrator.model.units import UnitError, parse_quantity
 
 NEAR_START_NS = 300 * NS_PER_MS
@@ -74,6 +75,10 @@ class SupervisorActions(Protocol):
 
     def wake_poll(self) -> None:
         """Schedule the next poll soon."""
+        ...
+
+    def handle_defect(self, error: Exception) -> FaultReport:
+        """Begin anew after an error that nothing expected; return the fault."""
         ...
 
     def replace_configuration(self, config: Controller) -> None:
@@ -155,6 +160,9 @@ class ControllerCommands:
             refusal = RefusalDetails(code=error.code, text=error.text, remedy=error.remedy)
         except (LinkClosed, LinkRefused) as error:
             refusal = RefusalDetails(code="offline", text=str(error), remedy="check power and cable of the controller")
+        except Exception as error:
+            fault = self._supervisor.handle_defect(error)
+            refusal = RefusalDetails(code=fault.code, text=fault.text, remedy=fault.remedy)
         self._publisher.emit_event("refusal", f"{verb} by {request.actor}: {refusal.text}")
         return reply(refused=refusal.model_copy(update={"member": self._context.controller})).to_json()
 

@@ -11,7 +11,7 @@ from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.session_signs import SessionSigns
 from orchestrator.clock.base import Clock
 from orchestrator.clock.fleet import FleetScale
-from orchestrator.link.base import OpenLink
+from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TraceRing
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaderHeartbeat
@@ -22,6 +22,7 @@ class ControllerContext:
     """Everything that the components of one controller's supervisor share.
 
     instance: identifies this start of the supervisor.
+    current_link: returns the link that was opened last, which may be closed by now; None: no link has been opened yet.
     scale: returns fleet time, or None before the first message of a coordinator.
     follow_leader: called with the coordinator that has adopted the controller.
     replace_supervisor: requests from the host that it replaces this supervisor by one with another configuration.
@@ -36,6 +37,7 @@ class ControllerContext:
     keys: FleetKeys
     clock: Clock
     open_link: OpenLink
+    current_link: Callable[[], Link | None]
     trace: TraceRing
     log: ProcessLog
     instance: str

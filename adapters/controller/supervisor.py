@@ -14,12 +14,14 @@ from pydantic import ValidationError
 from adapters.contract import ControllerReading
 from adapters.controller.commands import Components, ControllerCommands
 from adapters.controller.context import ControllerContext
+from adapters.controller.defects import DefectRecord
 from adapters.controller.fencing import EpochFence
 from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
 from adapters.controller.limits import check_path_limits, check_profiles
 from adapters.controller.motors import MotorControl
 from adapters.controller.participant import ArmedStep, StepParticipant, StepPhase, StepServices
+from adapters.controller.pending_stop import PendingStop
 from adapters.controller.publisher import StatePublisher, StepActivity
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.settling import SettlingMonitor
@@ -42,7 +44,6 @@ ESTOP_PUBLISH_DELAY_NS = 30 * NS_PER_MS
 START_VISIBLE_NS = 300 * NS_PER_MS  # after T0: by then a poll shows whether an axis moves
 HEARTBEAT_NS = 400 * NS_PER_MS  # an adapter that is silent for 0.7 s counts as dead
 POLL_SPREAD = 0.08  # of the poll period
-STOP_SEND_NS = 150 * NS_PER_MS  # time for the bytes of a stop to be sent and acknowledged before the link is closed
 
 
 class ControllerSupervisor:
@@ -115,7 +116,8 @@ class ControllerSupervisor:
             publisher=self._publisher,
         )
         self._commands = ControllerCommands(context, parts, self)
-        self._stop_pending = False
+        self._pending_stop = PendingStop(context, self._participant.wait_until_loaded)
+        self._defects = DefectRecord(self._log, context.controller)
         # Polls are spread out: after a common stop, 16 controllers would otherwise be polled at the same instant for
         # ever.
         self._poll_spread = 1.0 + POLL_SPREAD * (crc32(context.controller.encode()) % 64) / 64
@@ -179,9 +181,8 @@ class ControllerSupervisor:
         pause_ns = BACKOFF_FIRST_NS
         while True:
             try:
-                await self._connect()
-                await self._driver.configure()
-                await self._referencing.load_soft_limits(list(self._config.axes))
+                await self._pending_stop.guard_attempt(self._set_up_connection())
+                await self._go_online()
                 pause_ns = 0
                 await self._poll_until_lost()
             except LinkRefused as error:
@@ -198,44 +199,34 @@ class ControllerSupervisor:
                 self._handle_offline(FaultReport.of(error))
             except Refusal as error:
                 self._handle_offline(FaultReport(code=error.code, text=error.text, remedy=error.remedy))
-            await self._driver.close()
-            if pause_ns or not self._stop_pending:
+            except Exception as error:
+                # A defect: this task must not end, or nothing would ever connect to the controller again.
+                self._handle_offline(self._defects.note_defect(error))
+            await self._close_driver()
+            if pause_ns or not self._pending_stop.is_pending:
                 # A step that was loaded when the link broke may be about to begin: its stop is sent without a pause.
-                await sleep_ns(self._clock, max(pause_ns, BACKOFF_FIRST_NS))
+                await self._pending_stop.pause_attempts(max(pause_ns, BACKOFF_FIRST_NS))
             pause_ns = min(max(2 * pause_ns, BACKOFF_FIRST_NS), BACKOFF_LONGEST_NS)
 
-    async def _connect(self) -> None:
-        """Connect to the controller. A pending stop is sent before the connection is set up, and again after it."""
-        stop_pending, self._stop_pending = self._stop_pending, False
+    async def _close_driver(self) -> None:
         try:
-            if stop_pending:
-                await self._send_pending_stop()
+            await self._driver.close()
+        except Exception as error:
+            self._defects.note_defect(error)
+
+    async def _set_up_connection(self) -> None:
+        """Connect to the controller and load what the driver needs. A pending stop is sent before the connection is set
+        up, and again after it."""
+        self._defects.must_reconnect = False
+        async with self._pending_stop.sent_first():
             self._status.identity = await self._driver.connect()
-            if stop_pending:
-                # The stop before was early, but the line may have recovered only after it.
-                await self._driver.stop(abort=False)
-        except BaseException:
-            self._stop_pending = self._stop_pending or stop_pending
-            raise
-        if stop_pending:
+        if await self._pending_stop.send_stop():
             self._publisher.emit_event("stopped", "stopped as soon as the link was back")
+        await self._driver.configure()
+        await self._referencing.load_soft_limits(list(self._config.axes))
 
-    async def _send_pending_stop(self) -> None:
-        """Send the stop that is pending because the link broke while a step was loaded, or before a stop could be sent.
-
-        The controller may be moving: the stop precedes every other command, as a guardian's does.
-        """
-        await self._participant.wait_until_loaded()
-        if not await self._driver.stop_before_connect():
-            link = await self._context.open_link()
-            try:
-                link.write(self._context.make.stop_bytes(self._config))
-                await sleep_ns(self._clock, STOP_SEND_NS)
-            finally:
-                await link.close()
-
-    async def _poll_until_lost(self) -> None:
-        """Poll and publish until the link breaks or the controller's replies are invalid."""
+    async def _go_online(self) -> None:
+        """Publish the first reading of the connected controller."""
         self._status.faults = []
         self._status.differences.clear()
         self._is_connected = True
@@ -244,8 +235,12 @@ class ControllerSupervisor:
         self._publisher.emit_event(
             "online", f"{self._context.make.name} {identity.firmware if identity else ''}".strip()
         )
+
+    async def _poll_until_lost(self) -> None:
+        """Poll and publish until the link breaks or the controller's replies are invalid."""
         while True:
             await self._wait_for_next_poll()
+            self._defects.raise_new_defect()
             await self.poll_and_publish()
             await self._surveillance.check_next_settings()
 
@@ -287,8 +282,11 @@ class ControllerSupervisor:
             if wait_ns <= 0:
                 armed_step = self._participant.armed_step
                 waits = armed_step is not None and self._clock.now_ns() < armed_step.t0_host_ns
-                if waits or self._publisher.current_mode() != "moving":
-                    self._publisher.publish_state()
+                try:
+                    if waits or self._publisher.current_mode() != "moving":
+                        self._publisher.publish_state()
+                except Exception as error:  # one heartbeat that fails must not be the last
+                    self._defects.note_defect(error)
                 wait_ns = HEARTBEAT_NS
             await sleep_ns(self._clock, wait_ns)
 
@@ -403,7 +401,7 @@ class ControllerSupervisor:
         self._is_connected = False
         before, status.reading = status.reading, None
         was_online = before is not None
-        status.faults = [fault]
+        repeated, status.faults = status.faults == [fault], [fault]
         # A stop that was sent is not yet a stop: its bytes may have been lost with the link.
         unseen = before is not None and (
             before.at_ns < status.stopped_ns or any(axis.moving for axis in before.axes.values())
@@ -417,14 +415,16 @@ class ControllerSupervisor:
         )
         may_move = unseen or loaded or bool(status.jogging | status.homing)
         status.may_move = status.may_move or may_move
-        self._stop_pending = self._stop_pending or may_move
+        if may_move:
+            self._pending_stop.request_stop()
         status.homing.clear()
         self._jogging.drop_all("the link is lost")
         self._participant.drop_step(f"the link is lost: {fault.text}")
         if was_online:
             self._publisher.emit_event("offline", fault.text, fault=fault)
             self._publisher.publish_state()
-        self._log.warning(fault.text, controller=self.controller, code=fault.code)
+        if not repeated:  # while a stop is pending, attempts are frequent
+            self._log.warning(fault.text, controller=self.controller, code=fault.code)
 
     # Stops, bypassing everything else
 
@@ -443,7 +443,7 @@ class ControllerSupervisor:
         try:
             await self._participant.stop(abort=abort, reason=reason, follow=follow)
         except (LinkClosed, LinkRefused, ControllerFault):
-            self._stop_pending = True
+            self._pending_stop.request_stop()
             raise
         finally:
             self._poll_wake.set()
@@ -552,8 +552,13 @@ class ControllerSupervisor:
 
     def _handle_task_end(self, task: "asyncio.Task[None]") -> None:
         self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self._log.warning(f"a defect of the adapter: {error!r}", controller=self.controller)
-            asyncio.get_running_loop().call_exception_handler(
-                {"message": "controller supervisor task failed", "exception": error}
-            )
+        if not task.cancelled() and isinstance(error := task.exception(), Exception):
+            self.handle_defect(error)
+
+    def handle_defect(self, error: Exception) -> FaultReport:
+        """Handle an error that nothing expected, in a task or a command of this controller: what the adapter believes
+        may be wrong, so it gives up the link and begins anew. Returns the fault."""
+        fault = self._defects.note_defect(error)
+        self._defects.must_reconnect = True
+        self._poll_wake.set()
+        return fault

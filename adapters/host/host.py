@@ -136,12 +136,13 @@ class HostEnvironment:
     instance: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _SharedPort:
-    """The objects that the controllers on one port share."""
+    """The objects that the controllers on one port share. link: the one that was opened last."""
 
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
     trace: TraceRing = field(default_factory=TraceRing)
+    link: Link | None = None
 
 
 class AdapterHost:
@@ -175,7 +176,8 @@ class AdapterHost:
         open_plain = around.open_link(controller, config)
 
         async def open_link() -> Link:
-            return TracedLink(await open_plain(), line.trace)
+            line.link = TracedLink(await open_plain(), line.trace)
+            return line.link
 
         options = apply_writer_delay(around.timed_writer, make.options_model.model_validate(config.options))
         driver_log = ProcessLog("controller", controller, around.clock, around.sink)
@@ -203,6 +205,7 @@ class AdapterHost:
             keys=around.keys,
             clock=around.clock,
             open_link=open_link,
+            current_link=lambda: line.link,
             trace=line.trace,
             log=log,
             instance=f"{around.instance}-{self._starts}",

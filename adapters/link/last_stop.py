@@ -30,14 +30,15 @@ async def send_last_stop(open_link: OpenLink, data: bytes, clock: Clock) -> Stop
     while True:
         tries += 1
         try:
-            return await _write_stop(open_link, data, clock, tries)
+            return await send_stop_once(open_link, data, clock, tries)
         except (LinkRefused, LinkClosed):
             if clock.now_ns() >= give_up_ns:
                 raise
         await sleep_ns(clock, PAUSE_NS)
 
 
-async def _write_stop(open_link: OpenLink, data: bytes, clock: Clock, tries: int) -> StopResult:
+async def send_stop_once(open_link: OpenLink, data: bytes, clock: Clock, tries: int = 1) -> StopResult:
+    """Open a link, write `data`, listen for `LISTEN_NS`, and close the link. Raises `LinkRefused` or `LinkClosed`."""
     link = await open_link()
     answer = b""
     try:

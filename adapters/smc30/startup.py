@@ -3,6 +3,7 @@
 import re
 
 from adapters.smc30.frames import ReceivedReply, frame_line
+from adapters.smc30.line import ExchangeDisturbed
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.session import ControllerBusy, Smc30Session
 from adapters.smc30.unitstate import EITHER, NO_CONVERSION, SENTINEL, SENTINEL_REGISTER, STATUS, Smc30State
@@ -54,7 +55,7 @@ async def _answers_otherwise(session: Smc30Session) -> bool:
 
     try:
         _, replies = await session.line.run_exchange(session.unit, sent, any_reply)
-    except ControllerFault:
+    except (ControllerFault, ExchangeDisturbed):
         return False
     # With its checksum a reply looks like a longer one, and without one like a garbled one.
     if session.with_checksum:

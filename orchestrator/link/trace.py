@@ -13,14 +13,17 @@ TraceEntry = tuple[int, TraceDirection, bytes]
 
 
 class TraceRing:
-    """Entries of the last 60 s: (host ns, direction, bytes)."""
+    """Entries of the last 60 s: (host ns, direction, bytes). received_ns: host time of the last received bytes."""
 
     def __init__(self) -> None:
+        self.received_ns = 0
         self._entries: deque[TraceEntry] = deque(maxlen=MAX_TRACE_ENTRIES)
 
     def add_entry(self, at_ns: int, direction: TraceDirection, data: bytes) -> None:
         late = self._entries and at_ns < self._entries[-1][0]
         self._entries.append((at_ns, direction, data))
+        if direction == "in":
+            self.received_ns = at_ns
         if late:  # bytes written by another process are recorded afterwards
             self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=MAX_TRACE_ENTRIES)
         while self._entries[0][0] < at_ns - TRACE_NS:

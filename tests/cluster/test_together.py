@@ -12,7 +12,7 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from adapters.controller.commands import ControllerCommands
 from adapters.controller.participant import StepParticipant
-from orchestrator.bus.base import RequestRefused
+from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.requests import MemberRequests
@@ -70,14 +70,15 @@ def test_no_payload_ends_a_host(verb: str) -> None:
 
 
 def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    trace = ControllerCommands._handle_trace  # pyright: ignore[reportPrivateUsage]
+    answer = ControllerCommands.answer_command
 
-    async def broken(commands: ControllerCommands, request: Asked) -> TraceReply:
-        if commands._context.controller == "stage":  # pyright: ignore[reportPrivateUsage]
+    async def broken(commands: ControllerCommands, sample: BusSample) -> bytes:
+        defect = json.dumps(TRACE).encode() == sample.payload
+        if defect and commands._context.controller == "stage":  # pyright: ignore[reportPrivateUsage]
             raise KeyError("a defect")
-        return await trace(commands, request)
+        return await answer(commands, sample)
 
-    monkeypatch.setattr(ControllerCommands, "_handle_trace", broken)
+    monkeypatch.setattr(ControllerCommands, "answer_command", broken)
 
     async def main(fleet: VirtualFleet) -> None:
         faults: list[dict[str, Any]] = []

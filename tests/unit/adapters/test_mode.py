@@ -13,6 +13,7 @@ import pytest
 from adapters.contract import AxisReading, ControllerReading, Driver
 from adapters.controller.context import ControllerContext
 from adapters.controller.jogging import JogControl
+from adapters.controller.pending_stop import PendingStop
 from adapters.controller.publisher import StatePublisher, StepActivity
 from adapters.controller.status import STARTING, ControllerStatus
 from adapters.controller.supervisor import ControllerSupervisor
@@ -241,10 +242,11 @@ def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
         _jogging=SimpleNamespace(drop_all=nothing),
         _publisher=SimpleNamespace(emit_event=nothing, publish_state=lambda: None),
         _log=SimpleNamespace(warning=nothing),
-        _stop_pending=False,
+        _pending_stop=SimpleNamespace(request_stop=lambda: requested.append(True)),
     )
+    requested: list[bool] = []
     ControllerSupervisor._handle_offline(cast(ControllerSupervisor, unit), STARTING)
-    assert unit._stop_pending is owed
+    assert bool(requested) is owed
     assert condition.may_move is owed
 
 
@@ -266,25 +268,35 @@ def test_a_pending_stop_is_repeated_until_the_controller_answers() -> None:
             if told.count("connect") < 3:
                 raise ControllerFault("no-answer", "nothing came", "")
 
-    async def loaded() -> None:
+        async def configure(self) -> None:
+            return None
+
+    async def nothing_loaded() -> None:
+        return None
+
+    async def load_soft_limits(_: object) -> None:
         return None
 
     async def main(clock: VirtualClock) -> None:
+        driver: Any = Broken()
+        pending = PendingStop(cast(ControllerContext, SimpleNamespace(driver=driver)), nothing_loaded)
+        pending.request_stop()
         unit: Any = SimpleNamespace(
-            _stop_pending=True,
-            _driver=Broken(),
+            _pending_stop=pending,
+            _driver=driver,
+            _defects=SimpleNamespace(),
+            _config=CONFIG,
             _status=ControllerStatus(CONFIG),
-            _participant=SimpleNamespace(wait_until_loaded=loaded),
+            _referencing=SimpleNamespace(load_soft_limits=load_soft_limits),
             _publisher=SimpleNamespace(emit_event=lambda kind, _: told.append(kind)),
         )
-        unit._send_pending_stop = partial(ControllerSupervisor._send_pending_stop, cast(ControllerSupervisor, unit))
         for _attempt in range(2):
             with pytest.raises(ControllerFault):
-                await ControllerSupervisor._connect(cast(ControllerSupervisor, unit))
-            assert unit._stop_pending
+                await ControllerSupervisor._set_up_connection(cast(ControllerSupervisor, unit))
+            assert pending.is_pending
         for _attempt in range(2):
-            await ControllerSupervisor._connect(cast(ControllerSupervisor, unit))
-            assert not unit._stop_pending
+            await ControllerSupervisor._set_up_connection(cast(ControllerSupervisor, unit))
+            assert not pending.is_pending
 
     run_virtual(main)
     assert told == [*["stop", "connect"] * 3, "stop again", "stopped", "connect"]
