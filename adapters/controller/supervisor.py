@@ -23,6 +23,7 @@ from adapters.controller.motors import MotorControl
 from adapters.controller.participant import ArmedStep, StepParticipant, StepPhase, StepServices
 from adapters.controller.pending_stop import PendingStop
 from adapters.controller.publisher import StatePublisher, StepActivity
+from adapters.controller.readings import require_sound_reading
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
@@ -316,6 +317,7 @@ class ControllerSupervisor:
         # The connection may be lost while the poll waits for its turn on the line.
         if reading is None or not self._is_connected:
             raise LinkClosed("the controller is not connected yet")
+        require_sound_reading(reading)
         self._handle_reading(reading)
         self._publisher.publish_state()
 

@@ -3,6 +3,7 @@ field."""
 
 import re
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import NamedTuple
 
 
@@ -26,11 +27,11 @@ class FormattedQuery(NamedTuple):
 
 
 def _make_format(words: str, pattern: str, *, many: bool = False) -> PpSmcReplyFormat:
-    return PpSmcReplyFormat(words, re.compile(pattern, re.IGNORECASE), many)
+    return PpSmcReplyFormat(words, re.compile(pattern, re.IGNORECASE | re.ASCII), many)
 
 
 NUMBER = _make_format("a number", r"-?\d{1,10}")
-PORT = _make_format("a byte", r"\d{1,3}")
+PORT = _make_format("a byte", r"0*(?:25[0-5]|2[0-4]\d|1?\d?\d)")
 STATUS = _make_format("`<axis>:<state>;` for each axis", r"(?:\d{1,2}:\d{1,10};)+")
 POSITIONS = _make_format(
     "`<axis>:<position>;` for each axis", r"(?:\d{1,2}:(?:osc|[+-]?\d{0,12}\.?\d{1,12}[^;:\d]{0,3});)+"
@@ -53,7 +54,7 @@ ASK_INPUTS = FormattedQuery("?in", PORT)
 ASK_OUTPUTS = FormattedQuery("?out", PORT)
 ASK_USER_STATUS = FormattedQuery("?us", NUMBER)
 
-_NUMBER_FIRST = re.compile(r"[+-]?\d*\.?\d+")
+_NUMBER_FIRST = re.compile(r"[+-]?\d{0,12}\.?\d{1,12}(?!\d|\.\d|e[+-]?\d)", re.ASCII | re.IGNORECASE)
 
 
 class StatusBits:
@@ -82,9 +83,15 @@ def parse_states(text: str) -> dict[int, int]:
 
 
 def leading_number(text: str) -> str | None:
-    """Return the number at the beginning, without the unit that `pqrf1` appends (L1101); None for `osc` (L4230)."""
+    """Return the number at the beginning, without the unit that `pqrf1` appends (L1101); None for `osc` (L4230), and
+    for a number with an exponent or more digits than the controller has: `1e999999999` would be computed for ever."""
     found = _NUMBER_FIRST.match(text)
     return None if found is None else found[0]
+
+
+def parse_setting(text: str) -> Fraction | None:
+    """Return the value of a setting that is a plain number; None for anything else."""
+    return Fraction(text) if leading_number(text) == text else None
 
 
 def parse_errors(lines: list[str]) -> dict[int, tuple[int, str]]:
@@ -101,7 +108,7 @@ def parse_settings(lines: list[str]) -> dict[int, dict[str, str]]:
     """Return the values of ?conf by axis and name."""
     found: dict[int, dict[str, str]] = {}
     for line in lines:
-        match = re.fullmatch(r"([a-z_]+)(\d+)\s*:\s*(.*)", line, re.IGNORECASE)
+        match = re.fullmatch(r"([a-z_]{1,10})([0-9]{1,2})\s*:\s*(.*)", line, re.IGNORECASE)
         if match is not None:
             found.setdefault(int(match[2]), {})[match[1].lower()] = match[3].strip()
     return found

@@ -5,7 +5,7 @@ from fractions import Fraction
 from adapters.contract import ControllerIdentity
 from adapters.ppsmc import fleetaxes
 from adapters.ppsmc.options import PpSmcOptions
-from adapters.ppsmc.replies import ASK_SETTINGS, ASK_VERSION, parse_settings
+from adapters.ppsmc.replies import ASK_SETTINGS, ASK_VERSION, parse_setting, parse_settings
 from adapters.ppsmc.session import PpSmcSession
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
 from adapters.ppsmc.watch import watched_settings
@@ -131,10 +131,10 @@ def _read_gear(held: dict[str, str], motor: int) -> Fraction:
 
 def _read_fraction(held: dict[str, str], name: str, motor: int, default: str = "") -> Fraction:
     text = held.get(name, default)
-    try:
-        return Fraction(text)
-    except (ValueError, ZeroDivisionError):
-        raise _mismatch_fault(f"{name}{motor}", text or "nothing", "a number", "check the reply to `?conf`") from None
+    value = parse_setting(text)
+    if value is None:
+        raise _mismatch_fault(f"{name}{motor}", text[:40] or "nothing", "a number", "check the reply to `?conf`")
+    return value
 
 
 def _mismatch_fault(item: str, found: str, wanted: str, remedy: str) -> ControllerFault:

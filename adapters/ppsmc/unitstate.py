@@ -23,6 +23,8 @@ from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 
+_COUNT_MAX = 2**31
+
 
 @dataclass(frozen=True, slots=True)
 class PpSmcReading:
@@ -130,6 +132,12 @@ class PpSmcState:
             counts[number] = None if distance is None else fleetaxes.parse_steps(distance, gear)
             grains[number] = 1.0 if distance is None else fleetaxes.position_resolution(distance, gear)
         for motor in fleetaxes.axis_numbers(self.config).values():
+            if abs(counts.get(motor) or 0) > _COUNT_MAX:
+                raise ControllerFault(
+                    "garbage",
+                    f"axis {motor} is at step {counts[motor]} by {positions.text[:200]!r}; no counter is that long",
+                    "check cable and ground",
+                )
             if motor not in bits or motor not in counts:
                 raise ControllerFault(
                     "garbage",

@@ -1,4 +1,5 @@
-"""Reply formats: the patterns that distinguish a reply from garbage, and their parsing.
+"""Reply formats: the patterns that distinguish a reply from garbage, and their parsing. They bound every number: a
+coordinate has a sign and nine digits (L422, L3057), so that a longer one, `inf` or an exponent is garbage.
 
 Lists (`1000,NS,-5`) contain one entry for each controllable axis, ascending, when the query names no axis or W.
 """
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from orchestrator.model.messages import RefusalDetails
 
 REFUSALS = ("NG", "NG_I")
+_PULSES = r"[+-]?\d{1,9}(?:\.0{0,9})?"
 MODES = ("HOST", "HOST,PROGRAM", "HOST,MS", "MANUAL", "REMOTE", "TEACHING", "EDIT", "LOAD", "TEST")
 
 
@@ -25,7 +27,7 @@ class ShrcReplyFormat:
 
 
 def _make_format(words: str, pattern: str) -> ShrcReplyFormat:
-    return ShrcReplyFormat(words, re.compile(pattern))
+    return ShrcReplyFormat(words, re.compile(pattern, re.ASCII))
 
 
 DONE = _make_format("OK, OK_D, NG or NG_I", r"OK(_D)?|NG(_I)?")
@@ -45,7 +47,7 @@ STOPS = _make_format("X or K, how the axes have stopped, R or B", r"[XK],[123CDE
 def _status_format(axes: int) -> str:
     """Return the format with as many coordinates as status words as states: a reply without one of its commas is
     another reply."""
-    return ",".join(each for each in (r"[PNUMD]?[+-]?\d+(?:\.0*)?", "[0-9A-F]+", "[RBD]") for _ in range(axes))
+    return ",".join(each for each in (rf"[PNUMD]?{_PULSES}", "[0-9A-F]{1,8}", "[RBD]") for _ in range(axes))
 
 
 STATUS = _make_format("coordinates, status words and states", "|".join(_status_format(axes) for axes in (1, 2, 3)))
@@ -61,11 +63,11 @@ def flag_list(count: int) -> ShrcReplyFormat:
 
 
 def pulse_list(count: int) -> ShrcReplyFormat:
-    return list_format(r"NS|[+-]?\d+(?:\.0*)?", count, "pulses or NS")
+    return list_format(f"NS|{_PULSES}", count, "pulses or NS")
 
 
 def speed_list(count: int) -> ShrcReplyFormat:
-    return list_format(r"S\d+F\d+R\d+", count, "SsFfRr")
+    return list_format(r"S\d{1,9}F\d{1,9}R\d{1,9}", count, "SsFfRr")
 
 
 def division_list(count: int) -> ShrcReplyFormat:
@@ -73,12 +75,17 @@ def division_list(count: int) -> ShrcReplyFormat:
 
 
 def size_list(count: int) -> ShrcReplyFormat:
-    return list_format(r"\d+(?:\.\d+)?", count, "nm")
+    return list_format(r"\d{1,9}(?:\.\d{1,9})?", count, "nm")
+
+
+def _parse_pulses(text: str) -> int:
+    """Return a number of pulses, which may be printed with zeros after a point."""
+    return int(text.partition(".")[0])
 
 
 def parse_entries(reply: str) -> list[int | None]:
     """Return the whole numbers of a list; None where nothing is set."""
-    return [None if each == "NS" else int(float(each)) for each in reply.split(",")]
+    return [None if each == "NS" else _parse_pulses(each) for each in reply.split(",")]
 
 
 def parse_triple(text: str) -> tuple[int, int, int]:
@@ -106,7 +113,7 @@ def parse_status(reply: str, controllable: tuple[int, ...]) -> dict[int, AxisSta
     count = len(fields) // 3
     motors = (1, 2, 3) if count == 3 else controllable
     return {
-        motor: AxisStatus(int(float(fields[i].lstrip("PNUMD"))), int(fields[count + i], 16), fields[2 * count + i])
+        motor: AxisStatus(_parse_pulses(fields[i].lstrip("PNUMD")), int(fields[count + i], 16), fields[2 * count + i])
         for i, motor in enumerate(motors)
         if motor in controllable
     }

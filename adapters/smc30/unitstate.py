@@ -14,9 +14,9 @@ from orchestrator.model.errors import ControllerFault, Refusal
 
 EITHER = re.compile(r"Y|E4")  # to PX, which Standby may refuse
 STATUS = re.compile(r"[RB]|E[45]")
-POSITION = re.compile(r"V([+-]?\d+)|B")
+POSITION = re.compile(r"V([+-]?[0-9]{1,7})|B")  # L2051-L2056
 POINTS = re.compile(r"V([0-7])([0-7])|B")
-REGISTER = re.compile(r"V?(?:R?510=|R)?(\d{1,5})|B")
+REGISTER = re.compile(r"V?(?:R?510=|R)?([0-9]{1,5})|B")
 SENTINEL = 7  # the content of the register as long as the controller has not lost its volatile memory
 SENTINEL_REGISTER = 510
 NO_CONVERSION = "con=1.0000"

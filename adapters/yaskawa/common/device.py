@@ -11,6 +11,7 @@ from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.handles import HandleCleaner
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
+from adapters.yaskawa.common.numbers import parse_numbers
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     EDGE_THREAD,
@@ -25,7 +26,6 @@ from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord, RecordForma
 from adapters.yaskawa.common.session import (
     CommandSession,
     SmcCommandRefused,
-    parse_numbers,
     print_command,
     session_tag,
 )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from adapters.contract import NULL_LOG
 from adapters.yaskawa.common.session import CommandSession, SmcCommandRefused
+from orchestrator.model.errors import ControllerFault
 
 LETTERS = "ABCDEFGH"
 # From `_IHh2` of a connection that a host has opened, by UDP or TCP, to what closes it (L5884-5906)
@@ -73,6 +74,12 @@ async def _read_handles(session: CommandSession) -> tuple[OpenHandle, int, Mappi
     """Return the handle of `session`, the number of free ones, and all that hosts have opened, by letter."""
     operands = [f"_IH{letter}{item}" for letter in LETTERS for item in range(3)]
     number, *values = await session.read_many(["_IA3", *operands])
+    if not 0 <= number < len(LETTERS):
+        raise ControllerFault(
+            "garbage",
+            f"the controller names handle {number:g} as its own; handles are 0 to {len(LETTERS) - 1}",
+            "check the cable; does another program print on this handle?",
+        )
     rows: Sequence[tuple[int, ...]] = [tuple(map(int, values[at : at + 3])) for at in range(0, len(values), 3)]
     handles = {letter: OpenHandle(letter, *row) for letter, row in zip(LETTERS, rows, strict=True) if row[2] in CLOSING}
     own = handles.get(LETTERS[int(number)]) or OpenHandle(LETTERS[int(number)], 0, 0, 0)

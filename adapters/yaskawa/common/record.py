@@ -8,6 +8,7 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from adapters.yaskawa.common.numbers import parse_sizes
 from orchestrator.model.errors import ControllerFault
 
 AXIS_LETTERS = "XYZWEFGH"  # the SMC-4000 has the first four, an SMC-2000 up to eight
@@ -81,8 +82,7 @@ class RecordFormat:
     @classmethod
     def from_sizes(cls, line: str) -> "RecordFormat":
         """Build the format from the reply to QZ: axes, bytes of the general, coordinate and axis blocks."""
-        fields = [field.strip() for field in line.split(",")]
-        sizes = [int(field) for field in fields if field.isdigit()]
+        sizes = parse_sizes(line)
         if len(sizes) != 4 or not 1 <= sizes[0] <= 4 or sizes[1] < _GENERAL_BYTES or sizes[3] < _AXIS_BYTES:
             raise ControllerFault(
                 "garbage",

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from adapters.contract import NULL_LOG
 from adapters.yaskawa.common.dialect import MAX_LINE
+from adapters.yaskawa.common.numbers import parse_error_code, parse_numbers
 from adapters.yaskawa.common.words import REMEDIES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import Link
@@ -382,11 +383,11 @@ class CommandSession:
         """Query the reason of a refusal (TC1, L10254): code and text."""
         parsed, _ = await self._run_exchange("TC1", lambda: parse_reply(self._buffer))
         words = parsed.lines[-1] if parsed.lines and not parsed.refused else ""
-        number, _, _ = words.partition(" ")
-        if not number.isdigit():
+        code = parse_error_code(words)
+        if code is None:
             raise self._garbage_fault("TC1", "an error code with its text", repr(words))
         self._in_step = True
-        return SmcCommandRefused(command, int(number), words if int(number) else "no reason given")
+        return SmcCommandRefused(command, code, words if code else "no reason given")
 
     async def _resynchronise(self) -> None:
         """Flush a half-typed command, and discard everything up to the reply of a marker that is new each time."""
@@ -466,21 +467,6 @@ def pack_texts(texts: Sequence[str], length: Callable[[Sequence[str]], int]) -> 
             lines.append([])
         lines[-1].append(text)
     return lines
-
-
-def parse_numbers(line: str, count: int, command: str) -> list[float]:
-    """Parse `count` numbers between commas; blanks for positive signs are allowed."""
-    try:
-        values = [float(field.replace(" ", "")) for field in line.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise ControllerFault(
-            "garbage",
-            f"after {command!r} expected {count} numbers with commas between them, got {line!r}",
-            "check the cable; does another program print on this handle?",
-        )
-    return values
 
 
 def parse_reply(buffer: bytes | bytearray) -> _Parsed | None:

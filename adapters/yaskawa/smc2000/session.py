@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from adapters.yaskawa.common.dialect import MAX_LINE
+from adapters.yaskawa.common.numbers import parse_error_code, parse_numbers
 from adapters.yaskawa.common.session import (
     FRACTIONS,
     CommandReply,
     CommandSession,
     SmcCommandRefused,
     pack_texts,
-    parse_numbers,
 )
 from adapters.yaskawa.smc2000.line import LineTurn, SharedSerialLine, address_command
 from adapters.yaskawa.smc2000.replies import SerialReply, parse_serial_reply
@@ -316,11 +316,11 @@ class SerialCommandSession(CommandSession):
             await self._select_controller()
         reply, _ = await self._run_exchange("TC1", self._parse_buffer)
         words = reply.lines[-1] if reply.lines and not reply.refused else ""
-        number, _, _ = words.partition(" ")
-        if not number.isdigit():
+        code = parse_error_code(words)
+        if code is None:
             raise self._garbage_fault("TC1", "an error code with its text", repr(words))
         self._line.in_step = True
-        return SmcCommandRefused(command, int(number), words if int(number) else "no reason given")
+        return SmcCommandRefused(command, code, words if code else "no reason given")
 
     async def _select_controller(self) -> None:
         """Ensure that the controller receives the next command, and that nothing else precedes its reply."""

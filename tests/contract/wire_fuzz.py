@@ -1,0 +1,149 @@
+"""Short conversations of a make's driver with its simulated controller, through a wire that changes replies."""
+
+import asyncio
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from random import Random
+
+from adapter_worlds import CASES, World, run
+
+from adapters.controller.readings import require_sound_reading
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.link.can import CanFrame, decode_frames, encode_frames
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.plan.shape import PlanError
+
+LONGEST_S = 240  # of virtual time for one conversation: more than all timeouts and repetitions of one
+STOPPED_NS = 4 * NS_PER_S  # for a stop on a line that works again
+EXPECTED = (ControllerFault, LinkClosed, LinkRefused, Refusal, PlanError)
+NUMBERS = [
+    b" inf", b"-inf", b"nan", b"1e999", b"1e999999999", b"-1e-999", b"9" * 30, b"9" * 5000, b"-" + b"9" * 19,
+    b"0x7FFFFFFF", b"2147483648", b"-2147483649", b"1/0", b"1_0", b"", b"-", b"+", b".", b"1.2.3", b"\xb2", b"\xd9\xa3",
+    b"NS", b"?", b":", b"4294967296", b"65536", b"-1", b"00000000000000000007", b"1e5", b"$80000000",
+]  # fmt: skip
+_NUMBER = re.compile(rb"[+-]?\d+(?:\.\d+)?")
+
+
+@dataclass
+class ReplyMutator:
+    """Changes replies at random while `is_active`: `rate` of them; with `only_at` only the one with this number."""
+
+    draw: Random
+    rate: float
+    can: bool
+    only_at: int | None = None
+    is_active: bool = True
+    last: bytes = b""
+
+    def change(self, data: bytes) -> bytes:
+        last, self.last = self.last, data
+        if self.only_at is not None:
+            self.only_at -= 1
+            if self.only_at != 0:
+                return data
+        elif not self.is_active or self.draw.random() >= self.rate:
+            return data
+        return self._change_frames(data, last) if self.can else self._change_bytes(data, last)
+
+    def _change_bytes(self, data: bytes, last: bytes) -> bytes:
+        draw = self.draw
+        match draw.randrange(9):
+            case 0 | 1 | 2 | 3:
+                found = list(_NUMBER.finditer(data))
+                if not found:
+                    return data
+                one = draw.choice(found)
+                return data[: one.start()] + draw.choice(NUMBERS) + data[one.end() :]
+            case 4:
+                at = draw.randrange(len(data))
+                return data[:at] + bytes([draw.randrange(256)]) + data[at + 1 :]
+            case 5:
+                return data[: draw.randrange(len(data))]
+            case 6:
+                return last + data if draw.random() < 0.5 else data + data
+            case 7:
+                at = draw.randrange(len(data) + 1)
+                return data[:at] + draw.randbytes(draw.choice((1, 3, 40))) + data[at:]
+            case _:
+                return b""
+
+    def _change_frames(self, data: bytes, last: bytes) -> bytes:
+        draw, frames = self.draw, decode_frames(data)
+        at = draw.randrange(len(frames))
+        one = frames[at]
+        match draw.randrange(7):
+            case 0 | 1:
+                filler = draw.choice((b"\xff", b"\x80", b"\x00", b"\x7f"))
+                kept = draw.choice((0, 4, 6)) if len(one.data) == 8 else draw.choice((0, 2))
+                frames[at] = CanFrame(one.id, one.data[:kept] + filler * max(0, len(one.data) - kept))
+            case 2:
+                frames[at] = CanFrame(one.id, draw.randbytes(len(one.data)))
+            case 3:
+                frames[at] = CanFrame(one.id, draw.randbytes(draw.randrange(9)))
+            case 4:
+                frames[at] = CanFrame(one.id, one.data[: draw.randrange(len(one.data) + 1)])
+            case 5:
+                return last + data
+            case _:
+                del frames[at]
+        return encode_frames(*frames)
+
+
+async def converse(world: World, mutator: ReplyMutator) -> str:
+    """Connect, read, and perhaps move; return what ended it. Nothing moves that was not released, and nothing moves
+    after a stop over a line that works."""
+    driver, draw = world.driver, mutator.draw
+    released, before = False, len(world.motions)
+    mutator.is_active = draw.random() < 0.5
+    ended = "done"
+    try:
+        await driver.connect()
+        await driver.configure()
+        await driver.load_soft_limits({axis: draw.choice((None, (-100_000, 100_000))) for axis in world.axes})
+        mutator.is_active = mutator.is_active or draw.random() < 0.7
+        await driver.set_enabled(world.axes, on=True)
+        for _ in range(draw.choice((2, 4, 25))):
+            require_sound_reading(await driver.poll())
+            await sleep_ns(world.clock, NS_PER_S // 20)
+        await driver.check_settings(everything=True)
+        mutator.is_active = True
+        profiles = await world.plan({axis: draw.choice((1500, -3000)) for axis in world.axes})
+        await world.arm(profiles)
+        await driver.verify_armed()
+        released = True
+        await driver.go()
+        await driver.wait_for_start()
+        await driver.wait_for_end()
+        require_sound_reading(await driver.poll())
+    except EXPECTED as error:
+        ended = f"{type(error).__name__}: {error}"
+    mutator.is_active = False
+    assert released or len(world.motions) == before, f"moved without a release, after {ended}"
+    with suppress(*EXPECTED):
+        await driver.stop(abort=False)
+    await world.leave()
+    await world.rest(STOPPED_NS if released else 0)
+    return ended
+
+
+def run_conversation(name: str, seed: int) -> str:
+    """Run one conversation of a case; return what ended it."""
+    ended: list[str] = []
+
+    async def main(world: World) -> None:
+        draw = Random(f"{name} {seed}")
+        mutator = ReplyMutator(
+            draw,
+            draw.choice((0.02, 0.1, 0.4)),
+            can=CASES[name].controller.link.kind == "can",
+            only_at=draw.choice((None, draw.randrange(1, 60))),
+        )
+        for unit in world.units:
+            unit.wire.to_near = mutator.change
+        async with asyncio.timeout(LONGEST_S):
+            ended.append(await converse(world, mutator))
+
+    run(name, main, seed)
+    return ended[0]
