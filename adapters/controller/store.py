@@ -1,6 +1,5 @@
 """Adapter memory that survives a crash: e-stop latch, highest epoch seen, user offsets of axes."""
 
-import os
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -8,6 +7,7 @@ from pydantic import Field, ValidationError
 
 from orchestrator.clock.executor import Executor
 from orchestrator.model.base import Int53, Model, Rational
+from orchestrator.model.private_files import read_private_file, replace_private_file
 from orchestrator.model.state import EstopLatch
 
 
@@ -71,7 +71,7 @@ class FileStore:
     def load(self) -> AdapterMemory:
         """Return the saved memory. An unreadable file counts as a latched e-stop: that is the safe interpretation."""
         try:
-            return AdapterMemory.model_validate_json(self._path.read_bytes())
+            return AdapterMemory.model_validate_json(read_private_file(self._path))
         except FileNotFoundError:
             return AdapterMemory()
         except (OSError, ValidationError) as error:
@@ -79,10 +79,4 @@ class FileStore:
             return AdapterMemory(estop=EstopLatch(event="unreadable-store", actor="adapter", reason=reason, utc=""))
 
     def save(self, memory: AdapterMemory) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = self._path.with_suffix(".new")
-        with fresh.open("wb") as file:
-            file.write(memory.to_json())
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(self._path)
+        replace_private_file(self._path, memory.to_json())

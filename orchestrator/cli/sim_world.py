@@ -163,11 +163,12 @@ def _split_name(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
 
 def _write_change(state: Path, controller: str, change: dict[str, Any], words: str, *, as_json: bool) -> None:
     """Write one line to the simulator's pipe, and print what is so now, in `words`."""
+    from orchestrator.model.private_files import open_private_file
     from orchestrator.runtime.live import simulation_pipe
 
     path = simulation_pipe(state, controller)
     try:
-        pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+        pipe = open_private_file(path, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
         exit_with_error(f"no simulator listens at {path}", UNREACHABLE, "start the fleet: `tutti up FILE --sim`")
     with os.fdopen(pipe, "wb") as line:

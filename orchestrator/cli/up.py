@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -59,6 +60,7 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
 @click.option("--take-over", is_flag=True, help="Lead the fleet although another coordinator does.")
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
+@click.option("--new-journal", is_flag=True, help="Begin a journal although the one of this fleet is missing.")
 @click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
 @click.option("--wait", is_flag=True, help="It is up only when every controller is reached; see --limit.")
 @click.option(
@@ -81,6 +83,7 @@ def up(
     simulated: bool,
     take_over: bool,
     standby: bool,
+    new_journal: bool,
     truth: bool,
     wait: bool,
     detach: bool,
@@ -102,7 +105,7 @@ def up(
     async def run_fleet() -> None:
         fleet = load_checked_fleet(file)
         folder = state or default_state(fleet.fleet)
-        live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby)
+        live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -135,6 +138,7 @@ def up(
     fleet = load_checked_fleet(file)
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
+    flags["--new-journal"] = new_journal
     options += [name for name, given in flags.items() if given]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 
@@ -171,11 +175,14 @@ async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool)
 
 def _start_detached(file: Path, folder: Path, options: Sequence[str], *, as_json: bool) -> None:
     """Start `tutti up` in a session of its own, and return when it is up, or exit with its error."""
+    from orchestrator.bus.logfile import rotate_if_large
+    from orchestrator.model.private_files import open_for_append
+
     log = folder / "log" / "up.log"
-    log.parent.mkdir(parents=True, exist_ok=True)
+    rotate_if_large(log)
     code = "from orchestrator.cli.main import main; main(prog_name='tutti')"
     command = [sys.executable, "-P", "-c", code, "up", str(file), "--json", "--state", str(folder), *options]
-    with log.open("ab") as lines:
+    with os.fdopen(open_for_append(log), "ab") as lines:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=lines, start_new_session=True
         )

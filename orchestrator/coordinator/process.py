@@ -25,12 +25,14 @@ from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority, yield_priority
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.journal.journal import Journal, JournalError
+from orchestrator.coordinator.journal.journal import Journal, require_journal
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.private_files import UnsafePath, replace_private_file
 
 BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN = 2, 3, 4, 5, 6, 7
 CLOSE_S = 2.0  # after a defect
@@ -78,6 +80,8 @@ async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end:
 async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, *, urgent: bool) -> int:
     latches = _latch_store(options.journal)
     loop = asyncio.get_running_loop()
+    if options.existing_journal:
+        require_journal(options.journal)
     journal, runs = Journal(options.journal), ThreadExecutor("journal")
     court = CoordinatorEnvironment(
         bus=bus,
@@ -132,9 +136,7 @@ def _print_ready() -> None:
 
 def save_fleet(path: Path, fleet: Fleet) -> None:
     """Replace the file as a whole: a restart must find the configuration that the fleet runs with."""
-    fresh = path.with_suffix(".new")
-    fresh.write_text(fleet.model_dump_json(), encoding="utf-8")
-    fresh.replace(path)
+    replace_private_file(path, fleet.to_json())
 
 
 def main() -> int:
@@ -142,6 +144,7 @@ def main() -> int:
     parser.add_argument("--fleet", type=Path, required=True, help="the fleet file; replaced when it is reloaded")
     parser.add_argument("--connect", required=True, help="the router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--journal", type=Path, required=True)
+    parser.add_argument("--existing-journal", action="store_true", help="refuse a missing journal; else it is begun")
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--take-over", action="store_true", help="lead even if another coordinator does")
     parser.add_argument("--standby", action="store_true", help="lead as soon as there is no leader on this journal")
@@ -152,10 +155,13 @@ def main() -> int:
     urgent = set_realtime_priority(RealtimePriority.SERVICE)
     try:
         return asyncio.run(run_coordinator(options, urgent=urgent))
-    except (FileError, RouterUnreachable, AnotherLeader, JournalError) as error:
+    except (FileError, UnsafePath, RouterUnreachable, AnotherLeader, JournalError) as error:
         sys.stderr.write(f"{error}\n")
-        codes = {FileError: BAD_INPUT, RouterUnreachable: NO_BUS, AnotherLeader: ANOTHER, JournalError: BAD_JOURNAL}
-        return codes[type(error)]
+        codes = ((RouterUnreachable, NO_BUS), (AnotherLeader, ANOTHER), (JournalError, BAD_JOURNAL))
+        return next((code for kind, code in codes if isinstance(error, kind)), BAD_INPUT)
+    except OSError as error:
+        sys.stderr.write(f"{error.filename}: {error.strerror}; free space there, or choose another place\n")
+        return BAD_INPUT
 
 
 if __name__ == "__main__":

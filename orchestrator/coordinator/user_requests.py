@@ -14,7 +14,7 @@ from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
 from orchestrator.coordinator.jobs.rehearsal import JobRehearsal
 from orchestrator.coordinator.jobs.scheduler import Scheduler
-from orchestrator.coordinator.journal.journal import JournalError
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.model.base import Model, UnknownName

@@ -18,11 +18,14 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
+from adapters.controller.store import FileStore
+from orchestrator.bus.logfile import rotate_if_large
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
+from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
 from orchestrator.runtime.simulated import make_simulator_options
-from orchestrator.runtime.state_folder import StateLock, UpFailed
+from orchestrator.runtime.state_folder import ADAPTERS, JOURNAL, StateLock, UpFailed
 from sim.link.arguments import NEXT
 
 READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
@@ -32,6 +35,7 @@ RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 FINAL_EXIT_CODES = frozenset({2, 4, 5})
 EXIT_PORT_IN_USE = 4  # of the router: another process uses its port
 STANDBY = "coordinator/standby"
+EXISTING_JOURNAL = "--existing-journal"
 # Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
 EXIT_LEADERSHIP_LOST = frozenset({4, 6})
 CONTROLLERS_PER_SIMULATOR = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
@@ -87,6 +91,7 @@ class LiveFleet:
     simulated: every link is replaced by that of a simulated controller.
     truth: simulators record their real motions in `state`/truth.
     standby: a second coordinator takes over when the first one dies or hangs.
+    new_journal: a journal is begun although the fleet had one, which is missing.
     """
 
     fleet: Fleet
@@ -98,6 +103,7 @@ class LiveFleet:
     take_over: bool = False
     truth: bool = False
     standby: bool = False
+    new_journal: bool = False
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
@@ -112,10 +118,12 @@ class LiveFleet:
             if self.simulated:
                 await self._start_simulators()
             file = self.state / "fleet.json"
-            file.write_text(self.fleet.model_dump_json(), encoding="utf-8")
+            replace_private_file(file, self.fleet.to_json())
             for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
                 await self._start_child(f"host/{host}", self._make_host_command(host, file))
             coordinator = await self._start_child("coordinator", self._make_coordinator_command(file))
+            if EXISTING_JOURNAL not in coordinator.command:
+                coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
             if self.standby:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
@@ -127,7 +135,7 @@ class LiveFleet:
     def change_simulation(self, controller: str, **change: object) -> None:
         """Change the physical environment of a simulated controller, e.g. `input=(1, True)`; see
         `sim/link/world.py`."""
-        pipe = os.open(simulation_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
+        pipe = open_private_file(simulation_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
         with os.fdopen(pipe, "wb") as line:
             line.write(json.dumps(change).encode() + b"\n")
 
@@ -245,13 +253,15 @@ class LiveFleet:
 
     def _make_host_command(self, host: str, file: Path) -> list[str]:
         command = [sys.executable, "-m", "adapters.host.guardian", "--fleet", str(file), "--host", host]
-        command += ["--connect", self.connect, "--state", str(self.state / "adapters"), "--parent", str(os.getpid())]
+        command += ["--connect", self.connect, "--state", str(self.state / ADAPTERS), "--parent", str(os.getpid())]
         return [*command, "--log", str(self.state / "log" / f"host-{host}.jsonl")]
 
     def _make_coordinator_command(self, file: Path) -> list[str]:
         command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
-        command += ["--connect", self.connect, "--journal", str(self.state / "journal.sqlite3")]
+        command += ["--connect", self.connect, "--journal", str(self.state / JOURNAL)]
         command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
+        if had_journal(self.state) and not self.new_journal:
+            command.append(EXISTING_JOURNAL)
         return [*command, "--take-over"] if self.take_over else command
 
     # Children
@@ -265,8 +275,8 @@ class LiveFleet:
 
     async def _spawn_process(self, child: ChildProcess) -> None:
         """Start the process and wait for its ready lines. Raises `UpFailed` with its output."""
-        child.log.parent.mkdir(parents=True, exist_ok=True)
-        with child.log.open("ab") as errors:
+        rotate_if_large(child.log)
+        with os.fdopen(open_for_append(child.log), "ab") as errors:
             child.process = await asyncio.create_subprocess_exec(
                 *child.command,
                 stdin=asyncio.subprocess.PIPE,
@@ -352,6 +362,12 @@ def _group_links(fleet: Fleet) -> Iterator[list[list[str]]]:
     for lines in ethernet.values():
         for at in range(0, len(lines), CONTROLLERS_PER_SIMULATOR):
             yield lines[at : at + CONTROLLERS_PER_SIMULATOR]
+
+
+def had_journal(folder: Path) -> bool:
+    """Whether a coordinator has led a fleet with this state folder, and so had a journal there."""
+    stored = [FileStore(path).load() for path in (folder / ADAPTERS).glob("*.json")]
+    return (folder / f"{JOURNAL}.reign").exists() or any(memory.epoch for memory in stored)
 
 
 def simulation_pipe(state: Path, controller: str) -> Path:

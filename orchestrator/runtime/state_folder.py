@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import TextIO
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, restrict_to_user
 
 LOCK = "lock"
+JOURNAL = "journal.sqlite3"
+ADAPTERS = "adapters"  # the folder of what adapters keep
+_FOLDERS = (ADAPTERS, "log", "ports", "truth", "world")
 
 
 class UpFailed(TuttiError):
@@ -35,9 +39,13 @@ class StateLock:
     def __init__(self, folder: Path) -> None:
         """Lock it: two fleets with one journal, or one set of simulated ports, would interfere. Raises `UpFailed`."""
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_private_folder(folder)
+            _restrict_folder(folder)
             # Not truncated before it is locked: it belongs to the process that holds it.
-            self._file: TextIO = (folder / LOCK).open("a+")
+            lock = open_private_file(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_APPEND)
+            self._file: TextIO = os.fdopen(lock, "a+", encoding="utf-8")
+        except UnsafePath as error:
+            raise UpFailed(str(error)) from None
         except OSError as error:
             raise UpFailed(f"{folder} cannot be used: {error.strerror}; choose another folder: --state") from None
         try:
@@ -61,6 +69,17 @@ class StateLock:
         if not self._file.closed:
             self._file.truncate(0)
             self._file.close()
+
+
+def _restrict_folder(folder: Path) -> None:
+    """Take a state folder, with what earlier versions created in it, from other users. Raises `UnsafePath`."""
+    restrict_to_user(folder)
+    for inner in [folder / name for name in _FOLDERS]:
+        restrict_to_user(inner)
+        for each in inner.glob("*") if inner.name != "ports" else ():
+            restrict_to_user(each)
+    for each in (*folder.glob(f"{JOURNAL}*"), folder / "fleet.json", folder / LOCK):
+        restrict_to_user(each)
 
 
 def find_running_fleet(folder: Path) -> RunningFleet | None:

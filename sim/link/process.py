@@ -23,6 +23,7 @@ from pydantic import ValidationError
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.private_files import FILE_MODE, make_private_folder, open_for_append, open_private_file
 from sim.core.controller import (
     DeviceSpec,
     FirmwareTiming,
@@ -131,10 +132,10 @@ async def _named_pipe(path: Path) -> asyncio.StreamReader:
     """Open a named pipe as lines. It is opened for writing too, so that it does not end with its first writer."""
     reader = asyncio.StreamReader()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_private_folder(path.parent)
         path.unlink(missing_ok=True)
-        os.mkfifo(path, 0o600)
-        opened = os.fdopen(os.open(path, os.O_RDWR | os.O_NONBLOCK), "rb", buffering=0)
+        os.mkfifo(path, FILE_MODE)
+        opened = os.fdopen(open_private_file(path, os.O_RDWR | os.O_NONBLOCK), "rb", buffering=0)
         await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), opened)
     except OSError as error:
         raise CannotStart(f"--world: {path}: {error.strerror}") from None
@@ -180,8 +181,7 @@ async def _serve_endpoint(chosen: argparse.Namespace, controller: LineEndpoint, 
 
 def _open_append(path: Path) -> TextIO:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path.open("a", encoding="utf-8")
+        return os.fdopen(open_for_append(path), "a", encoding="utf-8")
     except OSError as error:
         raise CannotStart(f"--truth: {path}: {error.strerror}") from None
 

@@ -11,6 +11,7 @@ import tty
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.model.private_files import make_private_folder
 from sim.core.controller import LineEndpoint, PortConnection, PortRefused
 from sim.link.pacing import PacedLine
 
@@ -78,7 +79,7 @@ class PtyServer:
         """Point the stable name here; an old link of a simulator that was killed is replaced."""
         if self._link.exists() and not self._link.is_symlink():
             raise FileExistsError(f"{self._link} exists and is not a symbolic link; choose another name")
-        self._link.parent.mkdir(parents=True, exist_ok=True)
+        make_private_folder(self._link.parent)
         fresh = self._link.with_name(f".{self._link.name}.{os.getpid()}")
         fresh.symlink_to(self.device)
         fresh.replace(self._link)

@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 
 from orchestrator.clock.base import NS_PER_US, Clock
+from orchestrator.model.private_files import open_private_file
 from sim.core.controller import SimulatedController
 from sim.link.arguments import WireFields
 
@@ -26,7 +27,7 @@ def follow_outputs(controller: SimulatedController, wires: Sequence[WireFields],
 
 def _send_change(wire: WireFields, line: bytes) -> None:
     try:
-        pipe = os.open(wire.world, os.O_WRONLY | os.O_NONBLOCK)
+        pipe = open_private_file(wire.world, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
         return
     with os.fdopen(pipe, "wb", buffering=0) as world:

@@ -7,6 +7,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry, QueueState
@@ -284,5 +285,33 @@ def test_after_an_estop_and_its_reset_nothing_continues_by_itself() -> None:
         assert (report.state, report.reason) == ("aborted", "e-stop by anna: a test")
         assert len(report.steps) == 2
         assert (await entry(client, queued)).reason.startswith("the queue is stopped (e-stop by anna: a test)")
+
+    run_fleet(main)
+
+
+def test_a_damaged_job_fails_alone_when_a_coordinator_starts() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client = virtual.make_client()
+        await client.stop_queue()
+        dwell = job("[{do: dwell, duration: 10 ms}]")
+        ids = [await client.submit(dwell, terms=QueueTerms()) for _ in range(3)]
+        follower = await client.submit(dwell, terms=QueueTerms(after=ids[0]))
+        db = virtual.journal._db  # pyright: ignore[reportPrivateUsage]
+        db.execute("UPDATE jobs SET body = '{' WHERE id = ?", (ids[0],))
+        db.execute("UPDATE jobs SET at_utc = 'soon' WHERE id = ?", (ids[1],))
+        virtual.find_process("coordinator/first").kill()
+        virtual.start_coordinator("second")
+        await sleep_ns(virtual.clock, 5 * NS_PER_S)
+        listed = {entry.id: entry for entry in (await client.list_jobs()).jobs}
+        assert {each: listed[each].state for each in (*ids, follower)} == {
+            ids[0]: "failed",
+            ids[1]: "failed",
+            ids[2]: "queued",
+            follower: "cancelled",
+        }
+        assert "the Job of job" in listed[ids[0]].reason and "at 'soon'" in listed[ids[1]].reason
+        assert sum("job cannot be run" in line for line in virtual.lines) == 2
+        await client.start_queue()
+        assert (await client.wait_for_job(ids[2])).state == "done"
 
     run_fleet(main)

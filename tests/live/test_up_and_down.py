@@ -49,6 +49,18 @@ def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tm
     assert (down.returncode, down.stdout.strip()) == (0, "fleet demo is down"), down.stderr
     assert find_start_ticks(value["pid"]) is None
     assert run_in(tmp_path, "down").returncode == 3
+    state = Path(value["state"])
+    assert {each for each in state.rglob("*") if not each.is_symlink() and each.stat().st_mode & 0o077} == set()
+    # Without its journal the fleet would begin anew without a word.
+    (state / "journal.sqlite3").unlink()
+    refused = run_in(tmp_path, *up)
+    assert refused.returncode == 1 and "--new-journal" in refused.stderr
+    assert run_in(tmp_path, *up, "--new-journal").returncode == 0
+    assert run_in(tmp_path, "down").returncode == 0
+    (state / "log").rename(state / "other")
+    (state / "log").symlink_to(state / "other")
+    refused = run_in(tmp_path, *up)
+    assert refused.returncode == 1 and f"{state}/log: is a symbolic link, to" in refused.stderr
 
 
 def test_watch_is_left_by_q_and_restores_the_terminal(shared: RunningFleet) -> None:

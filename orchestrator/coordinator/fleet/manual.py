@@ -7,7 +7,7 @@ the coordinator; only the right to move ends then.
 
 import asyncio
 from collections.abc import Coroutine
-from datetime import timedelta
+from datetime import datetime, timedelta
 from typing import Any
 
 from orchestrator.clock.base import NS_PER_S
@@ -15,10 +15,11 @@ from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseHold, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.permits import PermitWatch
-from orchestrator.coordinator.journal.journal import Journal, JournalError
+from orchestrator.coordinator.journal.journal import Journal, Reservation
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
-from orchestrator.model.service import AcquireAxes, AxesAcquired
+from orchestrator.model.service import MAX_MANUAL_LEASE_S, AcquireAxes, AxesAcquired
 
 
 class ManualLeases:
@@ -38,7 +39,7 @@ class ManualLeases:
         """Restore reservations. Raises `JournalError`."""
         now, now_ns = parse_utc(self._fleet.clock.utc()), self._fleet.clock.now_ns()
         for each in await self._execute(self._journal.list_reservations):
-            left_s = (parse_utc(each.until_utc) - now).total_seconds()
+            left_s = self._find_rest_s(each, now)
             axes = tuple(axis for axis in each.axes if axis in self._fleet.view.fleet.axis_names)
             if left_s <= 0 or not axes:
                 await self._execute(self._journal.delete_reservation, each.holder)
@@ -49,6 +50,15 @@ class ManualLeases:
         self._fleet.permits.add_loss_listener(self._lost.set)
         self._leases.add_release_listener(self._on_release)
         self._spawn(self._watch_permits())
+
+    def _find_rest_s(self, reservation: Reservation, now: datetime) -> float:
+        """How long a reservation lasts. One with a damaged end lasts: a person may be inside the machine."""
+        try:
+            return (parse_utc(reservation.until_utc) - now).total_seconds()
+        except ValueError:
+            until = f"its end {reservation.until_utc!r} in the journal is damaged"
+            self._fleet.log.warning(f"axes stay reserved by {reservation.actor} until they are released: {until}")
+            return MAX_MANUAL_LEASE_S
 
     def close(self) -> None:
         for task in self._tasks:

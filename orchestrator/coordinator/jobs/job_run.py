@@ -16,7 +16,8 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.queue import expand_repeats, find_axes
 from orchestrator.coordinator.jobs.steps import PlainSteps
-from orchestrator.coordinator.journal.journal import JobRecord, Journal, JournalError
+from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices

@@ -7,7 +7,7 @@ from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.jobs.job_run import JobRun, JobServices
 from orchestrator.coordinator.jobs.queue import WaitingJob, sort_waiting
-from orchestrator.coordinator.journal.journal import JobRecord
+from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState, make_queued_progress
 

@@ -15,7 +15,7 @@ separately.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from orchestrator.coordinator.journal.journal import JobRecord
+from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Disable, Enable, Home, Job, Move, SetOutput, Step, named_axes
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.journal.journal import JournalError
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.state import ControllerState
 

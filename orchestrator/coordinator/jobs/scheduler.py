@@ -19,8 +19,8 @@ from orchestrator.coordinator.jobs.conditions import JobNeeds, Obstacle, WorldCo
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
 from orchestrator.coordinator.jobs.publisher import QueuePublisher, describe_stop
 from orchestrator.coordinator.jobs.queue import Schedule, WaitingJob, choose_jobs, expand_repeats, sort_waiting
-from orchestrator.coordinator.jobs.queue_gate import QueueGate
-from orchestrator.coordinator.journal.journal import JobHasEnded, JobRecord, JournalError
+from orchestrator.coordinator.jobs.queue_gate import COORDINATOR, QueueGate
+from orchestrator.coordinator.journal.records import DamagedRecord, JobHasEnded, JobRecord, JournalError
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
@@ -73,10 +73,12 @@ class Scheduler:
         """End the jobs that an earlier leader left running, then begin with the queue. Raises `JournalError`."""
         services = self._services
         left: list[tuple[JobRecord, Job]] = []
+        damaged = False
         for row in await services.execute(services.journal.list_unfinished):
-            job = await services.execute(services.journal.load_job, row.id)
-            assert job is not None
-            if row.state == "queued":
+            job = await self._load_job(row)
+            if job is None:
+                damaged = True
+            elif row.state == "queued":
                 self._waiting[row.id] = WaitingJob(row, job, row.after)
             else:
                 left.append((row, job))
@@ -85,7 +87,7 @@ class Scheduler:
             await self._end_job(row, job, self._report_of(row, job), JobEnd("interrupted", reason, "coordinator"))
         for waiting in list(self._waiting.values()):
             await self._settle_follower(waiting)
-        await self.gate.start(interrupted=bool(left))
+        await self.gate.start(interrupted=bool(left) or damaged)
         await self._sessions.start()
         self._declared.append(await services.bus.subscribe(services.keys.estop, self._receive_estop))
         self._spawn(self._schedule_jobs)
@@ -93,6 +95,20 @@ class Scheduler:
         self._spawn(self._watch_sessions)
         self.wake_up()
         self._publisher.schedule_publication()
+
+    async def _load_job(self, row: JobRecord) -> Job | None:
+        """The job of a record; None if record or job is damaged: that one has failed then, and the others are run."""
+        services, damage = self._services, row.damage
+        if not damage:
+            try:
+                return await services.execute(services.journal.load_job, row.id)
+            except DamagedRecord as error:
+                damage = error.text
+        services.log.warning(f"job cannot be run: {damage}", job=row.id)
+        await services.execute(
+            services.journal.fail_damaged, row, services.make_transition("failed", damage, COORDINATOR)
+        )
+        return None
 
     async def close(self, reason: str) -> None:
         """End: running jobs are stopped and recorded as interrupted."""

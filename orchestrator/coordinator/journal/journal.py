@@ -4,19 +4,30 @@
 """
 
 import json
+import os
 import sqlite3
 import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from typing import Any, NamedTuple, TypeVar, get_args
 
 from pydantic import ValidationError
 
+from orchestrator.coordinator.journal.records import (
+    COLUMNS,
+    UNREADABLE_TIME,
+    DamagedRecord,
+    EpochOvertaken,
+    JobHasEnded,
+    JobRecord,
+    JournalError,
+    make_record,
+)
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.base import Model
-from orchestrator.model.errors import TuttiError
 from orchestrator.model.job import Job
 from orchestrator.model.messages import MAX_EPOCH_STEP
+from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 
@@ -26,71 +37,6 @@ MAX_RECORDED_JOBS = 100  # the newest jobs only: recordings are large, and the r
 
 
 LAST_CHARACTER = "\U0010ffff"  # after all others in the order of ids
-
-
-class JournalError(TuttiError):
-    """The journal cannot be used; nothing in it has been changed. Names the file and the remedy."""
-
-    def __init__(self, text: str, remedy: str = "") -> None:
-        super().__init__(f"{text}; {remedy}" if remedy else text)
-        self.text = text
-        self.remedy = remedy
-
-
-class JobHasEnded(JournalError):
-    """The job has been ended by another coordinator. The journal stays as it is."""
-
-
-class EpochOvertaken(JobHasEnded):
-    """Another coordinator leads; this one must not change its jobs."""
-
-
-class JobRecord(NamedTuple):
-    """A job in the journal.
-
-    after: the job that must be done before. due: it has no start time, or that time has come. held_by: originator of
-    the hold, if it is held. origin: the job that it re-runs, from step `from_step` on.
-    """
-
-    id: str
-    name: str
-    actor: str
-    state: JobState
-    reason: str
-    submitted_utc: str
-    priority: int
-    place: int
-    repeat: int
-    after: str | None
-    at_utc: str | None
-    missed: Literal["run", "skip"]
-    due: bool
-    held_by: str
-    origin: str | None
-    from_step: int
-    expires_utc: str | None = None
-    now: bool = False
-    session: str | None = None
-
-    @property
-    def terms(self) -> QueueTerms:
-        return QueueTerms(
-            priority=self.priority,
-            repeat=self.repeat,
-            after=self.after,
-            at=self.at_utc,
-            missed=self.missed,
-            held=bool(self.held_by),
-            now=bool(self.now),
-            expires=self.expires_utc,
-            session=self.session,
-        )
-
-
-_COLUMNS = (
-    "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
-    " origin, from_step, expires_utc, now, session"
-)
 _UNFINISHED_STATES = tuple(sorted(set(get_args(JobState)) - FINISHED_STATES))
 
 
@@ -135,8 +81,10 @@ class Journal:
         self._path = str(path)
         try:
             if self._path != ":memory:":
-                Path(path).parent.mkdir(parents=True, exist_ok=True)
+                _create_file(Path(path))
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False)
+            # A damaged text makes its own record unreadable, not the whole query.
+            self._db.text_factory = _decode_text
             # A journal that is dropped, like that of a virtual fleet, closes its database.
             self._close = weakref.finalize(self, self._db.close)
             version = self._check_file()
@@ -147,6 +95,7 @@ class Journal:
             steps += "".join(MIGRATIONS[each] for each in range(max(version, 1), VERSION))
             if steps:
                 self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
+            self._identity = self._find_identity()
         except (sqlite3.Error, OSError) as error:
             raise _unusable_error(self._path, error) from None
 
@@ -165,6 +114,24 @@ class Journal:
             raise sqlite3.DatabaseError(damage)
         return version
 
+    def _find_identity(self) -> tuple[int, int] | None:
+        """Device and number of the file that the path names now; None without one, or in memory."""
+        try:
+            found = None if self._path == ":memory:" else os.lstat(self._path)
+        except OSError:
+            return None
+        return None if found is None else (found.st_dev, found.st_ino)
+
+    def _require_same_file(self) -> None:
+        """Raises `JournalError` if the file that is open is no longer the one at its path: what is written to a deleted
+        file is lost with this process."""
+        if self._find_identity() != self._identity:
+            raise JournalError(
+                f"{self._path}: the journal was deleted or replaced while it was in use; no job is accepted",
+                "end the fleet (`tutti down`), put the state folder back or begin a new journal: "
+                "`tutti up FILE --new-journal`",
+            )
+
     def close(self) -> None:
         self._close()
 
@@ -176,7 +143,10 @@ class Journal:
         seen: of other coordinators and adapters; one that is far from the last one here is no real one, and is ignored.
         """
         with self._transaction():
-            last = int(self._read_meta("epoch", "0"))
+            known = self._read_meta("epoch", "0")
+            if not known.isdecimal():
+                raise _unusable_error(self._path, ValueError(f"its epoch {known!r} is damaged"))
+            last = int(known)
             epoch = max(last, seen if seen <= last + MAX_EPOCH_STEP else 0) + 1
             self._write_meta("epoch", str(epoch))
         return epoch
@@ -202,7 +172,11 @@ class Journal:
     def load_queue_stop(self) -> QueueStop | None:
         """Why no job of the queue begins; None: jobs begin."""
         rows = self._select_rows("SELECT value FROM meta WHERE key = 'queue_stop' AND value != ''")
-        return QueueStop.model_validate_json(rows[0][0]) if rows else None
+        try:
+            return QueueStop.model_validate_json(rows[0][0]) if rows else None
+        except ValidationError:
+            # Stopped is the safe reading.
+            return QueueStop(reason="its state in the journal is damaged", actor="coordinator", utc=UNREADABLE_TIME)
 
     def store_queue_stop(self, stop: QueueStop | None) -> None:
         """Record that the queue is stopped, or started (None)."""
@@ -212,7 +186,11 @@ class Journal:
     def load_instances(self) -> dict[str, str]:
         """The adapter instance of each controller, as the last leader saw them."""
         rows = self._select_rows("SELECT value FROM meta WHERE key = 'instances'")
-        return json.loads(rows[0][0]) if rows else {}
+        try:
+            found: dict[str, str] = json.loads(rows[0][0]) if rows else {}
+        except ValueError:
+            return {}  # every adapter then counts as started again
+        return found
 
     def store_instances(self, instances: Mapping[str, str]) -> None:
         with self._transaction():
@@ -230,6 +208,7 @@ class Journal:
     ) -> tuple[str, bool]:
         """Accept a job: (its id, whether it is new). The same `client_key` returns the same job."""
         terms, again = entry or QueueEntryOptions()
+        self._require_same_file()
         with self._transaction():
             row = self._db.execute("SELECT id FROM jobs WHERE client_key = ?", (client_key,)).fetchone()
             if row is not None:
@@ -341,9 +320,17 @@ class Journal:
         return found[0] if found else None
 
     def list_unfinished(self) -> list[JobRecord]:
-        """Jobs that are queued or were running, in the order in which they are to begin."""
-        marks = ", ".join("?" * len(_UNFINISHED_STATES))
-        return self._select_records(f"WHERE state IN ({marks}) ORDER BY priority DESC, place", _UNFINISHED_STATES)
+        """Jobs that are queued or were running, in the order in which they are to begin; also those whose state is
+        damaged."""
+        finished = tuple(sorted(FINISHED_STATES))
+        marks = ", ".join("?" * len(finished))
+        return self._select_records(f"WHERE state NOT IN ({marks}) ORDER BY priority DESC, place", finished)
+
+    def fail_damaged(self, job: JobRecord, transition: JobTransition) -> None:
+        """End a job that cannot be read, so that the others can be run."""
+        with self._transaction():
+            if self._db.execute("SELECT 1 FROM jobs WHERE id = ?", (job.id,)).fetchone():
+                self._insert_transition(job.id, transition)
 
     def find_jobs(
         self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = ""
@@ -373,7 +360,10 @@ class Journal:
         rows = self._select_rows(
             "SELECT state, reason, actor, utc, fleet_ns FROM transitions WHERE job_id = ? ORDER BY rowid", (job_id,)
         )
-        return [JobTransition(state=s, reason=r, actor=a, utc=u, fleet_ns=f) for s, r, a, u, f in rows]
+        try:
+            return [JobTransition(state=s, reason=r, actor=a, utc=u, fleet_ns=f) for s, r, a, u, f in rows]
+        except ValidationError as error:
+            raise self._damaged_record("a transition", job_id, error) from None
 
     def load_report(self, job_id: str) -> JobReport | None:
         return self._select_body(JobReport, "SELECT body FROM reports WHERE job_id = ?", (job_id,))
@@ -434,17 +424,18 @@ class Journal:
     # Inside
 
     def _select_records(self, clause: str, values: tuple[Any, ...]) -> list[JobRecord]:
-        rows = self._select_rows(f"SELECT {_COLUMNS} FROM jobs {clause}", values)
-        return [JobRecord(*row)._replace(due=bool(row[12])) for row in rows]
+        return [make_record(row) for row in self._select_rows(f"SELECT {COLUMNS} FROM jobs {clause}", values)]
 
     def _select_body(self, model: type[M], query: str, values: tuple[Any, ...]) -> M | None:
         rows = self._select_rows(query, values)
         try:
             return model.model_validate_json(rows[0][0]) if rows else None
         except ValidationError as error:
-            what = error.errors()[0]["msg"]
-            text = f"{self._path}: the {model.__name__} of job {values[0]} cannot be read: {what}"
-            raise JournalError(text, "was it written by another version of Tutti?") from None
+            raise self._damaged_record(f"the {model.__name__}", values[0], error) from None
+
+    def _damaged_record(self, what: str, job_id: str, error: ValidationError) -> DamagedRecord:
+        text = f"{self._path}: {what} of job {job_id} cannot be read: {error.errors()[0]['msg']}"
+        return DamagedRecord(text, "it is damaged, or was written by another version of Tutti")
 
     def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
         try:
@@ -489,8 +480,33 @@ class _Transaction:
             raise _unusable_error(self._path, error) from None
 
 
+def require_journal(path: Path) -> None:
+    """Raises `JournalError` if a fleet that had a journal has none: its jobs, and what they did, would be forgotten
+    without a word."""
+    if not path.exists():
+        raise JournalError(
+            f"{path}: the journal of this fleet is missing",
+            "put it back; or begin a new one, without the jobs of before: `tutti up FILE --new-journal`",
+        )
+
+
+def _decode_text(text: bytes) -> str:
+    return text.decode("utf-8", "replace")
+
+
+def _create_file(path: Path) -> None:
+    """Create the file of a journal for this user alone. Raises `UnsafePath` for a symbolic link, and `OSError`."""
+    make_private_folder(path.parent)
+    try:
+        os.close(open_private_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL))
+    except FileExistsError:
+        refuse_link(path)
+
+
 def _unusable_error(path: str, error: Exception) -> JournalError:
     """Describe what is wrong with the journal at `path`, and the remedy."""
+    if isinstance(error, UnsafePath):
+        return JournalError(str(error))
     return JournalError(
         f"{path}: the journal cannot be used ({error})",
         "free space on its disk, repair it, or move it away to start with a new one",

@@ -18,6 +18,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS, confirm_leader
 from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.model.private_files import read_private_file, replace_private_file
 
 POLL_NS = HEARTBEAT_NS // 2
 
@@ -68,14 +69,13 @@ class LeaderFile:
 
     def write_own_process(self) -> None:
         """Write this process into the file."""
-        fresh = self._path.with_name(self._path.name + ".new")
-        fresh.write_text(json.dumps({"pid": os.getpid(), "began": _process_start_time(os.getpid())}), encoding="utf-8")
-        fresh.replace(self._path)
+        entry = {"pid": os.getpid(), "began": _process_start_time(os.getpid())}
+        replace_private_file(self._path, json.dumps(entry).encode())
 
     def kill_other_process(self) -> int:
         """Kill the process that the file names, if it is still alive; return its process id, or 0."""
         try:
-            said = json.loads(self._path.read_text(encoding="utf-8"))
+            said = json.loads(read_private_file(self._path))
             pid, began = int(said["pid"]), str(said["began"])
         except (OSError, ValueError, KeyError, TypeError):
             return 0

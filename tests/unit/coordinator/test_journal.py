@@ -9,14 +9,13 @@ import pytest
 
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.coordinator.journal.journal import (
-    EpochOvertaken,
-    JobHasEnded,
     Journal,
-    JournalError,
     QueueEntryOptions,
     RetryOrigin,
     StepDecision,
+    require_journal,
 )
+from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertaken, JobHasEnded, JournalError
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse_document
 from orchestrator.model.job import Job
@@ -231,6 +230,86 @@ def test_an_unreadable_body_names_the_job() -> None:
     journal._db.execute("UPDATE jobs SET body = '{}'")  # pyright: ignore[reportPrivateUsage]
     with pytest.raises(JournalError, match="the Job of job a cannot be read"):
         journal.load_job("a")
+
+
+def test_a_deleted_or_replaced_file_accepts_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "journal.db"
+    journal = Journal(path)
+    assert journal.accept_job("a", "a", JOB, utc(1)) == ("a", True)
+    (tmp_path / "state").rename(tmp_path / "moved")
+    with pytest.raises(JournalError, match="deleted or replaced") as caught:
+        journal.accept_job("b", "b", JOB, utc(1))
+    assert "--new-journal" in caught.value.remedy
+    Journal(path).close()
+    with pytest.raises(JournalError, match="deleted or replaced"):
+        journal.accept_job("b", "b", JOB, utc(1))
+    assert Journal(path).load_record("b") is None and journal.load_record("b") is None
+
+
+def test_its_files_are_for_its_user_alone_and_no_link_is_followed(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "journal.db"
+    journal = Journal(path)
+    journal.accept_job("a", "a", JOB, utc(1))
+    modes = {each.name: each.stat().st_mode & 0o777 for each in (path.parent, *path.parent.iterdir())}
+    assert modes == {"state": 0o700, "journal.db": 0o600, "journal.db-wal": 0o600, "journal.db-shm": 0o600}
+    victim, link = tmp_path / "victim", tmp_path / "link.db"
+    victim.write_text("")
+    link.symlink_to(victim)
+    with pytest.raises(JournalError, match=r"link\.db: is a symbolic link, to .*victim'; remove it"):
+        Journal(link)
+    assert victim.read_bytes() == b""
+
+
+def test_a_missing_journal_is_required_of_a_fleet_that_had_one(tmp_path: Path) -> None:
+    with pytest.raises(JournalError, match="journal of this fleet is missing") as caught:
+        require_journal(tmp_path / "journal.db")
+    assert "--new-journal" in caught.value.remedy
+    Journal(tmp_path / "journal.db")
+    require_journal(tmp_path / "journal.db")
+
+
+@pytest.mark.parametrize(
+    ("damage", "shown"),
+    [
+        ("state = 'queuee'", "the state 'queuee'"),
+        ("at_utc = '2026-13-01'", "at '2026-13-01'"),
+        ("priority = 4096", "priority 4096"),
+        ("missed = 'Skip'", "missed 'Skip'"),
+        ("submitted_utc = 'x'", "the time 'x'"),
+    ],
+)
+def test_a_damaged_record_is_a_failed_job_and_affects_no_other(damage: str, shown: str) -> None:
+    journal = Journal(":memory:")
+    for job_id in ("a", "b"):
+        journal.accept_job(job_id, job_id, JOB, utc(1))
+    journal._db.execute(f"UPDATE jobs SET {damage} WHERE id = 'a'")  # pyright: ignore[reportPrivateUsage]
+    first, second = journal.list_unfinished()
+    assert (second.id, second.state, second.damage) == ("b", "queued", "")
+    assert (first.id, first.state) == ("a", "failed") and first.damage.endswith(shown)
+    assert first.terms == QueueTerms() and {each.id for each in journal.find_jobs(9)[0]} == {"a", "b"}
+    journal.fail_damaged(first, JobTransition(state="failed", reason=first.damage, actor="x", utc=utc(2)))
+    assert [row.id for row in journal.list_unfinished()] == ["b"]
+
+
+def test_damaged_bytes_and_damaged_values_of_the_queue(tmp_path: Path) -> None:
+    path = tmp_path / "journal.db"
+    journal = Journal(path)
+    for job_id in ("a", "b"):
+        journal.accept_job(job_id, job_id, JOB, utc(1))
+    db = journal._db  # pyright: ignore[reportPrivateUsage]
+    db.execute("UPDATE jobs SET body = CAST(X'7B22FF' AS TEXT), name = CAST(X'FF41' AS TEXT) WHERE id = 'a'")
+    db.execute("UPDATE transitions SET state = 'q' WHERE job_id = 'a'")
+    db.executemany("INSERT INTO meta VALUES (?, '{x')", [("queue_stop",), ("instances",)])
+    assert [row.name for row in journal.list_unfinished()] == ["\ufffdA", "scan"]
+    for load in (journal.load_job, journal.list_transitions):
+        with pytest.raises(DamagedRecord, match="of job a cannot be read"):
+            load("a")
+    assert journal.load_job("b") == JOB
+    stop = journal.load_queue_stop()
+    assert stop is not None and "damaged" in stop.reason and journal.load_instances() == {}
+    db.execute("INSERT OR REPLACE INTO meta VALUES ('epoch', '1x')")
+    with pytest.raises(JournalError, match="its epoch '1x' is damaged"):
+        journal.take_epoch(0)
 
 
 def test_it_is_closed_after_the_calls_that_still_use_it() -> None:

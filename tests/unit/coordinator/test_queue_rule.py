@@ -3,7 +3,7 @@
 from random import Random
 
 from orchestrator.coordinator.jobs.queue import WaitingJob, choose_jobs, find_needed_controllers, sort_waiting
-from orchestrator.coordinator.journal.journal import JobRecord
+from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.files import parse_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job

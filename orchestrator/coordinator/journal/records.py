@@ -1,0 +1,138 @@
+"""Records of the journal, read one by one: a damaged one is shown as a failed job, and the others are not affected."""
+
+import re
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+from pydantic import ValidationError
+
+from orchestrator.model.base import ID_PATTERN
+from orchestrator.model.errors import TuttiError
+from orchestrator.model.queue import QueueTerms, parse_utc
+from orchestrator.model.report import JobState
+
+UNREADABLE_TIME = "1970-01-01T00:00:00.000000Z"  # stands for one that cannot be read
+
+
+class JournalError(TuttiError):
+    """The journal cannot be used; nothing in it has been changed. Names the file and the remedy."""
+
+    def __init__(self, text: str, remedy: str = "") -> None:
+        super().__init__(f"{text}; {remedy}" if remedy else text)
+        self.text = text
+        self.remedy = remedy
+
+
+class JobHasEnded(JournalError):
+    """The job has been ended by another coordinator. The journal stays as it is."""
+
+
+class EpochOvertaken(JobHasEnded):
+    """Another coordinator leads; this one must not change its jobs."""
+
+
+class DamagedRecord(JournalError):
+    """One record of the journal cannot be read. The others can."""
+
+
+class JobRecord(NamedTuple):
+    """A job in the journal.
+
+    after: the job that must be done before. due: it has no start time, or that time has come. held_by: originator of
+    the hold, if it is held. origin: the job that it re-runs, from step `from_step` on. damage: what cannot be read of
+    it; the other values are then those of a failed job.
+    """
+
+    id: str
+    name: str
+    actor: str
+    state: JobState
+    reason: str
+    submitted_utc: str
+    priority: int
+    place: int
+    repeat: int
+    after: str | None
+    at_utc: str | None
+    missed: Literal["run", "skip"]
+    due: bool
+    held_by: str
+    origin: str | None
+    from_step: int
+    expires_utc: str | None = None
+    now: bool = False
+    session: str | None = None
+    damage: str = ""
+
+    @property
+    def terms(self) -> QueueTerms:
+        return QueueTerms(
+            priority=self.priority,
+            repeat=self.repeat,
+            after=self.after,
+            at=self.at_utc,
+            missed=self.missed,
+            held=bool(self.held_by),
+            now=bool(self.now),
+            expires=self.expires_utc,
+            session=self.session,
+        )
+
+
+COLUMNS = (
+    "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
+    " origin, from_step, expires_utc, now, session"
+)
+
+
+def make_record(row: Sequence[Any]) -> JobRecord:
+    """Make the record of a row of `COLUMNS`; damaged values are replaced, and stated in `damage`."""
+    record = JobRecord(*row)._replace(due=bool(row[12]))
+    damage = _find_damage(record)
+    if not damage:
+        return record
+    readable = not _is_unreadable_time(record.submitted_utc)
+    reason = f"its record in the journal is damaged: {damage}"
+    return JobRecord(
+        id=record.id,
+        name=record.name,
+        actor=record.actor,
+        state="failed",
+        reason=reason,
+        submitted_utc=record.submitted_utc if readable else UNREADABLE_TIME,
+        priority=0,
+        place=record.place,
+        repeat=1,
+        after=None,
+        at_utc=None,
+        missed="skip",
+        due=True,
+        held_by="",
+        origin=None,
+        from_step=0,
+        damage=reason,
+    )
+
+
+def _find_damage(record: JobRecord) -> str:
+    """What cannot be read of a record; empty if all can."""
+    if not re.match(ID_PATTERN, record.id):
+        return f"the id {record.id!r}"
+    if record.state not in get_args(JobState):
+        return f"the state {record.state!r}"
+    if _is_unreadable_time(record.submitted_utc):
+        return f"the time {record.submitted_utc!r}"
+    try:
+        _ = record.terms
+    except ValidationError as error:
+        first = error.errors()[0]
+        return f"{'.'.join(map(str, first['loc']))} {first['input']!r}"
+    return ""
+
+
+def _is_unreadable_time(text: str) -> bool:
+    try:
+        parse_utc(text)
+    except ValueError:
+        return True
+    return False

@@ -1,0 +1,93 @@
+"""Files and folders that only the user of a fleet may read, opened without following a link that was put in their
+place."""
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+from orchestrator.model.errors import TuttiError
+
+FOLDER_MODE = 0o700
+FILE_MODE = 0o600
+
+
+class UnsafePath(TuttiError, OSError):
+    """A file or folder of a fleet is not what it should be, e.g. a symbolic link. Names it, and the remedy."""
+
+    def __init__(self, path: Path, problem: str, remedy: str) -> None:
+        super().__init__(errno.ELOOP, f"{problem}; {remedy}", str(path))
+
+    def __str__(self) -> str:
+        return f"{self.filename}: {self.strerror}"
+
+
+def make_private_folder(folder: Path) -> None:
+    """Create `folder` and its missing parents for this user alone; one that exists is left as it is.
+
+    Raises `OSError`.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    for each in reversed(missing):
+        each.mkdir(mode=FOLDER_MODE, exist_ok=True)
+
+
+def restrict_to_user(path: Path) -> None:
+    """Take from other users what they may do with a file or folder; one of another user, or none, is left as it is.
+
+    Raises `UnsafePath` if it is a symbolic link.
+    """
+    refuse_link(path)
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return
+    if found.st_uid == os.geteuid() and stat.S_IMODE(found.st_mode) & 0o077:
+        path.chmod(stat.S_IMODE(found.st_mode) & 0o700)
+
+
+def refuse_link(path: Path) -> None:
+    """Raises `UnsafePath` if there is a symbolic link at `path`."""
+    if path.is_symlink():
+        target = os.readlink(path)  # noqa: PTH115 - a path would lose what is wrong in it
+        raise UnsafePath(path, f"is a symbolic link, to {target!r}", "remove it, or give the place that it points to")
+
+
+def open_private_file(path: Path, flags: int) -> int:
+    """Open a file with the flags of `os.open`, and return its descriptor. What is created is for this user alone.
+
+    Raises `UnsafePath` for a symbolic link, and `OSError`.
+    """
+    try:
+        return os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, FILE_MODE)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            refuse_link(path)
+        raise
+
+
+def open_for_append(path: Path) -> int:
+    """Open a file to append to, and return its descriptor; its folder is created. Raises as `open_private_file`."""
+    make_private_folder(path.parent)
+    return open_private_file(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+
+def read_private_file(path: Path) -> bytes:
+    """The contents of a file. Raises as `open_private_file`."""
+    with os.fdopen(open_private_file(path, os.O_RDONLY), "rb") as file:
+        return file.read()
+
+
+def replace_private_file(path: Path, contents: bytes) -> None:
+    """Replace a file as a whole: after a crash it has the old contents or the new ones, and both are on disk.
+
+    Raises `UnsafePath`, `OSError`.
+    """
+    make_private_folder(path.parent)
+    fresh = path.with_name(f"{path.name}.new")
+    fresh.unlink(missing_ok=True)
+    with os.fdopen(open_private_file(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb") as file:
+        file.write(contents)
+        file.flush()
+        os.fsync(file.fileno())
+    fresh.replace(path)
