@@ -25,6 +25,7 @@ from adapters.host.firing_process import ProcessTimedWriter
 from adapters.host.host import AdapterHost, HostEnvironment, apply_make_defaults, find_controller_problems
 from adapters.link.open import make_link_opener
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.limits import MAX_HOST_MESSAGE_BYTES
 from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
@@ -161,7 +162,7 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
     log = ProcessLog("host", chosen.host, clock, sink)
     loop.set_exception_handler(lambda _, context: _log_defect(log, context))
     logging.getLogger().addHandler(_LogForwarder(log))
-    bus = await open_bus(chosen.connect)
+    bus = await open_bus(chosen.connect, max_message_bytes=MAX_HOST_MESSAGE_BYTES)
     try:
         firer = ProcessTimedWriter()
         around = HostEnvironment(

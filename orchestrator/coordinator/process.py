@@ -16,6 +16,7 @@ from pathlib import Path
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import FileLatchStore, LatchKeeper
+from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
@@ -41,7 +42,7 @@ CLOSE_S = 2.0  # after a defect
 async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
     """Lead until the process is to end; return the exit code. urgent: whether it has real-time priority."""
     fleet = load_fleet(options.fleet)
-    bus = await open_bus(options.connect)
+    bus = await open_bus(options.connect, max_message_bytes=MAX_COORDINATOR_MESSAGE_BYTES)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, end.set)

@@ -14,6 +14,21 @@ ID_PATTERN = r"^[a-z0-9_-]+$"
 Id = Annotated[str, Field(pattern=ID_PATTERN, min_length=1, max_length=64)]
 """An id as it appears in a bus key."""
 
+
+def _make_cut(most: int) -> BeforeValidator:
+    """Cut a longer text: a stop is not refused because its reason is long."""
+    return BeforeValidator(lambda text: f"{text[: most - 1]}…" if isinstance(text, str) and len(text) > most else text)
+
+
+Label = Annotated[str, Field(max_length=128)]
+"""A name that a program makes: of a request, an event, a holder."""
+
+Actor = Annotated[str, _make_cut(128)]
+"""The user or program that causes something."""
+
+Sentence = Annotated[str, _make_cut(500)]
+"""A reason in words."""
+
 # Many JSON readers hold numbers as doubles: integers are exact below 2^53 only.
 Int53 = Annotated[int, Field(ge=-(2**53 - 1), le=2**53 - 1)]
 

@@ -5,7 +5,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field
 
-from orchestrator.model.base import HostNs, Id, Int53, Model
+from orchestrator.model.base import Actor, HostNs, Id, Int53, Label, Model, Sentence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import ClockMapping, ControllerState, EstopLatch, StartClass, StartWish, StepCosts
@@ -40,8 +40,8 @@ class RefusalDetails(Model):
 class Request(Model):
     """Fields that every request has."""
 
-    request_id: str
-    actor: str
+    request_id: Label
+    actor: Actor
 
 
 class Reply(Model):
@@ -281,7 +281,7 @@ class StopRequest(Request):
     until it is at rest, so that there is evidence of when that was."""
 
     mode: StopMode = "decelerate"
-    reason: str = ""
+    reason: Sentence = ""
 
 
 class AxesRequest(FencedRequest):
@@ -298,10 +298,10 @@ class LeaseRequest(AxesRequest):
     session: the session of a command that a person waits for; the lease ends when its signs of life are missing.
     """
 
-    holder: str
+    holder: Label
     acquisition: Int53 = 0
-    session: str = ""
-    reason: str = ""
+    session: Label = ""
+    reason: Sentence = ""
     ttl_ms: int = Field(ge=0, le=60_000)
 
 
@@ -315,7 +315,7 @@ class LeaseReply(Reply):
 class LeasedRequest(AxesRequest):
     """A request that only the holder of the axes' leases may make."""
 
-    holder: str
+    holder: Label
 
 
 class EnableRequest(LeasedRequest):
@@ -357,7 +357,7 @@ class JogRequest(Request):
     was requested before; an axis that has been stopped meanwhile stays stopped.
     """
 
-    holder: str
+    holder: Label
     seq: Int53
     velocities: dict[str, float] = Field(min_length=1)
     renew: bool = False
@@ -372,8 +372,8 @@ class OutputRequest(FencedRequest):
 class RawRequest(Request):
     """A command in the make's own language. Logged; needs the leases of all axes, and `i_know`: no limit is checked."""
 
-    holder: str
-    command: str
+    holder: Label
+    command: str = Field(max_length=4000)
     i_know: bool = False
 
 
@@ -384,9 +384,9 @@ class RawReply(Reply):
 class EstopMessage(Model):
     """Stops every controller that receives it, and latches."""
 
-    event: str
-    actor: str
-    reason: str = ""
+    event: Label
+    actor: Actor
+    reason: Sentence = ""
 
 
 class EstopReset(Model):
@@ -408,7 +408,7 @@ class ResetRequest(Request):
     check: only report whether the conditions for it hold.
     """
 
-    event: str | None = None
+    event: Label | None = None
     check: bool = False
 
 

@@ -8,6 +8,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES, WITHOUT_AXES_REASON
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry, QueueState
@@ -285,6 +286,25 @@ def test_after_an_estop_and_its_reset_nothing_continues_by_itself() -> None:
         assert (report.state, report.reason) == ("aborted", "e-stop by anna: a test")
         assert len(report.steps) == 2
         assert (await entry(client, queued)).reason.startswith("the queue is stopped (e-stop by anna: a test)")
+
+    run_fleet(main)
+
+
+def test_jobs_without_axes_are_limited_in_number() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client = virtual.make_client()
+        dwell = job("[{do: dwell, duration: 2 s}]")
+        ids = [await client.submit(dwell) for _ in range(MAX_JOBS_WITHOUT_AXES + 3)]
+        await sleep_ns(virtual.clock, NS_PER_S)
+        states = [(await entry(client, each)) for each in ids]
+        assert [each.state for each in states].count("running") == MAX_JOBS_WITHOUT_AXES
+        assert {each.reason for each in states if each.state == "queued"} == {WITHOUT_AXES_REASON}
+        with pytest.raises(Refusal, match="jobs without axes") as caught:
+            await client.submit(dwell, terms=QueueTerms(now=True))
+        assert caught.value.code == "busy"
+        # A job with axes is not affected, and the others follow.
+        assert (await outcome(virtual, PREPARE)).state == "done"
+        assert {(await client.wait_for_job(each)).state for each in ids} == {"done"}
 
     run_fleet(main)
 

@@ -2,23 +2,27 @@
 
 import asyncio
 import gc
+import socket
 import subprocess
 import sys
 import threading
 import weakref
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from bus_worlds import LIMIT_S, LiveWorld, linked, run_live, until
 
 from orchestrator.bus.base import BusSample, NoReply, Priority, RequestRefused, RequestTimeout
+from orchestrator.bus.limits import MAX_ANSWERING, MAX_MESSAGE_BYTES
 from orchestrator.bus.zenoh.bus import open_bus
-from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable, open_router
+from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable, open_router, open_session
 from orchestrator.bus.zenoh.threads import run_in_thread
 
 FLOOD = 1000
@@ -216,5 +220,91 @@ def test_a_declaration_stays_without_a_reference_to_it() -> None:
         a.put("t/x", b"")
         await until(lambda: len(got) == 2)
         assert "t/live/a" in got
+
+    run_live(body)
+
+
+def test_huge_messages_are_left_out_and_the_sessions_continue() -> None:
+    most = 4_000_000
+
+    async def body(world: LiveWorld) -> None:
+        host = await open_bus(world.endpoint, max_message_bytes=most)
+        other = await world.join("other")
+        got: list[tuple[str, int]] = []
+
+        async def answer(sample: BusSample) -> bytes:
+            return b"x" * len(sample.payload)
+
+        await host.subscribe("t/**", lambda sample: got.append((sample.key, len(sample.payload))))
+        await host.serve("t/cmd/*", answer)
+        await linked(other, host)
+        stranger = open_session(world.endpoint)
+        try:
+            for key, size in (("t/fits", most), ("t/large", most + 1), ("t/huge", MAX_MESSAGE_BYTES + 36_000_000)):
+                put = partial(stranger.put, key, b"x" * size, congestion_control=zenoh.CongestionControl.BLOCK)
+                await run_in_thread("put", put)
+            # Also an e-stop that cannot be read is one.
+            stranger.put("t/estop", b"x" * (most + 1), priority=zenoh.Priority.REAL_TIME)
+            await until(lambda: ("t/estop", 0) in got and ("t/fits", most) in got)
+            assert await other.request("t/cmd/do", b"x", LIMIT_S) == b"x"
+            with pytest.raises(RequestRefused, match=f"at most {most} bytes"):
+                await other.request("t/cmd/do", b"x" * (most + 1), LIMIT_S)
+            with pytest.raises(RequestRefused, match="at most"):
+                await other.request("t/cmd/do", b"x" * (MAX_MESSAGE_BYTES + 1), LIMIT_S)
+            other.put("t/too-large", b"x" * (MAX_MESSAGE_BYTES + 1))
+            other.put("t/after", b"", Priority.EVENT)
+            await until(lambda: ("t/after", 0) in got)
+            assert {key for key, _ in got} & {"t/large", "t/huge", "t/too-large"} == set()
+        finally:
+            await run_in_thread("close", stranger.close)
+            await host.close()
+
+    run_live(body)
+
+
+def test_silent_connections_cost_a_new_session_two_seconds_at_most() -> None:
+    async def body(world: LiveWorld) -> None:
+        open_session_before = await world.join("before")
+        host, port = world.endpoint.removeprefix("tcp/").split(":")
+        silent = [socket.create_connection((host, int(port))) for _ in range(500)]
+        try:
+            loop = asyncio.get_running_loop()
+            began_s = loop.time()
+            late = await open_bus(world.endpoint, timeout_s=LIMIT_S)
+            took_s = loop.time() - began_s
+            sys.stdout.write(f"a session beside 500 silent connections: {took_s:.2f} s\n")
+            assert took_s < 4.0  # 2 s, and a margin for a busy machine
+            got: list[BusSample] = []
+            await late.subscribe("t/x", got.append)
+            await linked(open_session_before, late)
+            await late.close()
+        finally:
+            for each in silent:
+                each.close()
+
+    run_live(body)
+
+
+def test_requests_beyond_the_limit_are_refused_and_stops_are_not() -> None:
+    async def body(world: LiveWorld) -> None:
+        host, client = await world.join("host"), await world.join("client")
+        go_on, begun = asyncio.Event(), list[str]()
+
+        async def answer(sample: BusSample) -> bytes:
+            begun.append(sample.key)
+            if not sample.key.endswith("stop"):
+                await go_on.wait()
+            return b"done"
+
+        await host.serve("t/cmd/*", answer)
+        await linked(client, host)
+        requests = [asyncio.ensure_future(client.request("t/cmd/home", b"", LIMIT_S)) for _ in range(MAX_ANSWERING)]
+        await until(lambda: len(begun) == MAX_ANSWERING)
+        with pytest.raises(RequestRefused, match="busy"):
+            await client.request("t/cmd/home", b"", LIMIT_S)
+        assert await client.request("t/cmd/stop", b"", LIMIT_S) == b"done"
+        go_on.set()
+        assert set(await asyncio.gather(*requests)) == {b"done"}
+        assert await client.request("t/cmd/home", b"", LIMIT_S) == b"done"
 
     run_live(body)

@@ -24,12 +24,10 @@ from zenoh.handlers import Callback
 
 from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler, RequestRefused
 from orchestrator.bus.expression import check_expression, check_key, check_put, is_silent_on, is_wild
+from orchestrator.bus.limits import MAX_ANSWERING, MAX_MESSAGE_BYTES, MAX_STATES_QUEUED, LossCounter, is_stop
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
-
-QUEUE_LIMIT = 1000
-"""Maximum state samples that wait in this process, outwards or inwards; beyond that the oldest are lost."""
 
 CLOSE_TIMEOUT_S = 1.0
 """For each of: sending what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
@@ -68,6 +66,12 @@ def _to_priority(sample: zenoh.Sample) -> Priority:
     return Priority.STATE if sample.priority == zenoh.Priority.DATA else Priority.EVENT
 
 
+def _require_sendable(what: str, payload: bytes) -> None:
+    """Raises `RequestRefused` for a payload that no process would take."""
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise RequestRefused(f"the {what} has {len(payload)} bytes; at most {MAX_MESSAGE_BYTES} are sent")
+
+
 def _make_direct_callback(arrive: Callable[[A], None], end: Callable[[], None] | None = None) -> "Callback[A]":
     """Make a callback on Zenoh's own network thread, which must only hand over what has arrived, like an inbox. By
     default Zenoh makes a thread for each callback, for a query each time, which ends some time after its session;
@@ -95,14 +99,16 @@ class _ZenohDeclaration:
 class ZenohBus:
     """One process's connection to the bus. Made by `open_bus`."""
 
-    def __init__(self, endpoint: str, lossy: zenoh.Session, sure: zenoh.Session) -> None:
+    def __init__(self, endpoint: str, lossy: zenoh.Session, sure: zenoh.Session, max_message_bytes: int) -> None:
         self._endpoint = endpoint
+        self._max_message_bytes = max_message_bytes
+        self._losses = LossCounter("bus", time.monotonic_ns)
         self._loop = asyncio.get_running_loop()
         self._lossy = lossy
         self._sure = sure
-        self._lossy_sender = SenderThread("bus-state", QUEUE_LIMIT)
-        self._sure_sender = SenderThread("bus-events", QUEUE_LIMIT)
-        self._inbox = LoopInbox(self._loop, QUEUE_LIMIT)
+        self._lossy_sender = SenderThread("bus-state", MAX_STATES_QUEUED)
+        self._sure_sender = SenderThread("bus-events", MAX_STATES_QUEUED)
+        self._inbox = LoopInbox(self._loop, MAX_STATES_QUEUED)
         self._closed = False
         self._standing: dict[_ZenohDeclaration, Callable[[], None]] = {}
         self._disconnects = 0
@@ -113,6 +119,9 @@ class ZenohBus:
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         self._check_open()
+        if len(payload) > MAX_MESSAGE_BYTES:
+            self._losses.count_loss(f"{len(payload)} bytes on {key} are not sent; at most {MAX_MESSAGE_BYTES} are")
+            return
         droppable = priority is Priority.STATE
         session, sender = (self._lossy, self._lossy_sender) if droppable else (self._sure, self._sure_sender)
         call = partial(
@@ -123,7 +132,7 @@ class ZenohBus:
             priority=_WIRE_PRIORITY[priority],
             express=True,
         )
-        sender.queue_call(priority, call)
+        sender.queue_call(priority, call, len(payload))
 
     async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
         declaration = _ZenohDeclaration(self._standing)
@@ -134,8 +143,13 @@ class ZenohBus:
 
         def receive_sample(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
-                ours = BusSample(str(sample.key_expr), sample.payload.to_bytes())
-                self._inbox.queue_call(_to_priority(sample), partial(deliver_sample, ours))
+                key, priority = str(sample.key_expr), _to_priority(sample)
+                payload = self._take_payload(sample.payload, key)
+                if payload is None and priority is Priority.ESTOP:
+                    payload = b""  # what cannot be read is an e-stop, too
+                if payload is not None:
+                    call = partial(deliver_sample, BusSample(key, payload))
+                    self._inbox.queue_call(priority, call, len(payload))
 
         check_expression(expression)
         subscriber = await self._run_declaration(
@@ -147,16 +161,24 @@ class ZenohBus:
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
         declaration = _ZenohDeclaration(self._standing)
 
-        def start_answer(query: zenoh.Query) -> None:
-            if not declaration.stands or self._closed or is_silent_on(expression, str(query.key_expr)):
+        def start_answer(query: zenoh.Query, payload: bytes) -> None:
+            asked = str(query.key_expr)
+            if not declaration.stands or self._closed or is_silent_on(expression, asked):
                 query.drop()
                 return
-            task = self._loop.create_task(self._answer_query(query, expression, handler))
+            if len(self._answering) >= MAX_ANSWERING and not is_stop(asked):
+                self._refuse_query(query, f"busy: {MAX_ANSWERING} requests are being answered; try again")
+                return
+            task = self._loop.create_task(self._answer_query(query, payload, expression, handler))
             self._answering.add(task)
             task.add_done_callback(self._answering.discard)
 
         def receive_query(query: zenoh.Query) -> None:
-            self._inbox.queue_call(Priority.EVENT, partial(start_answer, query))
+            payload = b"" if query.payload is None else self._take_payload(query.payload, str(query.key_expr))
+            if payload is None:
+                self._refuse_query(query, f"too large: a request has at most {self._max_message_bytes} bytes here")
+                return
+            self._inbox.queue_call(Priority.EVENT, partial(start_answer, query, payload), len(payload))
 
         check_expression(expression)
         queryable = await self._run_declaration(
@@ -165,12 +187,36 @@ class ZenohBus:
         declaration.attach(queryable.undeclare)
         return declaration
 
-    async def _answer_query(self, query: zenoh.Query, expression: str, handler: RequestHandler) -> None:
+    def _take_payload(self, payload: zenoh.ZBytes, key: str) -> bytes | None:
+        """The bytes of a payload; None if they are more than this process takes, which is counted."""
+        size, most = len(payload), self._max_message_bytes
+        if size <= most:
+            return payload.to_bytes()
+        self._losses.count_loss(f"{size} bytes on {key} are left out; at most {most} are taken")
+        return None
+
+    def _take_answer(self, answer: zenoh.Sample, outcome: RequestOutcome) -> tuple[int, Callable[[], None]]:
+        """The size of an answer, and the call that adds it to the outcome of its request."""
+        key = str(answer.key_expr)
+        payload = self._take_payload(answer.payload, key)
+        if payload is None:
+            return 0, partial(outcome.add_refusal, f"the answer on {key} is too large for this process")
+        return len(payload), partial(outcome.add_reply, key, payload)
+
+    def _refuse_query(self, query: zenoh.Query, text: str) -> None:
+        def send_refusal() -> None:
+            with query:
+                query.reply_err(text, encoding=_REFUSED)
+
+        self._sure_sender.queue_call(Priority.EVENT, send_refusal)
+
+    async def _answer_query(self, query: zenoh.Query, payload: bytes, expression: str, handler: RequestHandler) -> None:
         asked = str(query.key_expr)
         key = expression if is_wild(asked) else asked
-        payload = b"" if query.payload is None else query.payload.to_bytes()
         try:
-            reply = partial(query.reply, key, await handler(BusSample(key, payload)), express=True)
+            answer = await handler(BusSample(key, payload))
+            _require_sendable("answer", answer)
+            reply = partial(query.reply, key, answer, express=True)
         except RequestRefused as refusal:
             if is_wild(asked):
                 query.drop()
@@ -202,18 +248,20 @@ class ZenohBus:
         self, key: str, payload: bytes, timeout_s: float, *, first_only: bool
     ) -> dict[str, bytes]:
         self._check_open()
+        _require_sendable("request", payload)
         outcome = RequestOutcome(key, timeout_s, first_only=first_only)
         disconnects = self._disconnects
         unsure = False
 
         def receive_reply(reply: zenoh.Reply) -> None:
+            size = 0
             if reply.ok is not None:
-                answer = partial(outcome.add_reply, str(reply.ok.key_expr), reply.ok.payload.to_bytes())
+                size, answer = self._take_answer(reply.ok, outcome)
             elif reply.err is not None and str(reply.err.encoding) == _REFUSED:
                 answer = partial(outcome.add_refusal, reply.err.payload.to_string())
             else:
                 answer = wait_for_transport
-            self._inbox.queue_call(Priority.EVENT, answer)
+            self._inbox.queue_call(Priority.EVENT, answer, size)
 
         def wait_for_transport() -> None:
             nonlocal unsure
@@ -247,7 +295,7 @@ class ZenohBus:
 
         timer = self._loop.call_later(timeout_s, outcome.end_by_timeout)
         self._asking.append(outcome)
-        self._sure_sender.queue_call(Priority.EVENT, start_query)
+        self._sure_sender.queue_call(Priority.EVENT, start_query, len(payload))
         try:
             return await outcome.settled
         finally:
@@ -361,12 +409,18 @@ class ZenohBus:
             _LOG.info("the router at %s is back", self._endpoint)
 
 
-async def open_bus(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> ZenohBus:
-    """Connect to the bus whose router listens at `endpoint`. Raises `RouterUnreachable` after `timeout_s`."""
-    lossy = await run_in_thread("bus-open", partial(open_session, endpoint, timeout_s))
+async def open_bus(
+    endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S, max_message_bytes: int = MAX_MESSAGE_BYTES
+) -> ZenohBus:
+    """Connect to the bus whose router listens at `endpoint`. Raises `RouterUnreachable` after `timeout_s`.
+
+    max_message_bytes: larger messages are left out before they are read, and counted; an e-stop counts all the same.
+    """
+    connect = partial(open_session, endpoint, timeout_s)
+    lossy = await run_in_thread("bus-open", connect)
     try:
-        sure = await run_in_thread("bus-open", partial(open_session, endpoint, timeout_s))
+        sure = await run_in_thread("bus-open", connect)
     except BaseException:
         await run_in_thread("bus-close", lossy.close)
         raise
-    return ZenohBus(endpoint, lossy, sure)
+    return ZenohBus(endpoint, lossy, sure, max_message_bytes)

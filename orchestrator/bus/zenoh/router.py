@@ -3,6 +3,7 @@
 Prints `ready` when it listens, and ends with SIGTERM, SIGINT or its parent. Exit code 4: the endpoint is in use.
 """
 
+import resource
 import signal
 import sys
 
@@ -11,9 +12,11 @@ from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 
 EXIT_ENDPOINT_IN_USE = 4
+MAX_FILES = 8192
 
 
 def run_router(endpoint: str, parent_pid: int) -> int:
+    _allow_connections()
     ends = {signal.SIGTERM, signal.SIGINT}
     # Blocked before Zenoh starts its threads, so that only `sigwait` receives them.
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
@@ -28,6 +31,13 @@ def run_router(endpoint: str, parent_pid: int) -> int:
         sys.stderr.write(f"{error}\n")
         return EXIT_ENDPOINT_IN_USE
     return 0
+
+
+def _allow_connections() -> None:
+    """Raise the number of open files to what this user may have: each connection is one, also one that says nothing."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = MAX_FILES if most == resource.RLIM_INFINITY else min(most, MAX_FILES)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from types import TracebackType
 import zenoh
 
 from orchestrator.bus.endpoint import check_endpoint
+from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.model.errors import TuttiError
 
 CONNECT_TIMEOUT_S = 5.0
@@ -21,6 +22,16 @@ _RETRY_CONFIG = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_fa
 """Zenoh's own retry periods grow to 4 s. A restarted router on the same host should be found sooner."""
 
 _LOOPBACK = ("tcp/127.", "tcp/localhost:", "tcp/[::1]:")
+
+
+_ROUTER_LIMITS = {
+    "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+    "transport/unicast/accept_timeout": 1000,  # ms; for a connection to become a session, else it is closed
+    "transport/unicast/accept_pending": 2000,  # connections that are not sessions yet; Zenoh's own limit is 100
+    "transport/unicast/max_sessions": 1000,
+}
+"""Connections that say nothing must not keep others out: 500 of them, with Zenoh's own 10 s, refused all new sessions,
+also that of an e-stop."""
 
 
 class RouterUnreachable(TuttiError):
@@ -60,6 +71,7 @@ def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.S
             "connect/exit_on_failure": True,
             "connect/retry": _RETRY_CONFIG,
             "listen/endpoints": [],
+            "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         },
     )
     try:
@@ -101,7 +113,8 @@ def open_router(endpoint: str) -> ZenohRouter:
     if endpoint.startswith("tcp/") and not endpoint.startswith(_LOOPBACK):
         raise RouterRefused(f"{endpoint} would listen to the network without TLS; use tcp/127.0.0.1:PORT or tls/...")
     try:
-        session = zenoh.open(_make_config("router", **{"listen/endpoints": [endpoint], "connect/endpoints": []}))
+        ends = {"listen/endpoints": [endpoint], "connect/endpoints": []}
+        session = zenoh.open(_make_config("router", **ends, **_ROUTER_LIMITS))
     except zenoh.ZError as error:
         if "in use" in str(error):
             cause = (

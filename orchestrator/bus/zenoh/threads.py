@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from orchestrator.bus.base import Priority
+from orchestrator.bus.limits import MAX_BYTES_QUEUED, MAX_CALLS_QUEUED, MAX_ESTOPS_QUEUED, LossCounter
 
 T = TypeVar("T")
 
@@ -24,31 +25,50 @@ SLOW_CALL_S = 1.0
 """A call to Zenoh that takes longer is logged."""
 
 _BATCH = 64
-"""Calls from the inbox before the loop runs other work."""
+_BATCH_NS = 10_000_000
+"""Calls from the inbox, and the time for them, before the loop runs other work: a heartbeat must not wait for many
+large messages."""
 
 
 class _PriorityLanes:
-    """Calls by priority, the most urgent first. Beyond `limit` the oldest `STATE` call is lost."""
+    """Calls by priority, the most urgent first, and never more than a process can hold (`orchestrator.bus.limits`).
 
-    def __init__(self, limit: int) -> None:
-        self._lanes: dict[Priority, deque[Callable[[], None]]] = {
-            priority: deque(maxlen=limit if priority is Priority.STATE else None) for priority in _ORDER
-        }
+    Beyond `limit` the oldest `STATE` call is lost; of the others, which a process should never have so many of, the new
+    one is lost, and counted.
+    """
+
+    def __init__(self, name: str, limit: int) -> None:
+        self._limits = {Priority.STATE: limit, Priority.EVENT: MAX_CALLS_QUEUED, Priority.ESTOP: MAX_ESTOPS_QUEUED}
+        self._lanes: dict[Priority, deque[tuple[int, Callable[[], None]]]] = {priority: deque() for priority in _ORDER}
+        self._bytes = 0
+        self._losses = LossCounter(name, time.monotonic_ns)
 
     def __len__(self) -> int:
         return sum(len(lane) for lane in self._lanes.values())
 
-    def add_call(self, priority: Priority, call: Callable[[], None]) -> None:
-        self._lanes[priority].append(call)
+    def add_call(self, priority: Priority, call: Callable[[], None], size: int = 0) -> None:
+        """Add a call that holds a payload of `size` bytes."""
+        lane = self._lanes[priority]
+        full = len(lane) >= self._limits[priority]
+        if priority is Priority.STATE and full:
+            self._bytes -= lane.popleft()[0]
+        elif full or (priority is not Priority.ESTOP and self._bytes + size > MAX_BYTES_QUEUED):
+            self._losses.count_loss(f"a message was left out: {len(self)} with {self._bytes} bytes wait already")
+            return
+        lane.append((size, call))
+        self._bytes += size
 
     def discard_calls(self) -> None:
         for lane in self._lanes.values():
             lane.clear()
+        self._bytes = 0
 
     def take_call(self) -> Callable[[], None] | None:
         for lane in self._lanes.values():
             if lane:
-                return lane.popleft()
+                size, call = lane.popleft()
+                self._bytes -= size
+                return call
         return None
 
 
@@ -56,7 +76,7 @@ class SenderThread:
     """A thread that makes queued calls one after the other, e-stops first."""
 
     def __init__(self, name: str, limit: int) -> None:
-        self._lanes = _PriorityLanes(limit)
+        self._lanes = _PriorityLanes(name, limit)
         self._changed = threading.Condition()
         self._busy = False
         self._stopping = False
@@ -69,10 +89,10 @@ class SenderThread:
         with self._changed:
             return len(self._lanes) + self._busy
 
-    def queue_call(self, priority: Priority, call: Callable[[], None]) -> None:
-        """Queue `call`. Never waits for another call."""
+    def queue_call(self, priority: Priority, call: Callable[[], None], size: int = 0) -> None:
+        """Queue `call`, which holds a payload of `size` bytes. Never waits for another call."""
         with self._changed:
-            self._lanes.add_call(priority, call)
+            self._lanes.add_call(priority, call, size)
             self._changed.notify()
 
     def stop(self, timeout_s: float) -> int:
@@ -117,17 +137,18 @@ class LoopInbox:
 
     def __init__(self, loop: asyncio.AbstractEventLoop, limit: int) -> None:
         self._loop = loop
-        self._lanes = _PriorityLanes(limit)
+        self._lanes = _PriorityLanes("bus-inbox", limit)
         self._lock = threading.Lock()
         self._awake = False
         self._closed = False
 
-    def queue_call(self, priority: Priority, call: Callable[[], None]) -> None:
-        """Queue `call` for the loop. Callable from any thread; never waits for the loop."""
+    def queue_call(self, priority: Priority, call: Callable[[], None], size: int = 0) -> None:
+        """Queue `call`, which holds a payload of `size` bytes, for the loop. Callable from any thread; never waits for
+        the loop."""
         with self._lock:
             if self._closed or self._loop.is_closed():
                 return
-            self._lanes.add_call(priority, call)
+            self._lanes.add_call(priority, call, size)
             if not self._awake:
                 self._awake = True
                 self._loop.call_soon_threadsafe(self._run_calls)
@@ -138,7 +159,10 @@ class LoopInbox:
             self._closed = True
 
     def _run_calls(self) -> None:
-        for _ in range(_BATCH):
+        until_ns = time.monotonic_ns() + _BATCH_NS
+        for number in range(_BATCH):
+            if number and time.monotonic_ns() > until_ns:
+                break
             with self._lock:
                 call = None if self._closed else self._lanes.take_call()
                 if call is None:

@@ -19,6 +19,10 @@ from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Disable, Enable, Home, Job, Move, SetOutput, Step, named_axes
 
+MAX_JOBS_WITHOUT_AXES = 32  # that run at once; jobs with axes are limited by the controllers of the fleet
+
+WITHOUT_AXES_REASON = f"waits for the end of one of the {MAX_JOBS_WITHOUT_AXES} jobs without axes that run"
+
 
 @dataclass(slots=True)
 class WaitingJob:
@@ -68,10 +72,12 @@ def choose_jobs(
     busy: Mapping[str, str],
     find_condition: Callable[[WaitingJob], str] = lambda _: "",
     stopped: str = "",
+    free_places: int = MAX_JOBS_WITHOUT_AXES,
 ) -> Schedule:
     """Choose the jobs of `waiting` that may begin now. waiting: in the queue's order, each with the controllers that
     it needs. busy: by controller, its present user in words. find_condition: returns what a job on free controllers
-    still waits for; empty: nothing. stopped: why the queue is stopped; empty: it is not.
+    still waits for; empty: nothing. stopped: why the queue is stopped; empty: it is not. free_places: how many more
+    jobs without axes may run.
     """
     taken = dict(busy)
     begin: list[WaitingJob] = []
@@ -85,7 +91,9 @@ def choose_jobs(
         # It keeps its claim on the controllers while it waits.
         claim = f"job {each.row.name!r} {each.row.id} of {each.row.actor}"
         in_the_way = sorted(needs & taken.keys())
-        if in_the_way:
+        if not needs and not free_places:
+            reasons[each.row.id] = WITHOUT_AXES_REASON
+        elif in_the_way:
             first = in_the_way[0]
             reasons[each.row.id] = f"waits for {first}: {taken[first]}"
             claim += " comes first"
@@ -97,6 +105,7 @@ def choose_jobs(
                 claim += " comes first"
             else:
                 begin.append(each)
+                free_places -= not needs
         for controller in needs:
             taken.setdefault(controller, claim)
     return Schedule(begin, reasons, waits_for_world)

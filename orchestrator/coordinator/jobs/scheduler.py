@@ -18,7 +18,15 @@ from orchestrator.coordinator.jobs.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.conditions import JobNeeds, Obstacle, WorldConditions, find_needs
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
 from orchestrator.coordinator.jobs.publisher import QueuePublisher, describe_stop
-from orchestrator.coordinator.jobs.queue import Schedule, WaitingJob, choose_jobs, expand_repeats, sort_waiting
+from orchestrator.coordinator.jobs.queue import (
+    MAX_JOBS_WITHOUT_AXES,
+    WITHOUT_AXES_REASON,
+    Schedule,
+    WaitingJob,
+    choose_jobs,
+    expand_repeats,
+    sort_waiting,
+)
 from orchestrator.coordinator.jobs.queue_gate import COORDINATOR, QueueGate
 from orchestrator.coordinator.journal.records import DamagedRecord, JobHasEnded, JobRecord, JournalError
 from orchestrator.model.base import UnknownName
@@ -264,7 +272,11 @@ class Scheduler:
         queue = ((each, self._find_needs(each).controllers) for each in sort_waiting(self._waiting))
         stopped = self.gate.stopped
         why = "" if stopped is None else describe_stop(stopped)
-        return choose_jobs(queue, self._find_busy(), self._find_condition, why)
+        return choose_jobs(queue, self._find_busy(), self._find_condition, why, self._count_free_places())
+
+    def _count_free_places(self) -> int:
+        """How many more jobs without axes may run."""
+        return max(0, MAX_JOBS_WITHOUT_AXES - sum(not run.needs for run in self._running.values()))
 
     def _find_busy(self) -> dict[str, str]:
         """The present user of each controller that is in use, in words. A lease that ends soon is waited for by the
@@ -288,6 +300,8 @@ class Scheduler:
             text = f"the queue is stopped since {stopped.utc}: {stopped.reason}"
             return Obstacle("queue-stopped", text, "start it: `tutti queue start`")
         busy = self._find_busy()
+        if not needs.controllers and not self._count_free_places():
+            return Obstacle("busy", WITHOUT_AXES_REASON, "wait for the end of one of them")
         in_use = min(needs.controllers & busy.keys(), default=None)
         if in_use is not None:
             return Obstacle("leased", f"{in_use} is in use: {busy[in_use]}", "wait for the end of that use")

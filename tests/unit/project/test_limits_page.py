@@ -1,0 +1,46 @@
+"""The table of limits states what the code has."""
+
+from pathlib import Path
+
+import pytest
+
+from orchestrator.bus import answers, limits, log, logfile
+from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
+from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES
+from orchestrator.coordinator.journal.journal import MAX_RECORDED_JOBS
+from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
+from orchestrator.model.base import MAX_RATIONAL_LENGTH
+from orchestrator.model.queue import MAX_STEPS
+from orchestrator.model.yaml_reader import MAX_BYTES
+
+PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "limits.md").read_text(encoding="utf-8")
+ROWS = {
+    "message on the bus": [limits.MAX_MESSAGE_BYTES],
+    "message in a coordinator": [limits.MAX_COORDINATOR_MESSAGE_BYTES, limits.MAX_HOST_MESSAGE_BYTES],
+    "messages that wait": [
+        limits.MAX_STATES_QUEUED,
+        limits.MAX_CALLS_QUEUED,
+        limits.MAX_ESTOPS_QUEUED,
+        limits.MAX_BYTES_QUEUED,
+    ],
+    "requests that a process answers": [limits.MAX_ANSWERING],
+    "answers that are kept": [answers.MAX_ANSWERS],
+    "numbers that are read": [MAX_RATIONAL_LENGTH],
+    "fleet or job file": [MAX_BYTES],
+    "steps of a job": [MAX_STEPS],
+    "jobs without axes": [MAX_JOBS_WITHOUT_AXES],
+    "jobs in the published queue": [MAX_PUBLISHED_JOBS],
+    "samples of an axis": [MAX_SAMPLES, MAX_RECORDED_JOBS],
+    "lines of one source": [log.MAX_LINES_PER_S, log.MAX_LINE_CHARS],
+    "warnings of one source": [log.MAX_PUBLISHED_PER_S],
+    "log file": [logfile.MAX_LOG_BYTES, logfile.KEPT_LOGS],
+}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_row_has_the_values_of_the_code(row: str) -> None:
+    line = next(line for line in PAGE.splitlines() if line.startswith(f"| {row}"))
+    limit = line.split("|")[2]
+    for value in ROWS[row]:
+        shown = f"{value // 1_000_000} MB" if value >= 1_000_000 else f"{value:,}"
+        assert shown in limit, line
