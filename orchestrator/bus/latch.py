@@ -4,7 +4,6 @@ An adapter host that is restarting receives no e-stop. Every coordinator, leadin
 it is reset; an adapter compares before it can be adopted.
 """
 
-import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +14,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.messages import EstopMessage, EstopReset, KeptEstop
+from orchestrator.model.private_files import read_private_file, replace_private_file
 from orchestrator.model.state import EstopLatch
 
 
@@ -101,7 +101,7 @@ class FileLatchStore:
     def load(self) -> EstopLatch | None:
         """The stored latch. An unreadable file counts as a latched e-stop: that is the safe interpretation."""
         try:
-            return KeptEstop.model_validate_json(self._path.read_bytes()).estop
+            return KeptEstop.model_validate_json(read_private_file(self._path)).estop
         except FileNotFoundError:
             return None
         except (OSError, ValidationError) as error:
@@ -109,9 +109,4 @@ class FileLatchStore:
             return EstopLatch(event="unreadable-store", actor="coordinator", reason=reason, utc="")
 
     def save(self, latch: EstopLatch | None) -> None:
-        fresh = self._path.with_suffix(".new")
-        with fresh.open("wb") as file:
-            file.write(KeptEstop(estop=latch).to_json())
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(self._path)
+        replace_private_file(self._path, KeptEstop(estop=latch).to_json())
