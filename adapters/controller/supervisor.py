@@ -125,6 +125,7 @@ class ControllerSupervisor:
         self._is_connected = False
         self._poll_wake = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._keeping: asyncio.Task[None] | None = None
         self._declared: list[BusDeclaration] = []
 
     # Life cycle
@@ -139,7 +140,12 @@ class ControllerSupervisor:
         self._declared.append(
             await self._bus.announce(self._keys.live("controller", self.controller, self._context.instance))
         )
-        self._spawn_task(self._keep_connected())
+        self._keeping = self._spawn_task(self._keep_connected())
+
+    @property
+    def is_supervising(self) -> bool:
+        """Whether the link is supervised; false only by a defect, because supervision ends with `close` alone."""
+        return self._keeping is None or not self._keeping.done()
 
     async def close(self) -> None:
         """Leave the bus and close the link. The controller stays as it is."""

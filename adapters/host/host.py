@@ -33,6 +33,7 @@ from orchestrator.bus.session_signs import SessionSigns
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
 from orchestrator.clock.fleet import FleetScale, TimeExchange, estimate_scale, exact_scale
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
 from orchestrator.model.fleet import Controller, Fleet, SerialLink
@@ -156,7 +157,8 @@ class AdapterHost:
         self._leaders = LeaderWatch(environment.clock)
         self._congested = False
         self._declared: list[BusDeclaration] = []
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._owner = TaskOwner(self._report_defect)
+        self._broken = False
         self._starts = 0
         self._lines: dict[str, _SharedPort] = {}
         self._lowering_lock = asyncio.Lock()
@@ -234,7 +236,13 @@ class AdapterHost:
         for unit in self.supervisors.values():
             await unit.start()
         self._declared.append(await bus.serve(keys.batch_command(self._name), self._batch_answers.answer_batch))
-        self._spawn_task(self._watch_coordinator())
+        self._owner.spawn(self._watch_coordinator(), vital=True)
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether everything that must run does: the watchdog on coordinators, and the supervision of every link. A
+        host that is not sound sends no signs of life, so that its guardian stops the controllers and restarts it."""
+        return not self._broken and all(unit.is_supervising for unit in self.supervisors.values())
 
     async def close(self) -> None:
         for unit in self.supervisors.values():
@@ -242,8 +250,7 @@ class AdapterHost:
         for declared in self._declared:
             await declared.undeclare()
         self._batch_answers.cancel_all()
-        for task in list(self._tasks):
-            task.cancel()
+        self._owner.cancel_all()
 
     def _handler_of(self, controller: str) -> RequestHandler | None:
         unit = self.supervisors.get(controller)
@@ -333,6 +340,8 @@ class AdapterHost:
             )
 
     def _spawn_task(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._owner.spawn(coroutine, vital=False)
+
+    def _report_defect(self, error: BaseException, vital: bool) -> None:  # noqa: FBT001 - a callback
+        self._log.warning(f"a defect of the adapter host: {error!r}")
+        self._broken = self._broken or vital

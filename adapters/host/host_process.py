@@ -15,7 +15,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 from uuid import uuid4
@@ -117,10 +117,12 @@ class _LogForwarder(logging.Handler):
 
 
 class _HeartbeatWriter:
-    """Write heartbeats from the event loop until the pipe is closed; then set `orphaned`."""
+    """Write heartbeats from the event loop until the pipe is closed; then set `orphaned`. None while the host is not
+    sound: the loop alone drives no controller."""
 
-    def __init__(self, fd: int, orphaned: asyncio.Event) -> None:
+    def __init__(self, fd: int, orphaned: asyncio.Event, is_sound: Callable[[], bool]) -> None:
         self._fd = fd
+        self._is_sound = is_sound
         self._orphaned = orphaned
         os.set_inheritable(fd, False)  # noqa: FBT003 - its parameters are positional-only
         os.set_blocking(fd, False)
@@ -128,7 +130,8 @@ class _HeartbeatWriter:
 
     def _write_heartbeat(self) -> None:
         try:
-            os.write(self._fd, b".")
+            if self._is_sound():
+                os.write(self._fd, b".")
         except BlockingIOError:
             pass  # The guardian reads slowly; the pipe already holds enough heartbeats.
         except OSError:
@@ -179,7 +182,7 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
         try:
             host = AdapterHost(chosen.host, fleet, around)
             if chosen.beat_fd is not None:
-                _HeartbeatWriter(chosen.beat_fd, orphaned)
+                _HeartbeatWriter(chosen.beat_fd, orphaned, lambda: host.is_sound)
             await host.start()
             prepare_live_process()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())

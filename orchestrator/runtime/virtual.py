@@ -99,6 +99,7 @@ class VirtualFleet:
         self.crystals: dict[str, Oscillator] = {}
         self.simulators: dict[str, VirtualProcess] = {}
         self.hosts: dict[str, _RunningHost] = {}
+        self.adapter_hosts: dict[str, AdapterHost] = {}
         self.coordinators: dict[str, tuple[VirtualProcess, Coordinator]] = {}
         self.disk_full = False
         self._guardian = guardian
@@ -237,7 +238,8 @@ class VirtualFleet:
         process.add_death_callback(lambda: self._clean_up_host(host, label))
 
         async def run_host() -> None:
-            await AdapterHost(name, self.fleet, environment).start()
+            adapter_host = self.adapter_hosts[name] = AdapterHost(name, self.fleet, environment)
+            await adapter_host.start()
 
         process.start_task(run_host())
         if self._guardian:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cluster.worlds import PREPARE, job, outcome, run_fleet
+from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, HEARTBEAT_NS, LeaderWatch
 from orchestrator.bus.base import Priority
@@ -228,3 +228,19 @@ def test_a_stored_latch_that_cannot_be_read_counts_as_latched(tmp_path: Path) ->
     (tmp_path / "estop.json").write_bytes(b"\x00garbage")
     found = store.load()
     assert found is not None and "cannot be read" in found.reason
+
+
+def test_a_host_whose_supervision_has_ended_is_not_sound() -> None:
+    """Its guardian sees more than a running event loop."""
+
+    async def main(clock: VirtualClock) -> None:
+        fleet = VirtualFleet(demo_fleet(), clock, 1)
+        await fleet.start()
+        assert fleet.adapter_hosts["local"].is_sound
+        unit = fleet.adapter_hosts["local"].supervisors["gantry"]
+        keeping: Any = unit._keeping
+        keeping.cancel()
+        await sleep_ns(clock, NS_PER_MS)
+        assert not fleet.adapter_hosts["local"].is_sound
+
+    run_virtual(main)
