@@ -111,6 +111,10 @@ class Bus(Protocol):
         """Call `callback(key, present)` with the present tokens and with every change."""
         ...
 
+    def report_double_answers(self, callback: Callable[[str], None]) -> None:
+        """Call `callback` with each key on which two processes have answered one request: only one may serve it."""
+        ...
+
     @property
     def backlog(self) -> int:
         """Samples that are queued but not yet taken by the transport: back-pressure, a fault when it grows."""

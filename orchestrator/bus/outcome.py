@@ -1,6 +1,7 @@
 """The outcome of one request: the rules that both buses share for replies, error replies and silence."""
 
 import asyncio
+from collections.abc import Callable
 
 from orchestrator.bus.base import NoReply, RequestRefused, RequestTimeout
 
@@ -12,8 +13,18 @@ class RequestOutcome:
     left.
     """
 
-    def __init__(self, key: str, timeout_s: float, *, first_only: bool) -> None:
+    def __init__(
+        self,
+        key: str,
+        timeout_s: float,
+        *,
+        first_only: bool,
+        on_double_answer: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """on_double_answer: called with the key when two processes have answered a request for one answer."""
         self.key = key
+        self._on_double_answer = on_double_answer
+        self._answers = 0
         self.settled: asyncio.Future[dict[str, bytes]] = asyncio.get_running_loop().create_future()
         self._timeout_s = timeout_s
         self._first_only = first_only
@@ -33,13 +44,20 @@ class RequestOutcome:
     def add_reply(self, key: str, payload: bytes) -> None:
         """Take a valid reply. Of several on one key the first counts."""
         self._replies.setdefault(key, payload)
+        self._count_answer()
         if self._first_only:
             self._settle_future()
 
     def add_refusal(self, text: str) -> None:
         """Take an error reply. It counts only if no valid one arrives; of several the first."""
+        self._count_answer()
         if self._refusal is None:
             self._refusal = text
+
+    def _count_answer(self) -> None:
+        self._answers += 1
+        if self._first_only and self._answers == 2:
+            self._on_double_answer(self.key)
 
     def end_replies(self) -> None:
         """No server is left that could still answer."""

@@ -127,6 +127,9 @@ class RecordedBus:
     async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         return await self._bus.watch(expression, callback)
 
+    def report_double_answers(self, callback: Callable[[str], None]) -> None:
+        self._bus.report_double_answers(callback)
+
     @property
     def backlog(self) -> int:
         return self._bus.backlog

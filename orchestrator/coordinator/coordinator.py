@@ -85,6 +85,7 @@ class Coordinator:
         self._adopted: dict[str, str] = {}
         self._declared: list[BusDeclaration] = []
         self._contradictions: set[tuple[int, str]] = set()
+        self._double_answers: set[str] = set()
         self.leadership_lost = asyncio.Event()
         self.broken = asyncio.Event()
         """A vital task has ended by a defect: the process must be restarted."""
@@ -92,6 +93,7 @@ class Coordinator:
     async def start(self, *, take_over: bool = False, vacant: bool = False) -> None:
         """Become the leader. Raises `AnotherLeader`, `JournalError`. take_over, vacant: see `Leadership.acquire`."""
         self.leadership.on_contradicted = self._report_contradiction
+        self._environment.bus.report_double_answers(self._report_double_answer)
         await self._latch_keeper.start(self.leadership.coordinator)
         await self.leadership.acquire(take_over=take_over, vacant=vacant)
         self.leadership.on_lost = self._lose_leadership
@@ -186,6 +188,12 @@ class Coordinator:
                 f"a heartbeat of coordinator {heartbeat.coordinator[:8]}, epoch {heartbeat.epoch}, is on the bus, and "
                 "no such coordinator answers; this one continues to lead. Find its sender"
             )
+
+    def _report_double_answer(self, key: str) -> None:
+        """Something else serves a key of an adapter or of this coordinator: an alarm, once for each key."""
+        if key not in self._double_answers and len(self._double_answers) < MAX_CONTRADICTIONS:
+            self._double_answers.add(key)
+            self._log.warning(f"two processes answer on {key}; one of them should not. Find it before anything moves")
 
     def _lose_leadership(self, reason: str) -> None:
         """A newer leader exists: answer no request, change nothing. The adapters refuse this coordinator anyhow."""

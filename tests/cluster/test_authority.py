@@ -8,7 +8,7 @@ import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, HEARTBEAT_NS, LeaderWatch
-from orchestrator.bus.base import Priority
+from orchestrator.bus.base import BusSample, Priority
 from orchestrator.bus.latch import FileLatchStore
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.owner import TaskOwner
@@ -244,3 +244,20 @@ def test_a_host_whose_supervision_has_ended_is_not_sound() -> None:
         assert not fleet.adapter_hosts["local"].is_sound
 
     run_virtual(main)
+
+
+def test_a_second_queryable_on_a_controller_is_an_alarm() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        async def forge_reply(_: BusSample) -> bytes:
+            return b'{"refused": null}'
+
+        await fleet.make_client("forger").bus.serve(fleet.keys.command("gantry"), forge_reply)
+        client = fleet.make_client()
+        for _ in range(3):
+            await client.submit(job("[{do: output, output: gantry.lamp, value: true}]"))
+            await asyncio.sleep(0.5)
+        alarms = [line for line in fleet.lines if "two processes answer on " in line]
+        assert alarms and len(alarms) == len(set(alarms))
+        assert any("ctl/gantry/cmd/" in line for line in alarms)
+
+    run_fleet(main)

@@ -295,6 +295,7 @@ class MemoryBus:
         self.last_arrivals_ns: dict[tuple[str, str, Priority], int] = {}
         self._closed = False
         self._asking: dict[int, RequestOutcome] = {}
+        self._on_double_answer: Callable[[str], None] = lambda _: None
         self._asked = 0
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
@@ -326,7 +327,7 @@ class MemoryBus:
         self, key: str, payload: bytes, timeout_s: float, *, first_only: bool
     ) -> dict[str, bytes]:
         self._check_open()
-        outcome = RequestOutcome(key, timeout_s, first_only=first_only)
+        outcome = RequestOutcome(key, timeout_s, first_only=first_only, on_double_answer=self._on_double_answer)
         clock = self.net.clock
         timer = clock.call_at_ns(clock.now_ns() + round(timeout_s * NS_PER_S), outcome.end_by_timeout)
         number = self._asked
@@ -350,6 +351,9 @@ class MemoryBus:
         watch = PresenceWatch(self.net.presence, self, check_expression(expression), callback)
         self.net.presence.add_watch(watch)
         return watch
+
+    def report_double_answers(self, callback: Callable[[str], None]) -> None:
+        self._on_double_answer = callback
 
     @property
     def backlog(self) -> int:

@@ -157,7 +157,7 @@ class RequestBoard:
                 self._net.deliver_call(question.asker, Priority.EVENT, settle_request)
 
         def settle_request() -> None:
-            if answer is not None and not question.outcome.is_over:
+            if answer is not None:
                 answer()
             question.remove_server(served)
 

@@ -113,6 +113,7 @@ class ZenohBus:
         self._standing: dict[_ZenohDeclaration, Callable[[], None]] = {}
         self._disconnects = 0
         self._asking: list[RequestOutcome] = []
+        self._on_double_answer: Callable[[str], None] = lambda _: None
         self._answering: set[asyncio.Task[None]] = set()
         # Held only so that it is not undeclared.
         self._transports = sure.info.declare_transport_events_listener(_make_direct_callback(self._transport_event))
@@ -249,7 +250,7 @@ class ZenohBus:
     ) -> dict[str, bytes]:
         self._check_open()
         _require_sendable("request", payload)
-        outcome = RequestOutcome(key, timeout_s, first_only=first_only)
+        outcome = RequestOutcome(key, timeout_s, first_only=first_only, on_double_answer=self._on_double_answer)
         disconnects = self._disconnects
         unsure = False
 
@@ -335,6 +336,9 @@ class ZenohBus:
         )
         declaration.attach(subscriber.undeclare)
         return declaration
+
+    def report_double_answers(self, callback: Callable[[str], None]) -> None:
+        self._on_double_answer = callback
 
     @property
     def backlog(self) -> int:
