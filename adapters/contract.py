@@ -199,8 +199,8 @@ class MoveOutcome:
 class WriteResult:
     """Result of a timed write.
 
-    written_ns: host time of the write.
-    after_ns: delay after the requested instant.
+    written_ns: host time of the write, at its beginning.
+    after_ns: delay after the requested instant, at the end of the write.
     late: the write could only have happened after `latest_ns`, and was skipped."""
 
     written_ns: int

@@ -75,12 +75,16 @@ class WriteOrder:
 
 
 def write_at_instant(order: WriteOrder, now_ns: Callable[[], int], write: Callable[[bytes], object]) -> WriteResult:
-    """Perform the final step once `at_ns` has come. Never writes too late."""
+    """Perform the final step once `at_ns` has come. Never begins a write too late.
+
+    The delay counts to the end of the write: the process may lose the processor between the look at the clock and the
+    write.
+    """
     instant_ns = now_ns()
-    late = instant_ns > order.latest_ns
-    if not late:
-        write(order.data)
-    return WriteResult(instant_ns, instant_ns - order.at_ns, late)
+    if instant_ns > order.latest_ns:
+        return WriteResult(instant_ns, instant_ns - order.at_ns, late=True)
+    write(order.data)
+    return WriteResult(instant_ns, now_ns() - order.at_ns, late=False)
 
 
 def missed_write_fault(what: str, link: Link, fired: WriteResult) -> ControllerFault:

@@ -314,7 +314,7 @@ async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, dr
     origin_ns = next(iter(fleet.coordinators.values()))[1].leadership.scale.origin_host_ns
     start_ns = max(motion.start_ns for motion in made) - min(motion.start_ns for motion in made)
     ends = [motion.end_ns for motion in made if motion.end_ns is not None]
-    skew, budget = step.start_skew, step.budget
+    skew, budget = step.promised_skew or step.start_skew, step.budget
     assert skew is not None and budget is not None
     moved = dict(zip(fleet.controllers, made, strict=True))
     late = any(

@@ -157,7 +157,9 @@ class FeedHold(Model):
 class StepReport(Model):
     """The record of one step. After feed holds it describes the last part, and lists the holds before.
 
-    verdict: green only if starts, durations and ends are certainly as promised. arming_fleet_ns: start of its last
+    verdict: green only if starts, durations and ends are certainly as promised, by the controllers' evidence and by the
+    promises. start_skew: by the evidence alone. promised_skew: where the promises make it narrower, what they make of
+    it; it holds while links and hosts stay within their models. arming_fleet_ns: start of its last
     arming. settled_fleet_ns: when T0 was settled, after all members had promised.
     """
 
@@ -174,6 +176,7 @@ class StepReport(Model):
     members: dict[str, MemberReport] = Field(default={})
     budget: SyncBudget | None = None
     start_skew: SkewInterval | None = None
+    promised_skew: SkewInterval | None = None
     end_skew: SkewInterval | None = None
     verdict: Literal["green", "amber", "red", "none"] = "none"
     deviations: list[str] = Field(

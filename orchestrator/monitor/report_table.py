@@ -31,6 +31,8 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
         parts.append(Text(f"and {len(report.steps) - len(shown)} more steps, which are done as planned", style="dim"))
     deviations = [f"step {step.index}: {line}" for step in report.steps for line in step.deviations]
     parts += [Text(line, style="red") for line in (deviations if detailed else deviations[:MAX_DEVIATIONS])]
+    reasons = [line for step in report.steps if detailed or step.verdict != "green" for line in _explain_verdict(step)]
+    parts += [Text(line) for line in (reasons if detailed else reasons[:MAX_DEVIATIONS])]
     if not any(step.members for step in report.steps):
         return Group(*parts)
     if detailed:
@@ -134,20 +136,13 @@ def _make_budget_rows(step: StepReport) -> list[list[str]]:
 
 
 def _describe_deviations(step: StepReport) -> list[str]:
-    """Describe feed holds inside the step, starts later than promised, and predicted end and path skew."""
+    """Describe feed holds inside the step, and predicted end and path skew."""
     budget = step.budget
     lines = [
         f"step {step.index}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
         for hold in step.feed_holds
     ]
-    for name, member in step.members.items():
-        late_ns = max((each.late_ns for each in member.evidence.values()), default=0)
-        if late_ns:
-            lines.append(
-                f"step {step.index}: {name} was started {late_ns / 1e6:.1f} ms later than its host "
-                "guarantees; the job allows this"
-            )
     for what, said in (("end", budget.end), ("path", budget.path)) if budget is not None else ():
         if said is not None and len(step.members) > 1:
             allowed = "" if said.allowed_ns is None else f", allowed {said.allowed_ns / 1e6:g} ms"
@@ -155,6 +150,22 @@ def _describe_deviations(step: StepReport) -> list[str]:
                 f"step {step.index}: {what} skew at most {said.predicted_ns / 1e6:.1f} ms{allowed}; worst is "
                 f"{said.worst_member}"
             )
+    return lines
+
+
+def _explain_verdict(step: StepReport) -> list[str]:
+    """Both figures of the start skew where evidence and promises differ, and how late hosts were."""
+    lines: list[str] = []
+    proved, promised = step.start_skew, step.promised_skew
+    if proved is not None and promised is not None:
+        lines.append(
+            f"step {step.index}: start skew {_format_skew(proved)} by the controllers' evidence, "
+            f"{_format_skew(promised)} by the promises"
+        )
+    for name, member in step.members.items():
+        late_ns = max((each.late_ns for each in member.evidence.values()), default=0)
+        if late_ns:
+            lines.append(f"step {step.index}: the host was late by {late_ns / 1e6:.1f} ms at the start of {name}")
     return lines
 
 

@@ -2,12 +2,15 @@
 
 import pytest
 from cluster.test_chain import chain_fleet
+from cluster.worlds import PREPARE as DEMO_PREPARE
 from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, refusal, run_fleet
+from rich.console import Console
 
 from orchestrator.bench.sync_fleets import make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Fleet
+from orchestrator.monitor.report_table import make_report_tables
 from orchestrator.runtime.virtual import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [line, gantry]}, {do: home, axes: [line, gantry]}]")
@@ -85,6 +88,36 @@ def test_a_vague_start_is_narrowed_by_the_promise_and_the_evidence_alone_holds_w
             if evidence.modelled is not None:
                 starts.append(evidence.modelled.earliest_ns <= true_ns <= evidence.modelled.latest_ns)
         assert starts and all(each is kept for each in starts)
+
+    run_fleet(main, Fleet.model_validate(plain))
+
+
+@pytest.mark.parametrize("decode_us", [1000, 14_000])
+def test_a_verdict_is_green_only_if_evidence_and_promises_both_hold(decode_us: int) -> None:
+    """A controller that starts later than its make promises, behind an adapter that hides it: by the promise the skew
+    is a few milliseconds, and the evidence allows more than the job."""
+    plain = demo_fleet().model_dump(by_alias=True, mode="json", exclude_none=True)
+    plain["controllers"]["stage"]["simulate"] |= {"hold_ms": 16.0, "decode_us": decode_us}
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, DEMO_PREPARE)
+        for target in (5, 1, 5):
+            before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
+            move = f"[{{do: move, to: {{gantry.x: {60 + target}, stage.u: {target}}}}}]"
+            report = await outcome(fleet, job(move, max_start_skew="10 ms"))
+            assert report.state == "done", report.reason
+            starts = [each.commanded_motions[before[name]].start_ns for name, each in fleet.controllers.items()]
+            step, true_ns = report.steps[0], max(starts) - min(starts)
+            assert step.start_skew is not None and step.promised_skew is not None
+            assert step.start_skew.at_least_ns <= true_ns <= step.start_skew.at_most_ns
+            assert step.promised_skew.at_most_ns < min(10 * NS_PER_MS, step.start_skew.at_most_ns)
+            assert step.verdict == ("green" if step.start_skew.at_most_ns <= 10 * NS_PER_MS else "amber")
+            # By the promise alone it was green, and the truth is another.
+            assert decode_us == 1000 or (step.verdict == "amber" and true_ns > 10 * NS_PER_MS)
+            shown = Console(width=200)
+            with shown.capture() as text:
+                shown.print(make_report_tables(report, detailed=True))
+            assert "by the controllers' evidence, ≤" in text.get()
 
     run_fleet(main, Fleet.model_validate(plain))
 

@@ -11,6 +11,8 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.report import MemberBudget, PredictedSkew, SkewInterval, SyncBudget
 from orchestrator.model.state import TimeInterval
 
+Verdict = Literal["green", "amber", "red", "none"]
+
 SLOWEST_FRACTION = 0.1  # of the peak velocity: below it, a distance from the path is not expressed as time
 
 
@@ -78,13 +80,19 @@ def measure_skew(instants: Iterable[TimeInterval], budget: SyncBudget | None = N
     return SkewInterval(at_least_ns=at_least_ns, at_most_ns=at_most_ns if len(spans) > 1 else 0)
 
 
-def judge_skew(measured: SkewInterval | None, budget: SyncBudget | None) -> Literal["green", "amber", "red", "none"]:
+def judge_skew(measured: SkewInterval | None, budget: SyncBudget | None) -> Verdict:
     """green: certainly within the allowed skew; red: certainly not; amber: the evidence does not decide."""
     if measured is None or budget is None:
         return "none"
     if measured.at_most_ns <= budget.allowed_ns:
         return "green"
     return "red" if measured.at_least_ns > budget.allowed_ns else "amber"
+
+
+def worse_verdict(first: Verdict, second: Verdict) -> Verdict:
+    """The worse of two verdicts on the same starts: green only if both are."""
+    order: tuple[Verdict, ...] = ("none", "green", "amber", "red")
+    return order[max(order.index(first), order.index(second))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,9 @@
 """Reports of motion steps: planned against actual, budget against verdict."""
 
 from collections.abc import Mapping
-from typing import Literal
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.motion.budget import judge_skew, measure_skew
+from orchestrator.coordinator.motion.budget import Verdict, judge_skew, measure_skew, worse_verdict
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.start import StartState
@@ -12,8 +11,6 @@ from orchestrator.model.interval import find_other_duration
 from orchestrator.model.messages import ArmedReply
 from orchestrator.model.report import MemberReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
-
-Verdict = Literal["green", "amber", "red", "none"]
 
 POSITION_TOLERANCE_COUNTS = 1  # rounding of the last count
 
@@ -108,8 +105,10 @@ def make_step_report(
     axes = agreement.plan.profiles
     evidence = [each for report in reports.values() for each in report.evidence.values()]
     starts = [each.start_for_verdict for each in evidence]
+    is_complete = len(starts) == len(axes)
     ends = [each.end for each in evidence if each.end is not None]
-    start_skew = measure_skew(starts, agreement.budget) if len(starts) == len(axes) else None
+    start_skew = measure_skew([each.start for each in evidence]) if is_complete else None
+    promised_skew = measure_skew(starts, agreement.budget) if is_complete else None
     end_skew = measure_skew(ends) if len(ends) == len(axes) else None
     actual_s = None
     if failure is None and ends:
@@ -130,6 +129,7 @@ def make_step_report(
         members=reports,
         budget=agreement.budget,
         start_skew=start_skew,
+        promised_skew=None if promised_skew == start_skew else promised_skew,
         end_skew=end_skew,
-        verdict=judge_skew(start_skew, agreement.budget),
+        verdict=worse_verdict(judge_skew(start_skew, agreement.budget), judge_skew(promised_skew, agreement.budget)),
     )

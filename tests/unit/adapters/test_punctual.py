@@ -7,7 +7,7 @@ import pytest
 
 from adapters.contract import TimedWriter
 from adapters.host.host import find_make
-from adapters.toolkit.firing import ORDINARY_DELAY_US, FiringOptions, apply_writer_delay
+from adapters.toolkit.firing import ORDINARY_DELAY_US, FiringOptions, WriteOrder, apply_writer_delay, write_at_instant
 
 FIRER = cast(TimedWriter, SimpleNamespace(max_delay_us=ORDINARY_DELAY_US))
 
@@ -25,3 +25,10 @@ def test_a_host_without_real_time_promises_less_unless_the_fleet_file_overrides_
 def test_a_make_that_is_not_started_by_timed_bytes_promises_nothing(make: str) -> None:
     options = find_make(make).options_model.model_validate({})
     assert apply_writer_delay(FIRER, options) is options
+
+
+def test_the_delay_of_a_start_counts_to_the_end_of_its_write() -> None:
+    """The processor was taken away after the look at the clock."""
+    instants = iter((1_000, 13_000_000))
+    fired = write_at_instant(WriteOrder(b"G", 900, 5_000), lambda: next(instants), lambda _: None)
+    assert (fired.written_ns, fired.after_ns, fired.late) == (1_000, 13_000_000 - 900, False)
