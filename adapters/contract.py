@@ -21,6 +21,7 @@ from pydantic import BaseModel, ValidationError
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.model.errors import Refusal, TuttiError
@@ -350,6 +351,15 @@ class Driver(ABC):
         """Return what finished moves have shown about the crystal of a make without a readable clock; None where that
         is not learned."""
         return None
+
+    def start_latency(self) -> StartLatency | None:
+        """Return what earlier starts have shown about the time from a start command to the start; None where that is
+        not learned."""
+        return None
+
+    def forget_starts(self) -> None:
+        """Forget what earlier starts have added to the bounds of a start. Nothing is sent to the controller."""
+        return
 
     @abstractmethod
     def lower_profiles(

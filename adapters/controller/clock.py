@@ -1,8 +1,9 @@
 """A controller's clock mapping as it is published on the bus and recorded in a job's report."""
 
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
-from orchestrator.model.state import ClockMapping, LearnedCrystal
+from orchestrator.model.state import ClockMapping, LearnedCrystal, LearnedStart
 
 
 def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMapping:
@@ -34,3 +35,13 @@ def learned_crystal(rate: CrystalRate, now_ns: int) -> LearnedCrystal:
         moves=rate.moves,
         consistent=rate.consistent,
     )
+
+
+def learned_starts(latency: StartLatency, now_ns: int) -> list[LearnedStart]:
+    """Return the bus form of the starts that widen the bounds of a start, with what is left of each."""
+    return [
+        LearnedStart(
+            outside_ns=each.outside_ns, age_ns=now_ns - each.at_ns, remaining_ns=round(each.remaining_ns(now_ns))
+        )
+        for each in latency.unusual
+    ]

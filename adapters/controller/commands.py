@@ -36,6 +36,7 @@ from orchestrator.model.messages import (
     DisarmRequest,
     EnableRequest,
     FencedRequest,
+    ForgetRequest,
     GoRequest,
     HomeReply,
     HomeRequest,
@@ -130,6 +131,7 @@ class ControllerCommands:
             "reset": (ResetRequest, Reply, self._handle_reset),
             "configure": (ConfigureRequest, Reply, self._handle_configure),
             "raw": (RawRequest, RawReply, self._handle_raw),
+            "forget": (ForgetRequest, Reply, self._handle_forget),
             "trace": (Request, TraceReply, self._handle_trace),
         }
 
@@ -323,6 +325,13 @@ class ControllerCommands:
         self._status.require_online()
         self._publisher.emit_event("raw", f"raw by {request.actor}: {request.command!r}")
         return RawReply(reply=await self._driver.send_raw(request.command))
+
+    async def _handle_forget(self, request: ForgetRequest) -> Reply:
+        """Forget learned bounds: not while a step is loaded, whose budget they are a part of."""
+        self._require_no_step()
+        self._driver.forget_starts()
+        self._publisher.emit_event("setting", f"learned bounds of its starts are forgotten, by {request.actor}")
+        return Reply()
 
     async def _handle_trace(self, _: Request) -> TraceReply:
         entries: list[tuple[int, TraceDirection, str]] = [

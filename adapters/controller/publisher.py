@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from adapters.contract import ControllerReading
-from adapters.controller.clock import clock_mapping, learned_crystal
+from adapters.controller.clock import clock_mapping, learned_crystal, learned_starts
 from adapters.controller.context import ControllerContext
 from adapters.controller.events import EventRing
 from adapters.controller.fencing import EpochFence
@@ -87,11 +87,14 @@ class StatePublisher:
 
     async def _answer_clock(self, _: BusSample) -> bytes:
         mapping, crystal = self._clock_mapping(), self._driver.crystal_rate()
+        latency = self._driver.start_latency()
         return ClockReply(
             controller=self._controller,
             start_classes=list(self._driver.capabilities.start_classes),
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, self._clock.now_ns()),
             crystal=None if crystal is None else learned_crystal(crystal, self._clock.now_ns()),
+            unusual_starts=[] if latency is None else learned_starts(latency, self._clock.now_ns()),
+            widened_ns=0 if latency is None else latency.learned_early_ns + latency.learned_late_ns,
         ).to_json()
 
     # State

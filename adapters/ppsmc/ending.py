@@ -58,7 +58,9 @@ class PpSmcEndTimes:
         if timing is not None and not reasons:
             timing.record_end(seen[timing.axis.motor])
             # The start is shown by the answer to a second query, which gives no information about the start delay.
-            self._crystal.learn_from_move(timing.timed, self._arrived_ns(move), None, self._clock.now_ns())
+            self._crystal.learn_from_move(
+                timing.timed, self._arrived_ns(move), None, self._clock.now_ns(), move.start.late_ns
+            )
         ended = resting_intervals(move.lowered.durations_s, move.t0_ns)
         for each in move.lowered.moves:
             ended[each.name] = self._end_interval(move, each, seen.get(each.motor, look.at_ns), look)

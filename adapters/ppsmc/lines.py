@@ -1,6 +1,7 @@
 """Trigger lines of a step in the controller's own terms: the input that starts it, the output that it drives."""
 
 from adapters.ppsmc.options import PpSmcOptions
+from adapters.toolkit.firing import learned_terms
 from adapters.toolkit.wired_points import WiredInput, WiredOutput
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.latency import StartLatency
@@ -26,7 +27,9 @@ def starting_terms(options: PpSmcOptions, start: StartLatency, *, program: bool)
     program: it starts a program, whose axes move after its output has been switched.
     """
     last_ns = start.latest_ns - (options.wire_jitter_us - (options.line_start_us if program else 0)) * NS_PER_US
-    return (*_transmission_terms(options), _firmware_term(start.earliest_ns - start.usual_ns, last_ns - start.usual_ns))
+    first_ns, last_ns = start.earliest_ns + start.learned_early_ns, last_ns - start.learned_late_ns
+    firmware = _firmware_term(first_ns - start.usual_ns, last_ns - start.usual_ns)
+    return (*_transmission_terms(options), firmware, *learned_terms(start))
 
 
 def edge_terms(options: PpSmcOptions, start: StartLatency) -> tuple[BudgetTerm, ...]:

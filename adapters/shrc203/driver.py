@@ -33,6 +33,7 @@ from adapters.toolkit.refusals import log_refusals
 from adapters.toolkit.watched_settings import check_watched_settings
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import StartOptions
@@ -147,6 +148,12 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
 
     def crystal_rate(self) -> CrystalRate:
         return self._crystal.crystal_rate
+
+    def start_latency(self) -> StartLatency:
+        return self._crystal.start_latency_at(self._clock.now_ns())
+
+    def forget_starts(self) -> None:
+        self._crystal.forget_starts()
 
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None

@@ -65,7 +65,9 @@ class ShrcEndTimes:
         if now.is_busy or now.word & ERRORS or now.counts != axis.end_counts or move.stopped_ns is not None:
             return
         timing.timed.mark_ended(self._seen_ns(completed_ns, rest_ns))
-        self._crystal.learn_from_move(timing.timed, move.start.earliest_ns, move.answered_ns, self._clock.now_ns())
+        self._crystal.learn_from_move(
+            timing.timed, move.start.earliest_ns, move.answered_ns, self._clock.now_ns(), move.start.late_ns
+        )
 
     def _seen_ns(self, completed_ns: int | None, rest_ns: int) -> int:
         """Return the latest instant at which an axis can have ended."""

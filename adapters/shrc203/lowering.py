@@ -13,6 +13,7 @@ from adapters.shrc203.options import LOWEST_POINT, ShrcOptions, edge_terms
 from adapters.shrc203.pair import TwoPartMove, find_two_part_moves
 from adapters.shrc203.replies import axis_argument
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
+from adapters.toolkit.firing import learned_terms
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import (
     WiredInput,
@@ -244,10 +245,12 @@ def start_terms(options: ShrcOptions, start: StartLatency) -> tuple[BudgetTerm, 
     T0."""
     jitter_ns = options.wire_jitter_us * NS_PER_US
     first_ns, last_ns = start.earliest_ns - start.usual_ns, start.latest_ns - jitter_ns - start.usual_ns
+    first_ns, last_ns = first_ns + start.learned_early_ns, last_ns - start.learned_late_ns
     return (
         options.host_term(),
         BudgetTerm(name="wire", earliest_ns=0, latest_ns=jitter_ns),
         BudgetTerm(name="firmware", earliest_ns=first_ns, latest_ns=last_ns),
+        *learned_terms(start),
     )
 
 

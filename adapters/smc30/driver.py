@@ -35,6 +35,7 @@ from adapters.toolkit.host_start import MoverTools
 from adapters.toolkit.refusals import log_refusals
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import SerialLink
@@ -157,6 +158,12 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
 
     def crystal_rate(self) -> CrystalRate:
         return self._crystal.crystal_rate
+
+    def start_latency(self) -> StartLatency:
+        return self._crystal.start_latency_at(self._clock.now_ns())
+
+    def forget_starts(self) -> None:
+        self._crystal.forget_starts()
 
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None

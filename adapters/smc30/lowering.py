@@ -15,6 +15,7 @@ from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.ramp import Smc30Shape, fit_shape
 from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, axis_bounds, only_axis
+from adapters.toolkit.firing import learned_terms
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import find_driven_output, find_wait_input
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -232,10 +233,12 @@ def _host_terms(
     slow_ns = ceil(schedule.delay_ns * options.clock_ppm * 1e-6)
     first_ns = start.earliest_ns - start.usual_ns + (after_us - spread_us) * NS_PER_US
     last_ns = start.latest_ns - start.usual_ns + (after_us + spread_us - options.wire_jitter_us) * NS_PER_US
+    first_ns, last_ns = first_ns + start.learned_early_ns, last_ns - start.learned_late_ns
     return (
         options.host_term(),
         _make_term("wire", 0, options.wire_jitter_us),
         BudgetTerm(name="firmware", earliest_ns=first_ns - slow_ns, latest_ns=last_ns + slow_ns),
+        *learned_terms(start),
     )
 
 

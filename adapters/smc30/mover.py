@@ -347,7 +347,7 @@ class Smc30Mover:
         answered_ns = None if move.answered_ns is None else move.answered_ns + program_ns
         # Without the delay, which is not the same in all programs.
         began_ns = move.arrived_ns + program_ns - LINES_BEFORE * self._options.line_us * NS_PER_US
-        self._crystal.learn_from_move(move.timed, began_ns, answered_ns, self._clock.now_ns())
+        self._crystal.learn_from_move(move.timed, began_ns, answered_ns, self._clock.now_ns(), move.start.late_ns)
 
     def record_ready(self, asked_ns: int) -> None:
         """Record that the controller executed nothing at `asked_ns`: a step that should still move has ended."""

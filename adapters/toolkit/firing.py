@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from adapters.contract import TimedWriter, WriteResult
 from orchestrator.clock.base import NS_PER_US, Clock, ClockTimer
+from orchestrator.clock.latency import StartLatency
 from orchestrator.link.base import Link
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.messages import BudgetTerm
@@ -56,6 +57,18 @@ class FiringOptions(BaseModel):
     def excess_delay_ns(self, fired: WriteResult) -> int:
         """Return the delay of a write beyond the guarantee."""
         return max(0, fired.after_ns - self.fire_late_us * NS_PER_US)
+
+
+LEARNED_STARTS = "learned-starts"
+"""The term of a budget that unusual starts have added, and that is forgotten again."""
+
+
+def learned_terms(start: StartLatency) -> tuple[BudgetTerm, ...]:
+    """Return the term of a start that earlier starts outside the declared bounds have added; none without them."""
+    early_ns, late_ns = start.learned_early_ns, start.learned_late_ns
+    if not early_ns and not late_ns:
+        return ()
+    return (BudgetTerm(name=LEARNED_STARTS, earliest_ns=-early_ns, latest_ns=late_ns),)
 
 
 def apply_writer_delay(timed_writer: TimedWriter, options: BaseModel) -> BaseModel:

@@ -166,7 +166,7 @@ def _run_trial(case: RateCase, draw: Random, number: int) -> list[_RateTrial]:
     for count in range(1, MOVES[-1] + 1):
         arrived_ns = now_ns + round(draw.uniform(*PAUSES_S) * NS_PER_S)
         duration_s = draw.uniform(SHORTEST_S, LONGEST_S)
-        promised = learned.start_latency
+        promised = learned.start_latency_at(now_ns)
         started_ns = arrived_ns + _draw_latency_ns(case, draw) + _draw_decoding_ns(case, draw)
         outside = outside or not promised.earliest_ns <= started_ns - arrived_ns <= promised.latest_ns
         move, now_ns = _simulate_observations(case, draw, crystal, (arrived_ns, started_ns), duration_s)
@@ -191,7 +191,8 @@ def _compare_estimates(
     true_ppm = ((crystal.device_ns(now_ns + ahead_ns) - crystal.device_ns(now_ns)) / ahead_ns - 1) * 1e6
     middle_ns = case.decode_ns + case.spread_ns / 2 + case.way_ns + case.jitter_ns / 2
     usual, declared, mean = (
-        abs(each - middle_ns) / NS_PER_US for each in (learned.start_latency.usual_ns, case.declared.usual_ns, means[1])
+        abs(each - middle_ns) / NS_PER_US
+        for each in (learned.start_latency_at(now_ns).usual_ns, case.declared.usual_ns, means[1])
     )
     return _RateTrial(
         rate=(abs(learned.crystal_rate.rate_ppm - true_ppm), abs(true_ppm), abs(means[0] - true_ppm)),

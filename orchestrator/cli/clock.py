@@ -36,9 +36,13 @@ def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
         table = make_plain_table(
             ["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "samples>", "residual>"]
         )
+        learned: list[str] = []
         for name, reply in found.items():
             table.add_row(name, ", ".join(reply.start_classes), *_make_cells(reply.mapping, reply.crystal))
+            learned += _describe_learned(reply)
         console.print(table)
+        for line in learned:
+            console.print(line, highlight=False)
 
     with_fleet(connect, fleet, list_clocks)
 
@@ -65,6 +69,41 @@ def show(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> 
             console.print(f"{name:<12} {words}", highlight=False)
 
     with_fleet(connect, fleet, show_clock)
+
+
+@clock.command(epilog="Example: tutti clock forget stage")
+@click.argument("controller", shell_complete=complete_controllers)
+@fleet_options
+@json_option
+def forget(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Forget what unusual starts have added to the bounds of a controller's starts.
+
+    They are forgotten by themselves within five minutes. Nothing is sent to the controller.
+    """
+    from orchestrator.client import Tutti
+    from orchestrator.model.messages import ForgetRequest, Reply
+
+    async def forget_starts(tutti: Tutti) -> None:
+        request = ForgetRequest(**tutti.request_fields())
+        await tutti.request_controller(controller, "forget", request, Reply)
+        if as_json:
+            print_json({"controller": controller, "forgotten": True})
+        else:
+            console.print(f"{controller}: learned bounds of its starts are forgotten", highlight=False)
+
+    with_fleet(connect, fleet, forget_starts)
+
+
+def _describe_learned(reply: ClockReply) -> list[str]:
+    """What was learned from unusual starts, when, and what is left of it."""
+    if not reply.unusual_starts:
+        return []
+    lines = [
+        f"{reply.controller}: a start {abs(each.age_ns) / 1e9:.0f} s ago was {abs(each.outside_ns) / 1e6:.1f} ms "
+        f"{'later' if each.outside_ns > 0 else 'earlier'} than declared; {each.remaining_ns / 1e6:.1f} ms are left"
+        for each in reply.unusual_starts
+    ]
+    return [*lines, f"{reply.controller}: these starts widen the bounds of a start by {reply.widened_ns / 1e6:.1f} ms"]
 
 
 def _make_cells(mapping: ClockMapping | None, crystal: LearnedCrystal | None) -> list[str]:

@@ -36,26 +36,34 @@ class InferredClock:
         """Rate of the crystal against the host's, as of the last move: two compilations between two moves agree."""
         return self._rate_estimator.rate
 
-    @property
-    def start_latency(self) -> StartLatency:
-        """Latency from the end of the start command on the serial line to the start."""
-        return self._latency_estimator.latency
+    def start_latency_at(self, now_ns: int) -> StartLatency:
+        """Latency from the end of the start command on the serial line to the start, as it is known at `now_ns`."""
+        return self._latency_estimator.latency_at(now_ns)
 
     def estimate_at(self, now_ns: int) -> ClockEstimate:
         """Return the estimate that profiles are compiled with."""
-        return ClockEstimate(self.crystal_rate, self.start_latency, now_ns)
+        return ClockEstimate(self.crystal_rate, self.start_latency_at(now_ns), now_ns)
 
-    def learn_from_move(self, move: TimedMove, arrived_ns: int, answered_ns: int | None, now_ns: int) -> None:
+    def learn_from_move(
+        self, move: TimedMove, arrived_ns: int, answered_ns: int | None, now_ns: int, host_late_ns: int = 0
+    ) -> None:
         """Learn from a move that has just ended as planned.
 
         arrived_ns: the earliest instant at which its start command was at the controller.
         answered_ns: the latest instant at which the controller can have begun to send the acknowledgement of the
-        start; None for a controller that sends none."""
+        start; None for a controller that sends none.
+        host_late_ns: how late the start command was written; such a start shows nothing about the latency."""
         if not self._rate_estimator.add_move(move.rate_gates, move.rate_measurements, now_ns):
+            return
+        if host_late_ns:
             return
         earliest_ns, latest_ns = move.start_interval_ns(self._rate_estimator.rate, now_ns)
         answered_after_ns = None if answered_ns is None else answered_ns - arrived_ns
-        self._latency_estimator.add_start(earliest_ns - arrived_ns, latest_ns - arrived_ns, answered_after_ns)
+        self._latency_estimator.add_start(earliest_ns - arrived_ns, latest_ns - arrived_ns, answered_after_ns, now_ns)
+
+    def forget_starts(self) -> None:
+        """Forget what was learned about the start latency."""
+        self._latency_estimator.discard_starts()
 
     def discard_moves(self) -> None:
         """Discard what was learned: the controller was switched off and on, or was replaced."""

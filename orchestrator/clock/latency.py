@@ -7,16 +7,34 @@ widen it. But they show where between its bounds a controller usually starts, an
 that T0 falls in the middle of that.
 
 One start in `MAX_STARTS` may lie anywhere: otherwise, after a firmware hung once for 0.2 s, every job with a tighter
-start tolerance would be refused, and no start could show that the controller has recovered. That one start is
-reported where it happened (its evidence lies outside its guarantee). From the second one on the deviation counts as
-the controller's normal behaviour and is part of the guarantee, until it is older than `MAX_STARTS` starts.
+start tolerance would be refused. That one start is reported where it happened (its evidence lies outside its
+guarantee). From the second one on the deviation counts as the controller's normal behaviour and is part of the
+guarantee; but refused jobs make no starts that could show the contrary, so it shrinks with time, to nothing after
+`FORGET_NS`. A start whose command the host has written late shows nothing about the controller, and is not learned.
 """
 
 from collections import deque
 from dataclasses import dataclass
+from math import ceil
+
+from orchestrator.clock.base import NS_PER_S
 
 MAX_STARTS = 128
+FORGET_NS = 300 * NS_PER_S
 _MIN_STARTS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class UnusualStart:
+    """A start outside the declared bounds. outside_ns: by how much it was certainly late; negative: early. at_ns: when
+    it was learned, host time."""
+
+    outside_ns: int
+    at_ns: int
+
+    def remaining_ns(self, now_ns: int) -> float:
+        """Return what is left of `outside_ns`, without its sign."""
+        return abs(self.outside_ns) * max(0.0, 1 - max(0, now_ns - self.at_ns) / FORGET_NS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +43,17 @@ class StartLatency:
 
     usual_ns: the advance with which the command is written.
     earliest_ns, latest_ns: guaranteed bounds.
-    starts: number of starts that it was learned from."""
+    starts: number of starts that it was learned from.
+    learned_early_ns, learned_late_ns: how much of the bounds was learned, and is forgotten again.
+    unusual: the starts that it was learned from."""
 
     usual_ns: int
     earliest_ns: int
     latest_ns: int
     starts: int = 0
+    learned_early_ns: int = 0
+    learned_late_ns: int = 0
+    unusual: tuple[UnusualStart, ...] = ()
 
 
 class LatencyEstimator:
@@ -38,32 +61,39 @@ class LatencyEstimator:
 
     def __init__(self, declared: StartLatency) -> None:
         self._declared = declared
-        self._starts: deque[tuple[int, int]] = deque(maxlen=MAX_STARTS)
+        self._starts: deque[tuple[int, int, int]] = deque(maxlen=MAX_STARTS)
         self._answered: deque[int] = deque(maxlen=MAX_STARTS)
-        self.latency = declared
 
     def discard_starts(self) -> None:
         """Discard all starts."""
         self._starts.clear()
         self._answered.clear()
-        self.latency = self._declared
 
-    def add_start(self, earliest_ns: int, latest_ns: int, answered_ns: int | None) -> None:
+    def add_start(self, earliest_ns: int, latest_ns: int, answered_ns: int | None, now_ns: int) -> None:
         """Add a start that was made in this interval after the end of its command.
 
         answered_ns: latest time at which the acknowledgement of the start can have begun to be sent; None for a
-        controller that sends none."""
-        self._starts.append((earliest_ns, latest_ns))
+        controller that sends none. now_ns: host time."""
+        self._starts.append((earliest_ns, latest_ns, now_ns))
         if answered_ns is not None:
             self._answered.append(answered_ns)
-        # The second of the starts that were certainly early, and of those that were certainly late.
-        early = sorted(each[1] for each in self._starts)[1:2]
-        late = sorted(each[0] for each in self._starts)[-2:-1]
-        self.latency = StartLatency(
+
+    def latency_at(self, now_ns: int) -> StartLatency:
+        """Return what is guaranteed at the host instant `now_ns`."""
+        declared = self._declared
+        late = [UnusualStart(each[0] - declared.latest_ns, each[2]) for each in self._starts]
+        early = [UnusualStart(each[1] - declared.earliest_ns, each[2]) for each in self._starts]
+        late = [each for each in late if each.outside_ns > 0 and each.remaining_ns(now_ns)]
+        early = [each for each in early if each.outside_ns < 0 and each.remaining_ns(now_ns)]
+        learned_early_ns, learned_late_ns = _second_largest_ns(early, now_ns), _second_largest_ns(late, now_ns)
+        return StartLatency(
             usual_ns=self._estimate_usual_ns(),
-            earliest_ns=min([self._declared.earliest_ns, *early]),
-            latest_ns=max([self._declared.latest_ns, *late]),
+            earliest_ns=declared.earliest_ns - learned_early_ns,
+            latest_ns=declared.latest_ns + learned_late_ns,
             starts=len(self._starts),
+            learned_early_ns=learned_early_ns,
+            learned_late_ns=learned_late_ns,
+            unusual=(*early, *late),
         )
 
     def _estimate_usual_ns(self) -> int:
@@ -81,3 +111,9 @@ class LatencyEstimator:
             return declared.usual_ns
         first, last = min(each[0] for each in self._starts), max(each[1] for each in self._starts)
         return sorted((first, declared.usual_ns, last))[1]
+
+
+def _second_largest_ns(found: list[UnusualStart], now_ns: int) -> int:
+    """Return what the second of the unusual starts on one side leaves: one alone may lie anywhere."""
+    left = sorted((each.remaining_ns(now_ns) for each in found), reverse=True)
+    return ceil(left[1]) if len(left) > 1 else 0

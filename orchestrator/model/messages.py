@@ -196,7 +196,17 @@ class BudgetTerm(Model):
     """One term of a budget: because of it, the start lies between T0 + earliest_ns and T0 + latest_ns."""
 
     name: Literal[
-        "clock", "wire", "firmware", "tick", "host", "quantisation", "tick-residual", "line", "input", "output"
+        "clock",
+        "wire",
+        "firmware",
+        "tick",
+        "host",
+        "quantisation",
+        "tick-residual",
+        "line",
+        "input",
+        "output",
+        "learned-starts",
     ]
     earliest_ns: Int53
     latest_ns: Int53
@@ -375,6 +385,10 @@ class RawRequest(Request):
     holder: Label
     command: str = Field(max_length=4000)
     i_know: bool = False
+
+
+class ForgetRequest(Request):
+    """Forget what unusual starts have added to the bounds of the controller's starts. Nothing is sent to it."""
 
 
 class RawReply(Reply):

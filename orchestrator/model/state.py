@@ -247,6 +247,17 @@ class LearnedCrystal(Model):
     consistent: bool = True
 
 
+class LearnedStart(Model):
+    """A start outside the declared bounds, which widens them for a while.
+
+    outside_ns: by how much it was certainly late; negative: early. age_ns: since then. remaining_ns: what is left.
+    """
+
+    outside_ns: Int53
+    age_ns: Int53
+    remaining_ns: Int53
+
+
 class ClockReply(Model):
     """How well a controller's clock is known now. No mapping: it has no readable clock, or the mapping is not known
     yet."""
@@ -255,3 +266,7 @@ class ClockReply(Model):
     start_classes: list[StartClass]
     mapping: ClockMapping | None
     crystal: LearnedCrystal | None = Field(default=None, description="For a controller without a readable clock.")
+    unusual_starts: list[LearnedStart] = Field(
+        default=[], description="Starts outside the declared bounds; from the second one on they widen the bounds."
+    )
+    widened_ns: Int53 = Field(default=0, description="By how much they widen the bounds of a start now.")

@@ -63,6 +63,7 @@ COMMANDS: dict[str, dict[str, Any]] = {
     "reset": {"event": None, "check": True},
     "raw": {"holder": "h", "command": "MG TIME", "i_know": False},
     "trace": {},
+    "forget": {},
 }
 NASTY: tuple[Any, ...] = (
     *(None, True, -1, 0, 2**53, -(2**63), 10**400, 1e308, "", "x" * 100_000, "\u0000", "\ud800", "../../etc/passwd"),
@@ -156,7 +157,7 @@ def test_no_payload_ends_an_adapter(controller: str) -> None:
         for verb, more in COMMANDS.items():
             draw = Random(verb)
             good = HEAD | more
-            if verb not in ("stop", "jog", "reset", "raw", "trace"):
+            if verb not in ("stop", "jog", "reset", "raw", "trace", "forget"):
                 # As if it were the coordinator itself that has lost its mind.
                 good |= {"epoch": throne.epoch, "coordinator": throne.coordinator}
             for payload in [*RAW, *(mutated(draw, good) for _ in range(20))]:

@@ -187,11 +187,15 @@ class StartNegotiation:
         windows = {name: agreement.start_window(name, each.terms) for name, each in stated.items() if name in movers}
         agreement.budget = budget = make_budget(windows, request.max_start_skew_ns)
         if budget.predicted_ns > budget.allowed_ns and len(agreement.plan.profiles) > 1:
+            learned = _describe_learned(budget)
             raise Refusal(
                 "start-skew",
                 f"predicted start skew {format_ns(budget.predicted_ns)} > {format_ns(budget.allowed_ns)}; worst is "
-                f"{budget.worst_member}, by its {budget.worst_term}",
-                "allow more with `max_start_skew`, or improve that member's link",
+                f"{budget.worst_member}, by its {budget.worst_term}{learned}",
+                "allow more with `max_start_skew`, or improve that member's link"
+                if not learned
+                else "wait some minutes, allow more with `max_start_skew`, or, if the cause is gone, "
+                "`tutti clock forget`; `tutti clock ls` shows what was learned",
                 budget.worst_member,
             )
         profiles = {member: agreement.profiles(member) for member in movers}
@@ -378,6 +382,18 @@ def _longest_braking_s(resolved: ResolvedMove, plan: StepPlan) -> float:
         if each.axis in plan.profiles
     )
     return max(braking_s, default=0.0)
+
+
+def _describe_learned(budget: SyncBudget) -> str:
+    """The members whose earlier starts widen the budget, in words; nothing without them."""
+    wider = {
+        name: term.latest_ns - term.earliest_ns
+        for name, member in budget.members.items()
+        for term in member.terms
+        if term.name == "learned-starts"
+    }
+    found = ", ".join(f"{name} by {format_ns(width_ns)}" for name, width_ns in wider.items())
+    return f"; unusual starts of the last minutes widen it: {found}" if found else ""
 
 
 def _require_allowed(what: str, skew: PredictedSkew | None) -> None:

@@ -128,33 +128,58 @@ def test_the_mean_start_latency_is_estimated_if_no_answer_is_delayed() -> None:
     draw, prompt, held = Random(4), LatencyEstimator(START), LatencyEstimator(START)
     for _ in range(30):
         start_ns = round(draw.uniform(1.4, 2.2) * NS_PER_MS)
-        prompt.add_start(0, start_ns + 50 * NS_PER_US, start_ns + 50 * NS_PER_US)
+        prompt.add_start(0, start_ns + 50 * NS_PER_US, start_ns + 50 * NS_PER_US, 0)
         answered_ns = start_ns + draw.randrange(16 * NS_PER_MS)
-        held.add_start(0, answered_ns, answered_ns)
-    assert abs(prompt.latency.usual_ns - 1.85 * NS_PER_MS) < 0.15 * NS_PER_MS
-    assert held.latency == replace(START, starts=30)
+        held.add_start(0, answered_ns, answered_ns, 0)
+    assert abs(prompt.latency_at(0).usual_ns - 1.85 * NS_PER_MS) < 0.15 * NS_PER_MS
+    assert held.latency_at(0) == replace(START, starts=30)
 
 
 def test_the_second_start_outside_the_promise_widens_it_for_as_long_as_it_is_kept() -> None:
     starts = LatencyEstimator(START)
     for each_ms, promised_ms in ((180, None), (4, 4), (5, 5)):
-        starts.add_start(each_ms * NS_PER_MS, (each_ms + 1) * NS_PER_MS, None)
+        starts.add_start(each_ms * NS_PER_MS, (each_ms + 1) * NS_PER_MS, None, 0)
         latest_ns = START.latest_ns if promised_ms is None else promised_ms * NS_PER_MS
-        assert (starts.latency.earliest_ns, starts.latency.latest_ns) == (START.earliest_ns, latest_ns)
+        assert (starts.latency_at(0).earliest_ns, starts.latency_at(0).latest_ns) == (START.earliest_ns, latest_ns)
     for _ in range(MAX_STARTS - 2):
-        starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None)
+        starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None, 0)
     # The one late start has expired: one of the others is left.
-    assert starts.latency.latest_ns == 4 * NS_PER_MS
-    starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None)
-    assert starts.latency.latest_ns == START.latest_ns
+    assert starts.latency_at(0).latest_ns == 4 * NS_PER_MS
+    starts.add_start(NS_PER_MS, 2 * NS_PER_MS, None, 0)
+    assert starts.latency_at(0).latest_ns == START.latest_ns
 
 
 def test_starts_before_the_promise_widen_it_as_well() -> None:
     starts = LatencyEstimator(START)
     for _ in range(2):
-        assert starts.latency.earliest_ns == START.earliest_ns
-        starts.add_start(-3 * NS_PER_MS, -2 * NS_PER_MS, None)
-    assert starts.latency.earliest_ns == -2 * NS_PER_MS
+        assert starts.latency_at(0).earliest_ns == START.earliest_ns
+        starts.add_start(-3 * NS_PER_MS, -2 * NS_PER_MS, None, 0)
+    assert starts.latency_at(0).earliest_ns == -2 * NS_PER_MS
+
+
+def test_what_unusual_starts_have_added_shrinks_with_time_and_can_be_forgotten() -> None:
+    """Refused jobs make no starts that could show that the controller is punctual again."""
+    starts = LatencyEstimator(START)
+    for at_s in (10, 40):
+        starts.add_start(START.latest_ns + 8 * NS_PER_MS, START.latest_ns + 9 * NS_PER_MS, None, at_s * NS_PER_S)
+    widths = [starts.latency_at(at_s * NS_PER_S).learned_late_ns for at_s in (40, 100, 160, 309, 310, 1000)]
+    assert widths[0] == pytest.approx(8 * NS_PER_MS * 0.9) and widths[2] == pytest.approx(8 * NS_PER_MS * 0.5)
+    assert widths == sorted(widths, reverse=True) and widths[3] > 0 and widths[4:] == [0, 0]
+    now = starts.latency_at(100 * NS_PER_S)
+    assert [each.at_ns // NS_PER_S for each in now.unusual] == [10, 40]
+    assert now.latest_ns == START.latest_ns + now.learned_late_ns
+    starts.discard_starts()
+    assert starts.latency_at(100 * NS_PER_S) == START
+
+
+def test_a_start_that_the_host_has_given_late_shows_nothing_about_the_controller() -> None:
+    crystal, clock, now_ns = Oscillator(0, 0.0, 0.0, 3), InferredClock(0.0, 100.0, START), NS_PER_S
+    for host_late_ns, starts in ((5 * NS_PER_MS, 0), (0, 1)):
+        begin_ns = now_ns + NS_PER_S
+        now_ns = begin_ns + 10 * NS_PER_S
+        move = made(crystal, begin_ns, 9.0, Random(1))
+        clock.learn_from_move(move, begin_ns - NS_PER_MS, None, now_ns, host_late_ns)
+        assert clock.start_latency_at(now_ns).starts == starts
 
 
 def test_figures_of_the_benchmark() -> None:
