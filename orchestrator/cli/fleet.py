@@ -11,6 +11,7 @@ from orchestrator.cli.base.common import actor_name, console, fleet_options, jso
 from orchestrator.cli.base.errors import exit_with_error, run_main
 
 if TYPE_CHECKING:
+    from orchestrator.bus.base import Bus
     from orchestrator.client import Tutti
 
 
@@ -53,16 +54,32 @@ def stop(connect: str, fleet: str | None, *, as_json: bool, abort: bool) -> None
     with_fleet(connect, fleet, stop_axes)
 
 
-@click.command(epilog='Example: tutti estop --reason "hand in the machine"')
+@click.command(
+    epilog="""\b
+Examples:
+  tutti estop --reason "hand in the machine"
+  tutti estop --armed
+  tutti estop --armed --port /dev/ttyUSB9"""
+)
 @fleet_options
 @json_option
 @click.option("--reason", default="", help="Shown to all users until it is reset.")
-def estop(connect: str, fleet: str | None, reason: str, *, as_json: bool) -> None:
+@click.option("--armed", is_flag=True, help="Keep a session open, and stop at a key, or a line on standard input.")
+@click.option("--port", default="", help="With --armed: also at a line of text on this serial port (9600 baud, 8N1).")
+def estop(connect: str, fleet: str | None, reason: str, port: str, *, armed: bool, as_json: bool) -> None:
     """Stop everything as fast as the controllers can, and latch until `tutti reset`.
 
     Without --fleet every fleet on the bus is stopped. This is software: it is no substitute for a wired emergency
     stop.
+
+    With --armed it waits for a press, and says loudly when it is not connected. A press is repeated until every
+    controller that was seen reports the latch. Ctrl-C disarms it.
     """
+    if port and not armed:
+        raise click.UsageError("--port needs --armed")
+    if armed:
+        _run_armed(connect, fleet, reason, port, as_json=as_json)
+        return
     latched = run_main(_send_estop(connect, fleet, reason))
     remedy = "use the wired e-stop; then see `tutti status`"
     if not as_json:
@@ -85,24 +102,44 @@ async def _send_estop(connect: str, fleet: str | None, reason: str) -> dict[str,
     from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 
     set_realtime_priority(RealtimePriority.BUS)
-    bus, actor = await open_bus(connect), actor_name()
+    bus = await open_bus(connect)
     try:
-        put_estop(bus, fleet, f"{actor}-{uuid.uuid4().hex[:8]}", actor, reason)
+        put_estop(bus, fleet, *_new_event(), reason)
         # Everything else is imported only now that the e-stop is sent.
-        from orchestrator.bus.fleets import find_fleets
-        from orchestrator.client import Tutti
-
-        fleets = await find_fleets(bus) if fleet is None else [fleet]
-        found = await asyncio.gather(*(Tutti(bus, name).wait_for_latch() for name in fleets))
+        latched = await _find_latched(bus, fleet)
     finally:
         await bus.close()
-    if len(fleets) == 1:
-        return found[0]
+    if len({name.partition("/")[0] for name in latched}) > 1:
+        return latched
+    return {name.partition("/")[2]: done for name, done in latched.items()}
+
+
+def _new_event() -> tuple[str, str]:
+    """A unique name for an e-stop, and its originator."""
+    actor = actor_name()
+    return f"{actor}-{uuid.uuid4().hex[:8]}", actor
+
+
+async def _find_latched(bus: "Bus", fleet: str | None) -> dict[str, bool]:
+    """Which controllers report an e-stop latch, by `fleet/controller`; waits a little for it."""
+    from orchestrator.bus.fleets import find_fleets
+    from orchestrator.client import Tutti
+
+    fleets = await find_fleets(bus) if fleet is None else [fleet]
+    found = await asyncio.gather(*(Tutti(bus, name).wait_for_latch() for name in fleets))
     return {
         f"{name}/{controller}": done
         for name, each in zip(fleets, found, strict=True)
         for controller, done in each.items()
     }
+
+
+def _run_armed(connect: str, fleet: str | None, reason: str, port: str, *, as_json: bool) -> None:
+    # All modules are loaded before the button is armed.
+    from orchestrator.cli.armed.command import ArmedOptions, run_armed
+
+    options = ArmedOptions(connect, fleet, reason, port, as_json)
+    run_main(run_armed(options, _new_event, lambda bus: _find_latched(bus, fleet)))
 
 
 @click.command(epilog="Example: tutti reset && tutti status")
