@@ -7,17 +7,19 @@ RUN := .venv$(SUFFIX)
 DEV := .venv-dev$(SUFFIX)
 THIRDPARTY := .venv-thirdparty$(SUFFIX)
 DOCS := .venv-docs$(SUFFIX)
+WHEEL := .venv-wheel$(SUFFIX)
 PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo test test-fast test-live test-docs test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo test test-fast test-live test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
 	@echo "make test             set up, run all tests (about 5 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
+	@echo "make test-wheel       the demo from an installed wheel, in an environment of its own"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
 	@echo "make test-thirdparty  simulated controllers and fleets against clients from PyPI"
 	@echo "make check            linters, type checks, import contracts"
@@ -51,6 +53,11 @@ $(DOCS)/.stamp: requirements-docs.lock pyproject.toml
 	$(DOCS)/bin/python $(INSTALL)
 	touch $@
 
+$(WHEEL)/.stamp: requirements.lock
+	$(PYTHON) -m venv --clear $(WHEEL)
+	$(WHEEL)/bin/python $(PIP) install --require-hashes -r requirements.lock
+	touch $@
+
 demo: $(RUN)/.stamp
 	$(RUN)/bin/tutti demo
 
@@ -66,7 +73,15 @@ test-live: $(DEV)/.stamp
 
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check
+	$(DEV)/bin/python tools/licences.py --check
 	$(DEV)/bin/pytest tests/live/test_documents.py $(SLOWEST)
+
+# What setuptools has left from another build would come into the wheel.
+test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp
+	rm -rf build/lib build/bdist.* build/wheel
+	$(DEV)/bin/python $(PIP) wheel . --no-deps --no-build-isolation -w build/wheel
+	$(WHEEL)/bin/python $(PIP) install --no-deps --force-reinstall build/wheel/*.whl
+	$(DEV)/bin/python tools/wheel_demo.py $(WHEEL)/bin/tutti
 
 test-nightly: $(DEV)/.stamp test-thirdparty
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)

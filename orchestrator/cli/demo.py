@@ -16,8 +16,6 @@ READY_TIMEOUT_S = 30.0  # for the adoption of all controllers; takes a second on
 POLL_S = 0.05
 JOB_TIMEOUT_S = 120.0  # for the job, which takes six seconds
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
-
 
 @click.command(epilog="Example: tutti demo --headless --json | jq .state")
 @click.option(
@@ -43,6 +41,7 @@ def demo(which: str, keep: Path | None, *, headless: bool, verbose: bool, as_jso
     from orchestrator.model.files import load_fleet, load_job
     from orchestrator.model.report import JobReport
     from orchestrator.runtime.demo_truth import VerdictCheck, check_verdicts
+    from orchestrator.runtime.examples import find_example
     from orchestrator.runtime.live import LiveFleet, find_free_port
     from orchestrator.runtime.state_folder import UpFailed
 
@@ -52,7 +51,7 @@ def demo(which: str, keep: Path | None, *, headless: bool, verbose: bool, as_jso
 
     async def run_demo() -> tuple[JobReport, list[VerdictCheck]]:
         name = "demo" if which == "two" else which
-        fleet, job = load_fleet(EXAMPLES / f"{name}.fleet.yaml"), load_job(EXAMPLES / f"{name}.job.yaml")
+        fleet, job = load_fleet(find_example(f"{name}.fleet.yaml")), load_job(find_example(f"{name}.job.yaml"))
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, _exit_interrupted)
         with tempfile.TemporaryDirectory(prefix="tutti-demo-") as folder:
             live = LiveFleet(fleet, keep or Path(folder), print_line, port=find_free_port(), simulated=True, truth=True)
