@@ -112,6 +112,7 @@ def test_a_leader_whose_epoch_cannot_be_stored_is_not_adopted(before: bool) -> N
     async def main() -> None:
         disk = Disk()
         fence = EpochFence(PersistentMemory(disk, run_inline))
+        fence.allow_adoption()
         if before:
             assert await fence.adopt_leader(adoption(2))
         adopt = adoption(3)
@@ -137,6 +138,7 @@ def test_a_request_while_an_epoch_is_being_stored_waits_until_the_previous_work_
             return function(*values)
 
         fence = EpochFence(PersistentMemory(Disk(), slowly))
+        fence.allow_adoption()
 
         async def adopts() -> None:
             assert await fence.adopt_leader(adoption(2))
