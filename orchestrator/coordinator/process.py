@@ -161,7 +161,8 @@ def main() -> int:
         codes = ((RouterUnreachable, NO_BUS), (AnotherLeader, ANOTHER), (JournalError, BAD_JOURNAL))
         return next((code for kind, code in codes if isinstance(error, kind)), BAD_INPUT)
     except OSError as error:
-        sys.stderr.write(f"{error.filename}: {error.strerror}; free space there, or choose another place\n")
+        place = error.filename or options.log
+        sys.stderr.write(f"{place}: {error.strerror}; free space there, or choose another place\n")
         return BAD_INPUT
 
 

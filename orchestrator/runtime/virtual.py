@@ -16,6 +16,7 @@ from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import VolatileLatchStore
+from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES, MAX_HOST_MESSAGE_BYTES
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.bus.memory.medium import BusLatency
 from orchestrator.client.api import Tutti
@@ -213,7 +214,7 @@ class VirtualFleet:
         label = self._make_name(f"host-{name}")
         process = VirtualProcess(self.clock.loop, label)
         host = self.hosts[name] = _RunningHost(name, process)
-        bus = self.net.join_process(label)
+        bus = self.net.join_process(label, MAX_HOST_MESSAGE_BYTES)
 
         def open_link(controller: str, config: Controller) -> OpenLink:
             async def open_memory_link() -> MemoryLink:
@@ -284,7 +285,7 @@ class VirtualFleet:
         standby: it leads as soon as no other coordinator does, and ends the previous one."""
         label = self._make_name(f"coordinator-{name}")
         process = VirtualProcess(self.clock.loop, label)
-        bus = self.net.join_process(label)
+        bus = self.net.join_process(label, MAX_COORDINATOR_MESSAGE_BYTES)
         coordinator = process.run_inside(lambda: Coordinator(self.fleet, self._make_environment(bus)))
         self.coordinators[name] = (process, coordinator)
         process.add_death_callback(lambda: self.net.kill_process(label))

@@ -5,7 +5,7 @@ from contextvars import ContextVar
 
 import pytest
 
-from orchestrator.bus.base import BusSample, NoReply, Priority, RequestTimeout
+from orchestrator.bus.base import BusSample, NoReply, Priority, RequestRefused, RequestTimeout
 from orchestrator.bus.memory.bus import LEASE_NS, MemoryBus, MemoryNet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess, run_virtual
@@ -250,3 +250,25 @@ def test_faults_of_a_closed_session_have_no_effect() -> None:
 async def _never(_: BusSample) -> bytes:
     await asyncio.Event().wait()
     return b""
+
+
+def test_a_message_that_is_too_large_for_a_process_is_left_out() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        host, other = net.join_process("host", max_message_bytes=10), net.join_process("other")
+        got: list[BusSample] = []
+
+        async def answer(sample: BusSample) -> bytes:
+            return sample.payload
+
+        await host.subscribe("t/**", got.append)
+        await host.serve("t/cmd/*", answer)
+        other.put("t/fits", b"x" * 10, Priority.EVENT)
+        other.put("t/large", b"x" * 11, Priority.EVENT)
+        other.put("t/estop", b"x" * 11, Priority.ESTOP)
+        with pytest.raises(RequestRefused, match="at most 10 bytes"):
+            await other.request("t/cmd/do", b"x" * 11, 1.0)
+        assert await other.request("t/cmd/do", b"x" * 10, 1.0) == b"x" * 10
+        assert sorted(got) == [BusSample("t/estop", b""), BusSample("t/fits", b"x" * 10)]
+
+    run_virtual(main)

@@ -16,6 +16,7 @@ from functools import partial
 
 from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler
 from orchestrator.bus.expression import check_expression, check_key, check_put, expressions_intersect
+from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
 from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken, PresenceWatch
 from orchestrator.bus.memory.requests import RequestBoard, ServedExpression
@@ -83,11 +84,14 @@ class MemoryNet:
 
     # Faults
 
-    def join_process(self, name: str) -> "MemoryBus":
-        """Connect the process `name`, which may be a new start of one that left or was killed."""
+    def join_process(self, name: str, max_message_bytes: int = MAX_MESSAGE_BYTES) -> "MemoryBus":
+        """Connect the process `name`, which may be a new start of one that left or was killed.
+
+        max_message_bytes: larger messages are left out before they are read; an e-stop counts all the same.
+        """
         if name in self._buses:
             raise ValueError(f"{name!r} is on the bus already")
-        bus = MemoryBus(self, name, self._queue_limit)
+        bus = MemoryBus(self, name, self._queue_limit, max_message_bytes)
         self._buses[name] = bus
         return bus
 
@@ -262,6 +266,10 @@ class MemoryNet:
     ) -> None:
         if self.is_cut(sender, receiver):
             return
+        if len(sample.payload) > receiver.max_message_bytes:
+            if priority is not Priority.ESTOP:
+                return
+            sample = sample._replace(payload=b"")
         if receiver.hung:
             self.deliver_call(receiver, priority, partial(_call_subscriptions, subscriptions, sample))
         else:
@@ -283,9 +291,10 @@ def _call_subscriptions(subscriptions: list[_Subscription], sample: BusSample) -
 class MemoryBus:
     """One process's connection to a `MemoryNet`."""
 
-    def __init__(self, net: MemoryNet, name: str, queue_limit: int) -> None:
+    def __init__(self, net: MemoryNet, name: str, queue_limit: int, max_message_bytes: int) -> None:
         self.net = net
         self.name = name
+        self.max_message_bytes = max_message_bytes
         self.alive = True
         self.hung = False
         self.hangs = 0

@@ -118,6 +118,10 @@ class RequestBoard:
         if not served.stands or is_silent_on(served.expression, question.outcome.key):
             self._queue_reply(served, question, None)
             return
+        if len(question.payload) > served.bus.max_message_bytes:
+            text = f"too large: a request has at most {served.bus.max_message_bytes} bytes here"
+            self._queue_reply(served, question, partial(question.outcome.add_refusal, text))
+            return
         context = served.context.copy()
         task = asyncio.get_running_loop().create_task(self._run_handler(served, question), context=context)
         self._handling[task] = served
