@@ -63,6 +63,7 @@ def test_no_job_is_refused_after_the_load_has_gone() -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("seed", range(3))
 def test_an_hour_of_jobs_of_which_the_first_half_runs_on_a_busy_machine(seed: int) -> None:
     """Every job is done, or refused or failed with a true reason; from some minutes after the load on, all are done."""
