@@ -51,6 +51,16 @@ def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tm
     assert run_in(tmp_path, "down").returncode == 3
     state = Path(value["state"])
     assert {each for each in state.rglob("*") if not each.is_symlink() and each.stat().st_mode & 0o077} == set()
+
+
+@pytest.mark.nightly
+def test_a_fleet_does_not_begin_anew_without_its_journal_or_over_a_link(tmp_path: Path) -> None:
+    port = free_port()
+    up = ["up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--port", str(port), "--detach"]
+    started = run_in(tmp_path, *up, "--json")
+    assert started.returncode == 0, started.stderr + started.stdout
+    state = Path(json.loads(started.stdout)["state"])
+    assert run_in(tmp_path, "down").returncode == 0
     # Without its journal the fleet would begin anew without a word.
     (state / "journal.sqlite3").unlink()
     refused = run_in(tmp_path, *up)
