@@ -15,7 +15,7 @@ Everything common to all makes (the bus, polling, fencing, limits, the e-stop la
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeVar, cast
+from typing import Any, Literal, Protocol, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -25,7 +25,7 @@ from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.model.errors import Refusal, TuttiError
-from orchestrator.model.explain import explain_error
+from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions
 from orchestrator.model.profile import Profile
@@ -506,10 +506,7 @@ def validate_options(model: type[Options], config: Controller) -> Options:
         return model.model_validate(config.options)
     except ValidationError as error:
         raise ConfigError(
-            [
-                f"options.{'.'.join(map(str, each['loc']))}: {explain_error(cast(Mapping[str, Any], each), model)}"
-                for each in error.errors(include_url=False)
-            ]
+            [f"options.{'.'.join(map(str, each.place))}: {each.text}" for each in list_problems(error, model)]
         ) from None
 
 

@@ -28,6 +28,7 @@ from orchestrator.bus.base import (
     RequestTimeout,
 )
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.latch import read_estop
 from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.bus.session_signs import SessionSigns
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
@@ -37,9 +38,8 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
 from orchestrator.model.fleet import Controller, Fleet, SerialLink
-from orchestrator.model.messages import EstopMessage, LeaderHeartbeat, TimeReply
+from orchestrator.model.messages import LeaderHeartbeat, TimeReply
 from orchestrator.model.problems import Problem
-from orchestrator.model.state import EstopLatch
 
 TIME_EXCHANGES = 8
 REPLY_SEND_NS = 20 * NS_PER_MS  # for the reply to `configure` to be sent before its supervisor is closed
@@ -64,9 +64,10 @@ def known_makes() -> list[str]:
 def apply_make_defaults(fleet: Fleet) -> Fleet:
     """Return the fleet with the serial settings that its file leaves to the makes, e.g. odd parity for an SMC30."""
     controllers: dict[str, Controller] = {}
+    known = known_makes()
     for name, config in fleet.controllers.items():
         controllers[name] = config
-        if isinstance(config.link, SerialLink) and config.adapter in known_makes():
+        if isinstance(config.link, SerialLink) and config.adapter in known:
             given = config.link.model_fields_set
             missing = {k: v for k, v in find_make(config.adapter).serial_defaults.items() if k not in given}
             if missing:
@@ -267,16 +268,7 @@ class AdapterHost:
     # The e-stop
 
     def _handle_estop(self, sample: BusSample) -> None:
-        """Handle an e-stop: every sample on that key counts, also one with an unreadable payload."""
-        try:
-            received = EstopMessage.model_validate_json(sample.payload)
-        except ValidationError:
-            received = EstopMessage(
-                event="garbled", actor="unknown", reason="an e-stop whose payload could not be read"
-            )
-        latch = EstopLatch(
-            event=received.event, actor=received.actor, reason=received.reason, utc=self._environment.clock.utc()
-        )
+        latch = read_estop(sample.payload, self._environment.clock.utc())
         # Moving controllers first: a controller at rest can wait the millisecond that the stops of 16 others take.
         for unit in sorted(self.supervisors.values(), key=lambda unit: not unit.is_moving):
             self._spawn_task(unit.apply_estop(latch))

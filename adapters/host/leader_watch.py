@@ -3,12 +3,11 @@
 from dataclasses import dataclass, field
 
 from orchestrator.clock.base import NS_PER_MS, Clock
-from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat
 
 # A coordinator that is silent for this long (five of its heartbeats) is lost. Then armed steps are unloaded, and moving
 # axes are stopped by their own ramps.
 COORDINATOR_LOST_NS = 500 * NS_PER_MS
-HEARTBEAT_NS = 100 * NS_PER_MS
 SPARE_BEATS = 2  # by which a sequence may be ahead of its pace: a busy bus delivers late, and then several at once
 
 Adopter = tuple[int, str]

@@ -18,6 +18,15 @@ from orchestrator.model.private_files import read_private_file, replace_private_
 from orchestrator.model.state import EstopLatch
 
 
+def read_estop(payload: bytes, utc: str) -> EstopLatch:
+    """The latch of an e-stop that was received at `utc`. Every sample on its key counts, also an unreadable one."""
+    try:
+        estop = EstopMessage.model_validate_json(payload)
+    except ValidationError:
+        estop = EstopMessage(event="garbled", actor="unknown", reason="an e-stop whose payload could not be read")
+    return EstopLatch(event=estop.event, actor=estop.actor, reason=estop.reason, utc=utc)
+
+
 class LatchStore(Protocol):
     """Storage for a latch that outlives the process."""
 
@@ -54,13 +63,8 @@ class LatchKeeper:
         self._declared.clear()
 
     def _receive_estop(self, sample: BusSample) -> None:
-        """Every sample on that key counts, also one with an unreadable payload."""
-        try:
-            estop = EstopMessage.model_validate_json(sample.payload)
-        except ValidationError:
-            estop = EstopMessage(event="garbled", actor="unknown", reason="an e-stop whose payload could not be read")
         if self.latch is None:
-            self._change(EstopLatch(event=estop.event, actor=estop.actor, reason=estop.reason, utc=self._utc()))
+            self._change(read_estop(sample.payload, self._utc()))
 
     def _receive_reset(self, sample: BusSample) -> None:
         """A reset that cannot be read, or is of another e-stop, resets nothing."""

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, cast
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from orchestrator.model.numbers import suggest_flag, suggest_number
+from orchestrator.model.problems import Problem
 
 MAX_SHOWN = 60  # characters of a value
 
@@ -18,6 +19,14 @@ _BOUNDS = {
     "less_than": ("lt", "below"),
     "less_than_equal": ("le", "at most"),
 }
+
+
+def list_problems(error: ValidationError, model: type[BaseModel]) -> list[Problem]:
+    """All mistakes of `error`, each with its place below `model`."""
+    return [
+        Problem(tuple(each["loc"]), explain_error(cast(Mapping[str, Any], each), model), each["input"])
+        for each in error.errors(include_url=False)
+    ]
 
 
 def explain_error(error: Mapping[str, Any], model: type[BaseModel]) -> str:

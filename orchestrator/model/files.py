@@ -1,16 +1,16 @@
 """Read fleet and job files: YAML in, models out; every mistake is named with file, line, field, value and remedy."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TypeVar
 
 from pydantic import ValidationError
 
 from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.explain import explain_error
+from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.yaml_reader import MAX_BYTES, YamlError, YamlNode, decode_text, read_yaml
@@ -106,9 +106,7 @@ def parse_file(file: LoadedFile, model: type[M]) -> M:
         # As JSON, because that is where pydantic is strict about text and numbers, but not about enums and lists.
         return model.model_validate_json(json.dumps(file.root.value), strict=True)
     except ValidationError as error:
-        raise FileError(
-            [_make_problem(cast(Mapping[str, Any], each), file, model) for each in error.errors(include_url=False)]
-        ) from None
+        raise FileError(file.problem(each.place, each.text) for each in list_problems(error, model)) from None
 
 
 def _make_file_error(error: YamlError, name: str) -> FileError:
@@ -117,11 +115,6 @@ def _make_file_error(error: YamlError, name: str) -> FileError:
 
 def _example_line(model: type[Model]) -> str:
     return "`schema: tutti.fleet/1`" if model is Fleet else "`schema: tutti.job/1`"
-
-
-def _make_problem(error: Mapping[str, Any], file: LoadedFile, model: type[Model]) -> FileProblem:
-    location = cast(Sequence[str | int], error["loc"])
-    return file.problem(location, explain_error(error, model))
 
 
 def format_place(path: Iterable[str | int]) -> str:

@@ -21,7 +21,7 @@ from pydantic import (
 from orchestrator.model.axis_units import convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
-from orchestrator.model.fleet_names import FleetNames, find_reference_problems
+from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
@@ -462,13 +462,9 @@ class Fleet(Model):
         }
 
     @cached_property
-    def names(self) -> FleetNames:
+    def names(self) -> DefinedNames:
         """All names of the fleet."""
-        names = FleetNames(controllers=list(self.controllers), groups=list(self.groups), axes=self.axis_names)
-        for name, controller in self.controllers.items():
-            names.inputs.extend(f"{name}.{point}" for point in controller.inputs)
-            names.outputs.extend(f"{name}.{point}" for point in controller.outputs)
-        return names
+        return collect_names(self.to_plain())
 
     def axis(self, name: str) -> Axis:
         """The axis `controller.axis`. Raises `UnknownName`, which lists the known axes."""

@@ -17,7 +17,7 @@ MAX_LISTED = 20  # names in one message
 
 
 @dataclass(frozen=True, slots=True)
-class FleetNames:
+class DefinedNames:
     """All names that a fleet file defines, as `controller.name` but for controllers and groups."""
 
     controllers: list[str] = field(default_factory=list[str])
@@ -65,9 +65,9 @@ def find_reference_problems(data: Any) -> list[Problem]:
     ]
 
 
-def collect_names(plain: Mapping[str, Any]) -> FleetNames:
+def collect_names(plain: Mapping[str, Any]) -> DefinedNames:
     """The names of a fleet file."""
-    names = FleetNames()
+    names = DefinedNames()
     for (_, controller), _ in select(plain, "controllers", EACH):
         names.controllers.append(str(controller))
     for kind, found in (("axes", names.axes), ("inputs", names.inputs), ("outputs", names.outputs)):
@@ -103,7 +103,7 @@ _REFERENCES: tuple[tuple[tuple[str, ...], str], ...] = (
 )
 
 
-def _find_unknown(plain: Mapping[str, Any], names: FleetNames) -> Iterator[Problem]:
+def _find_unknown(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Problem]:
     for pattern, kind in _REFERENCES:
         for place, name in select(plain, *pattern):
             text = names.explain_unknown(name, kind)
@@ -116,7 +116,7 @@ def _find_unknown(plain: Mapping[str, Any], names: FleetNames) -> Iterator[Probl
             yield Problem(place, f"the controller has no output {output}; known outputs: {known}", output)
 
 
-def _find_group_problems(plain: Mapping[str, Any], names: FleetNames) -> Iterator[Problem]:
+def _find_group_problems(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Problem]:
     for group in names.groups:
         if group in names.controllers:
             yield Problem(("groups", group), f"group {group} has the name of a controller; rename one of them")

@@ -97,6 +97,9 @@ MAX_EPOCH_STEP = 1_000_000
 accepted, it would shut out all coordinators after it."""
 
 
+HEARTBEAT_NS = 100_000_000  # period of the leader's heartbeat
+
+
 class LeaderHeartbeat(Model):
     """The leader's heartbeat, with its fleet time: fleet_ns = host_ns - origin_host_ns on the leader's kernel."""
 

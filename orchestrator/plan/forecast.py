@@ -108,13 +108,12 @@ class JobForecaster:
                 move = make_axis_move(name, axis, start, target, order)
                 nearest.append(move)
                 farthest.append(move)
-                exact[name] = (after.motor, target)
+                if before.known and after.known:
+                    exact[name] = (after.motor, target)
             elif (most := _longest_move(name, axis, after, order)) is not None:
                 farthest.append(most)
             else:
                 bounded = False
-            if not (before.known and after.known):
-                exact.pop(name, None)
         return self._plan_move(step, nearest, farthest if bounded else None, exact)
 
     @_run.register

@@ -1,14 +1,13 @@
 """The settings of simulated controllers, from a fleet file and the defaults of its adapters."""
 
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
 from pydantic import ValidationError
 
 from adapters.contract import validate_options
 from adapters.host.host import find_make
-from orchestrator.model.explain import explain_error
+from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
 from orchestrator.model.problems import Problem
 from sim.core.vectors import find_simulator
@@ -25,14 +24,13 @@ def make_simulator_options(config: Controller) -> Mapping[str, Any]:
 
 def find_simulation_problems(name: str, config: Controller) -> list[Problem]:
     """Mistakes in `simulate.options`. A make without a simulator has none."""
-    if all(entry.name != config.adapter for entry in entry_points(group="tutti.simulators")):
+    try:
+        model = find_simulator(config.adapter).options_model
+    except ValueError:
         return []
-    model = find_simulator(config.adapter).options_model
     own = ("controllers", name, "simulate", "options")
     try:
         model.model_validate(dict(config.simulate.options))
     except ValidationError as error:
-        return [
-            Problem((*own, *each["loc"]), explain_error(dict(each), model)) for each in error.errors(include_url=False)
-        ]
+        return [Problem((*own, *each.place), each.text) for each in list_problems(error, model)]
     return []

@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-from adapters.host.leader_watch import COORDINATOR_LOST_NS, HEARTBEAT_NS, LeaderWatch
+from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from orchestrator.bus.base import BusSample, Priority
 from orchestrator.bus.latch import FileLatchStore
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.model.messages import MAX_EPOCH_STEP, AdoptedReply, AdoptRequest, LeaderHeartbeat
+from orchestrator.model.messages import HEARTBEAT_NS, MAX_EPOCH_STEP, AdoptedReply, AdoptRequest, LeaderHeartbeat
 from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual import VirtualFleet
 

@@ -12,7 +12,14 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.state import ControllerEvent, ControllerInfo, ControllerState, EventsReply, EventsRequest
+from orchestrator.model.state import (
+    AxisState,
+    ControllerEvent,
+    ControllerInfo,
+    ControllerState,
+    EventsReply,
+    EventsRequest,
+)
 
 # An adapter that is silent for this long is dead or unreachable. It publishes 5 times a second; in motion only after
 # polls, which wait for requests to other controllers on the line.
@@ -69,6 +76,14 @@ class FleetView:
         """Whether the controller's adapter has been silent for too long."""
         heard_ns = self._heard_ns.get(controller)
         return heard_ns is None or self._clock.now_ns() - heard_ns > self._silent_ns[controller]
+
+    def axis_now(self, axis: str) -> AxisState | None:
+        """The state of `controller.axis`; None while its controller is offline or silent."""
+        controller, _, name = axis.partition(".")
+        state = self._states.get(controller)
+        if state is None or self.is_silent(controller) or state.mode == "offline":
+            return None
+        return state.axes.get(name)
 
     def describe_absence(self, controller: str, instance: str | None) -> str | None:
         """Why the adapter `instance` (None: any instance) is gone; None while it is there."""

@@ -134,16 +134,9 @@ class JobIntake:
                 )
 
     def _axis_position(self, axis: str) -> AxisPosition:
-        controller, _, name = axis.partition(".")
-        state, unit = self._services.view.last_state(controller), self._services.view.fleet.axis(axis).unit
-        if (
-            state is None
-            or self._services.view.is_silent(controller)
-            or state.mode == "offline"
-            or name not in state.axes
-        ):
-            return AxisPosition(axis=axis, unit=unit, position=None)
-        now = state.axes[name]
+        now = self._services.view.axis_now(axis)
+        if now is None:
+            return AxisPosition(axis=axis, unit=self._services.view.fleet.axis(axis).unit, position=None)
         return AxisPosition(
             axis=axis, unit=now.unit, position=now.position, enabled=now.enabled, referenced=now.referenced
         )

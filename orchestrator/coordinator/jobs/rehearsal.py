@@ -90,11 +90,9 @@ class JobRehearsal:
         view, targets = self._services.view, self._services.motion.targets
         axes: dict[str, AxisForecast] = {}
         for name in view.fleet.axis_names:
-            controller, _, own = name.partition(".")
-            state = view.last_state(controller)
-            if state is None or view.is_silent(controller) or state.mode == "offline" or own not in state.axes:
+            now, axis = view.axis_now(name), view.fleet.axis(name)
+            if now is None:
                 continue
-            now, axis = state.axes[own], view.fleet.axis(name)
             axes[name] = AxisForecast(
                 motor=targets.exact_position(name, now.commanded_counts, axis.counts_per_unit),
                 known=True,

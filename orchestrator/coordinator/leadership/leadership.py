@@ -12,10 +12,9 @@ from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.messages import LeaderHeartbeat, TimeReply
+from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat, TimeReply
 from orchestrator.model.state import ControllerState
 
-HEARTBEAT_NS = 100 * NS_PER_MS
 LEADER_TIMEOUT_NS = 600 * NS_PER_MS  # a live leader is received within this time
 ANSWER_S = 0.3  # for a coordinator to answer that it leads
 ASK_AGAIN_NS = 1000 * NS_PER_MS  # after an answer, or none

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import Clock, sleep_ns
-from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS, confirm_leader
-from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.coordinator.leadership.leadership import LEADER_TIMEOUT_NS, confirm_leader
+from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat
 from orchestrator.model.private_files import read_private_file, replace_private_file
 
 POLL_NS = HEARTBEAT_NS // 2

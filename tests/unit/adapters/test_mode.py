@@ -218,7 +218,7 @@ def test_heartbeats_continue_until_t0_and_not_beyond_it_without_a_poll() -> None
 
 
 @pytest.mark.parametrize(
-    ("read_ns", "moving", "member", "owed"),
+    ("read_ns", "moving", "member", "pending"),
     [
         (900, False, "", True),
         (1001, True, "", True),
@@ -229,7 +229,7 @@ def test_heartbeats_continue_until_t0_and_not_beyond_it_without_a_poll() -> None
     ],
 )
 def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
-    read_ns: int, moving: bool, member: str, owed: bool
+    read_ns: int, moving: bool, member: str, pending: bool
 ) -> None:
     """Its command may have been lost with the link; it may be moving until a poll observes it."""
     reading = ControllerReading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
@@ -246,8 +246,8 @@ def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
     )
     requested: list[bool] = []
     ControllerSupervisor._handle_offline(cast(ControllerSupervisor, unit), STARTING)
-    assert bool(requested) is owed
-    assert condition.may_move is owed
+    assert bool(requested) is pending
+    assert condition.may_move is pending
 
 
 def test_a_pending_stop_is_repeated_until_the_controller_answers() -> None:

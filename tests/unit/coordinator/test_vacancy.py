@@ -9,9 +9,9 @@ from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS
+from orchestrator.coordinator.leadership.leadership import LEADER_TIMEOUT_NS
 from orchestrator.coordinator.leadership.standby import wait_for_vacancy
-from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat
 
 REIGN = LeaderHeartbeat(
     fleet="demo",

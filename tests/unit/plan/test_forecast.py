@@ -1,4 +1,4 @@
-"""Jobs run forward on paper: positions that nobody has told, limits, names, durations, conditions."""
+"""Jobs run forward on paper: unknown positions, limits, names, durations, conditions."""
 
 from fractions import Fraction
 from pathlib import Path
