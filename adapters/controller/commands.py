@@ -26,6 +26,7 @@ from orchestrator.link.trace import TraceDirection
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import (
+    AcceptEpoch,
     AdoptedReply,
     AdoptRequest,
     ArmedReply,
@@ -131,6 +132,7 @@ class ControllerCommands:
             "reset": (ResetRequest, Reply, self._handle_reset),
             "configure": (ConfigureRequest, Reply, self._handle_configure),
             "raw": (RawRequest, RawReply, self._handle_raw),
+            "accept-epoch": (AcceptEpoch, Reply, self._handle_accept_epoch),
             "forget": (ForgetRequest, Reply, self._handle_forget),
             "trace": (Request, TraceReply, self._handle_trace),
         }
@@ -179,6 +181,20 @@ class ControllerCommands:
             await self._components.participant.abandon_step(f"new leader, epoch {request.epoch}")
         self._publisher.publish_state()
         return AdoptedReply(epoch=self._fence.epoch, mode=self._publisher.current_mode())
+
+    async def _handle_accept_epoch(self, request: AcceptEpoch) -> Reply:
+        """Only at rest: until the leader adopts the controller, nothing can be started, and jogs have ended."""
+        status = self._status
+        self._require_no_step()
+        moving = [name for name, axis in status.require_online().axes.items() if axis.moving or name in status.homing]
+        if moving or status.jogging:
+            name = min([*moving, *status.jogging])
+            raise Refusal("moving", f"axis {name} is moving", "wait for the end of the motion, then repeat")
+        await self._fence.accept_epoch(request)
+        self._components.leases.end_all(f"the epoch was repaired by {request.actor}")
+        self._publisher.emit_event("reset", f"epoch {request.epoch} accepted by order of {request.actor}")
+        self._publisher.publish_state()
+        return Reply()
 
     async def _handle_commit(self, request: CommitRequest) -> Reply:
         self._fence.require_no_estop()

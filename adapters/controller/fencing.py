@@ -4,7 +4,14 @@ import asyncio
 
 from adapters.controller.store import PersistentMemory
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import COMPARING, MAX_EPOCH_STEP, AdoptRequest, FencedRequest
+from orchestrator.model.messages import (
+    COMPARING,
+    EPOCH_REMEDY,
+    MAX_EPOCH_STEP,
+    AcceptEpoch,
+    AdoptRequest,
+    FencedRequest,
+)
 from orchestrator.model.state import EstopLatch
 
 
@@ -47,13 +54,13 @@ class EpochFence:
                     "stale-epoch",
                     f"epoch {request.epoch} of coordinator {request.coordinator[:8]} is over; epoch "
                     f"{known.epoch} of {known.coordinator[:8]} has been seen",
-                    "stop the old coordinator",
+                    EPOCH_REMEDY if known.epoch > request.epoch + MAX_EPOCH_STEP else "stop the old coordinator",
                 )
             if request.epoch > known.epoch + MAX_EPOCH_STEP:
                 raise Refusal(
                     "far-epoch",
-                    f"epoch {request.epoch} is far from the known epoch {known.epoch}",
-                    "no restart makes such a step; see `tutti status` for the coordinator, and SECURITY.md",
+                    f"epoch {request.epoch} is far from the known epoch {known.epoch}: no restart makes such a step",
+                    EPOCH_REMEDY,
                 )
             if (request.epoch, request.coordinator) != (known.epoch, known.coordinator):
                 self._remembered.change_values(epoch=request.epoch, coordinator=request.coordinator)
@@ -61,6 +68,13 @@ class EpochFence:
             await self.persist()
             fresh, self._adopted = not self._adopted, True
             return fresh
+
+    async def accept_epoch(self, request: AcceptEpoch) -> None:
+        """Remember the epoch of `request` as the highest one, and wait for its leader to adopt. Raises `OSError`."""
+        async with self._adopting:
+            self._remembered.change_values(epoch=request.epoch, coordinator=request.coordinator)
+            self._adopted = False
+            await self.persist()
 
     async def require_current_leader(self, request: FencedRequest) -> None:
         """Raise `Refusal` unless `request` comes from the coordinator that adopted this controller."""

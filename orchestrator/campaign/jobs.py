@@ -11,6 +11,8 @@ from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
 
 SPEED_FRACTION = 0.17  # of the speed limits: no axis reaches its target before the fault
+WITNESS = "witness"  # of a fleet that works again
+WITNESS_SHARE = 0.2  # of the way of other moves
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
@@ -72,6 +74,16 @@ def make_trial(fleet: Fleet, member: str, priority: int = 9) -> JobOrder:
     steps: list[dict[str, Any]] = [{"do": "enable", "axes": [member]}, {"do": "home", "axes": [member]}]
     job = make_job("try", [*steps, {"do": "move", "to": targets, "speed": SPEED_FRACTION}])
     return JobOrder(job, QueueTerms(priority=priority), (member,))
+
+
+def make_witness(fleet: Fleet, positions: Mapping[str, float]) -> JobOrder:
+    """Return a short move of all controllers, after all other jobs. positions: of each axis, in its unit."""
+    targets: dict[str, float] = {}
+    for name, position in positions.items():
+        reach = fleet.axis(name).limits.velocity * SPEED_FRACTION * MAX_MOVE_S
+        targets[name] = round(position + WITNESS_SHARE * (reach if position < reach / 2 else -reach), 2)
+    job = make_job(WITNESS, [{"do": "move", "to": targets, "speed": SPEED_FRACTION}])
+    return JobOrder(job, QueueTerms(priority=-9), tuple(fleet.controllers))
 
 
 def _group_inseparable(fleet: Fleet) -> list[list[str]]:

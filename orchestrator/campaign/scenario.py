@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from contextvars import Context
 from dataclasses import dataclass, field, replace
+from functools import partial
 from random import Random
 from typing import NamedTuple
 
@@ -21,11 +22,14 @@ from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import (
     MAX_MOVE_S,
     SPEED_FRACTION,
+    WITNESS,
     JobOrder,
     draw_orders,
     make_preparation,
     make_trial,
+    make_witness,
 )
+from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.client.api import Tutti
@@ -33,9 +37,10 @@ from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet import Fleet, group_by_controller
+from orchestrator.model.job import Job, named_axes
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.report import FINISHED_STATES
+from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -45,7 +50,7 @@ REFUSED_JOB_TIMEOUT_S = 10.0  # for a job that must be refused
 READY_TIMEOUT_S = 25.0  # for a fleet to become ready after the repair
 OPERATOR_DELAY_NS = 4 * NS_PER_S  # after a restart, before the operator starts the queue
 OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
-END_TIMEOUT_NS = 50 * NS_PER_S  # for the remaining jobs to end
+LIVENESS_NS = 60 * NS_PER_S  # for the remaining jobs to end, or a command to be named
 POLL_NS = 200 * NS_PER_MS
 REST_POLLS = 150  # polls for controllers at rest, 7 ms apart
 # a pp-electronic SMC with an installed reference verifies its position, and does not move
@@ -159,8 +164,9 @@ class _Scenario:
         axes = list(self._seed_run.fleet.controllers)
         if await self._prepare_axes(client, axes, axes):
             for number, cell in enumerate(self._seed_run.cells):
-                await self._run_phase(client, cell)
-                if number + 1 < len(self._seed_run.cells) and not await self._restore_axes(client):
+                last = number + 1 == len(self._seed_run.cells)
+                await self._run_phase(client, cell, last=last)
+                if not last and not await self._restore_axes(client):
                     break
         looking.cancel()
         self._check_leaders()
@@ -191,7 +197,7 @@ class _Scenario:
 
     # A phase
 
-    async def _run_phase(self, client: Tutti, cell: FaultCell) -> None:
+    async def _run_phase(self, client: Tutti, cell: FaultCell, *, last: bool) -> None:
         fleet, fault = self._seed_run.fleet, FAULTS[cell.fault]
         member = self._draw.choice([n for n, config in fleet.controllers.items() if config.adapter == cell.make])
         before = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
@@ -228,7 +234,7 @@ class _Scenario:
         self._target = None
         if step is not None:
             await self._inject_fault(act, cell, step)
-        await self._wait_for_ends(client, act)
+        await self._wait_for_ends(client, act, last=last)
         if by_hand is not None:
             await by_hand
         await self._check_repeated_submit(client, act, keys)
@@ -315,24 +321,54 @@ class _Scenario:
                 await person.wait_for_job(job_id)
         await person.close()
 
-    async def _wait_for_ends(self, client: Tutti, phase: CampaignPhase) -> None:
-        """Act as the operator until all jobs end: wait until the fleet is ready, start the queue, release held jobs,
-        and restore axes that jobs wait for."""
-        await self._wait_until_ready(client)
+    async def _wait_for_ends(self, client: Tutti, phase: CampaignPhase, *, last: bool) -> None:
+        """Run the commands that the fleet names until all jobs end, and after the last fault one more is done.
+
+        Checks invariant 13: within `LIVENESS_NS` of the repair, and of each command, that is so, or a command is named.
+        """
         if phase.fault.name == "fleet-restarted":
             await sleep_ns(self._clock, OPERATOR_DELAY_NS)
-        phase.queue_started_ns = self._clock.now_ns()
-        until_ns = self._clock.now_ns() + END_TIMEOUT_NS
-        while not self._all_finished(phase) and self._clock.now_ns() < until_ns:
+        phase.queue_started_ns = since_ns = self._clock.now_ns()
+        operator = NamedCommands(client, partial(self._run_step, client, phase))
+        while True:
+            waiting: list[QueueEntry] = []
             with suppress(Refusal):
-                await client.start_queue()
-                await client.release_jobs()
-                waiting = (await client.list_jobs(state="queued")).jobs
-                if any(each.reason.startswith("waits for: ") for each in waiting):
-                    # Faults are reset, and axes that have lost their reference are homed.
-                    await self._restore_axes(client)
+                if last and self._all_finished(phase):
+                    await self._submit_witness(client, phase)
+                queued = (await client.list_jobs(state="queued")).jobs
+                waiting = sorted((each for each in queued if each.id in phase.jobs), key=lambda each: each.place or 0)
+                command = await operator.run_named(waiting)
+                if command:
+                    self._log_event(f"tutti {command}")
+                    since_ns = self._clock.now_ns()
+            if self._all_finished(phase) and (not last or self._is_witness_done(phase)):
+                break
+            if operator.is_repeating or self._clock.now_ns() - since_ns > LIVENESS_NS:
+                reasons = "; ".join(f"{each.name}: {each.reason}" for each in waiting)
+                said = ", ".join(operator.commands) or "no command was named"
+                self.checker.add_violation("13", f"jobs do not go on after the repair ({said}): {reasons}")
+                break
             await sleep_ns(self._clock, OPERATOR_PERIOD_NS)
         await sleep_ns(self._clock, NS_PER_S)
+
+    async def _submit_witness(self, client: Tutti, phase: CampaignPhase) -> None:
+        """Submit a job of all controllers, which shows that the fleet works again; another one if it was not done."""
+        if not self._is_witness_done(phase):
+            order = make_witness(self._seed_run.fleet, self._axis_positions())
+            phase.jobs[await client.submit(order.job, terms=order.terms)] = order
+
+    def _is_witness_done(self, phase: CampaignPhase) -> bool:
+        rows = (self.virtual.journal.load_record(job_id) for job_id in phase.jobs)
+        return any(row is not None and row.name == WITNESS and row.state == "done" for row in rows)
+
+    async def _run_step(self, client: Tutti, phase: CampaignPhase, job: Job) -> None:
+        """Run a job of one step as a command of a person does. Raises `Refusal`."""
+        async with client.attend() as attendance:
+            terms = QueueTerms(session=attendance.session, now=True)
+            job_id = await client.submit(job, terms=terms)
+            controllers = tuple(group_by_controller(named_axes(job.steps[0])))
+            phase.jobs[job_id] = JobOrder(job, terms, controllers)
+            await client.wait_for_job(job_id)
 
     def _all_finished(self, phase: CampaignPhase) -> bool:
         rows = [self.virtual.journal.load_record(job_id) for job_id in phase.jobs]

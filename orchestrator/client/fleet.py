@@ -9,7 +9,15 @@ from orchestrator.client.connection import ANSWER_S, FleetConnection, absence_re
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EstopReset, Reply, Request, ResetRequest, StopRequest, TraceReply
-from orchestrator.model.service import FleetNames, FleetReloaded, ReloadFleet, StopFleet, WireFinding, WiringChecked
+from orchestrator.model.service import (
+    EpochRepaired,
+    FleetNames,
+    FleetReloaded,
+    ReloadFleet,
+    StopFleet,
+    WireFinding,
+    WiringChecked,
+)
 from orchestrator.model.state import ControllerInfo, ControllerState
 from orchestrator.model.units import Unit
 
@@ -100,6 +108,12 @@ class FleetRequests(FleetConnection):
         """Check each wire of the fleet file; nothing moves. Raises `Refusal` while wired axes are in use."""
         request = Request(**self.request_fields())
         return (await self.request_service("check-wiring", request, WiringChecked, WIRING_S)).wires
+
+    async def repair_epoch(self) -> list[str]:
+        """Let controllers that remember another epoch accept the present coordinator; return them. Raises `Refusal`
+        while an axis moves."""
+        request = Request(**self.request_fields())
+        return (await self.request_service("repair-epoch", request, EpochRepaired)).controllers
 
     async def list_names(self, timeout_s: float = ANSWER_S) -> FleetNames:
         """The names of the fleet: of its coordinator, or else of the adapters that answer. Raises `Refusal`, code

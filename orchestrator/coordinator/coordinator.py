@@ -23,6 +23,7 @@ from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.coordinator.motion.services import MotionServices
@@ -78,6 +79,7 @@ class Coordinator:
         maintenance = (
             FleetReload(access, self._leases, environment.save_fleet),
             WiringCheck(access, self._leases),
+            EpochRepair(access),
         )
         intake = JobIntake(services, self.scheduler, environment.new_id)
         self._requests = UserRequests(services, intake, self.scheduler, self._manual, maintenance)

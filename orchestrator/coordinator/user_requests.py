@@ -15,6 +15,7 @@ from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
 from orchestrator.coordinator.jobs.rehearsal import JobRehearsal
 from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.model.base import Model, UnknownName
@@ -27,6 +28,7 @@ from orchestrator.model.service import (
     AxesAcquired,
     DryRun,
     DryRunDone,
+    EpochRepaired,
     FindJob,
     FleetNames,
     FleetReloaded,
@@ -71,13 +73,13 @@ class UserRequests:
         intake: JobIntake,
         scheduler: Scheduler,
         manual: ManualLeases,
-        maintenance: tuple[FleetReload, WiringCheck],
+        maintenance: tuple[FleetReload, WiringCheck, EpochRepair],
     ) -> None:
         self._services = services
         self._intake = intake
         self._scheduler = scheduler
         self._leases: LeaseRegistry = services.leases
-        self._reload, self._wiring = maintenance
+        self._reload, self._wiring, self._epochs = maintenance
         self._keys: FleetKeys = services.keys
         self._answers = AnswerCache()
         self._verbs = {
@@ -102,6 +104,7 @@ class UserRequests:
             "release-axes": Verb(ReleaseAxes, Reply, self._release_axes),
             "reload": Verb(ReloadFleet, FleetReloaded, self._reload_fleet),
             "check-wiring": Verb(Request, WiringChecked, self._check_wiring),
+            "repair-epoch": Verb(Request, EpochRepaired, self._repair_epoch),
             "names": Verb(Request, FleetNames, self._list_names, cached=False),
         }
 
@@ -214,6 +217,12 @@ class UserRequests:
     async def _release_axes(self, request: ReleaseAxes) -> Reply:
         await self._leases.release(request.holder)
         return Reply()
+
+    async def _repair_epoch(self, request: Request) -> EpochRepaired:
+        controllers = await self._epochs.repair_epochs(request.actor)
+        if controllers:
+            self._services.log.warning(f"epoch repaired by {request.actor}: {', '.join(controllers)}")
+        return EpochRepaired(controllers=controllers)
 
     async def _reload_fleet(self, request: ReloadFleet) -> FleetReloaded:
         try:

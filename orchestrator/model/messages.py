@@ -96,6 +96,9 @@ MAX_EPOCH_STEP = 1_000_000
 """Each start of a coordinator takes one epoch. One that is further from the known one is no real one; if it were
 accepted, it would shut out all coordinators after it."""
 
+MAX_EPOCH = 2**52  # of a journal; one start in a nanosecond would reach it in fifty days
+
+EPOCH_REMEDY = "if no other coordinator leads: `tutti repair epoch`, with all axes at rest"
 
 HEARTBEAT_NS = 100_000_000  # period of the leader's heartbeat
 
@@ -125,6 +128,15 @@ class AdoptRequest(FencedRequest):
     """Adopt a controller: it accepts this epoch from now on, and no older one."""
 
     leader: LeaderHeartbeat
+
+
+class AcceptEpoch(Request):
+    """Take the epoch of the present leader for the highest one, although it is older, or far from the one that the
+    adapter remembers; at rest only, by order of a person. No other coordinator may lead. The leader then
+    adopts the controller."""
+
+    epoch: Int53
+    coordinator: str
 
 
 class AdoptedReply(Reply):

@@ -224,6 +224,12 @@ class FleetReloaded(Reply):
     changed: list[str] = Field(default=[])
 
 
+class EpochRepaired(Reply):
+    """The controllers that have accepted the epoch of this leader; empty if all had adopted it already."""
+
+    controllers: list[str] = Field(default=[])
+
+
 class WireFinding(Model):
     """The result for the wire from an output to an input, both `controller.point`."""
 

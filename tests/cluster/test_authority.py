@@ -1,5 +1,7 @@
 """Senders that no controller was adopted by: they keep no axis moving, stop no watchdog, and depose no coordinator."""
 
+# pyright: reportPrivateUsage=false
+
 import asyncio
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,16 @@ from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.model.messages import HEARTBEAT_NS, MAX_EPOCH_STEP, AdoptedReply, AdoptRequest, LeaderHeartbeat
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import (
+    HEARTBEAT_NS,
+    MAX_EPOCH_STEP,
+    AcceptEpoch,
+    AdoptedReply,
+    AdoptRequest,
+    LeaderHeartbeat,
+    Reply,
+)
 from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -259,5 +270,53 @@ def test_a_second_queryable_on_a_controller_is_an_alarm() -> None:
         alarms = [line for line in fleet.lines if "two processes answer on " in line]
         assert alarms and len(alarms) == len(set(alarms))
         assert any("ctl/gantry/cmd/" in line for line in alarms)
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("damaged", ["adapter", "journal"])
+def test_a_far_epoch_is_repaired_by_the_command_that_the_fleet_names(damaged: str) -> None:
+    """Without it every coordinator would be refused for ever."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.make_client()
+        for host in {config.host for config in fleet.fleet.controllers.values()}:
+            fleet.kill(f"host/{host}")
+        fleet.kill("coordinator/first")
+        if damaged == "adapter":
+            store = fleet._stores["gantry"]
+            store.save(store.load().model_copy(update={"epoch": 2**40, "coordinator": "none"}))
+        else:
+            fleet.journal.take_epoch(0)
+            with fleet.journal._transaction():
+                fleet.journal._write_meta("epoch", str(2**40))
+        fleet.start_coordinator("second")
+        await asyncio.sleep(3.0)
+        await client.start_queue()
+        job_id = await client.submit(PREPARE)
+        await asyncio.sleep(2.0)
+        entry = (await client.show_job(job_id)).entry
+        assert entry is not None and entry.state == "queued" and "`tutti repair epoch`" in entry.reason
+        repaired = await client.repair_epoch()
+        assert "gantry" in repaired
+        assert (await client.wait_for_job(job_id)).state == "done"
+        assert await client.repair_epoch() == []
+
+    run_fleet(main)
+
+
+def test_an_epoch_is_repaired_at_rest_only() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.make_client()
+        await client.submit(LONG)
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
+        with pytest.raises(Refusal, match="moves"):
+            await client.repair_epoch()
+        request = AcceptEpoch(**client.request_fields(), epoch=1, coordinator="forged")
+        payload = await client.bus.request(fleet.keys.command("gantry", "accept-epoch"), request.to_json(), 1.0)
+        refused = Reply.model_validate_json(payload).refused
+        assert refused is not None and refused.code in ("busy", "moving")
 
     run_fleet(main)

@@ -34,6 +34,8 @@ MODELS = {
 
 # Values for the fields that the page names.
 EXAMPLES: dict[str, Any] = {
+    "epoch": 1,
+    "coordinator": "c1",
     "actor": "reader",
     "axes": ["gantry.x"],
     "after": None,

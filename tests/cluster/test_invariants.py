@@ -17,9 +17,11 @@ from adapters.controller.supervisor import ControllerSupervisor
 from adapters.shrc203.driver import ShrcDriver
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.campaign.scenario import FaultCell, run_scenario
+from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.attendance import SessionMonitor
+from orchestrator.coordinator.jobs.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue_gate import QueueGate
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -170,6 +172,22 @@ def judges_starts_only(patch: Patch) -> None:
     patch.setattr(step, "judge_completed_step", lambda report, *_: report)
 
 
+def adopts_once(patch: Patch) -> None:
+    """A controller whose adapter starts again is not adopted by the leader that had adopted it."""
+    honest = Coordinator._adopt_controller
+
+    async def forgetful(self: Coordinator, controller: str, instance: str) -> None:
+        if controller not in self._adopted:
+            await honest(self, controller, instance)
+
+    patch.setattr(Coordinator, "_adopt_controller", forgetful)
+
+
+def names_no_command(patch: Patch) -> None:
+    """A job that waits states its reason, and no remedy."""
+    patch.setattr(Obstacle, "describe", lambda self: self.text)  # pyright: ignore[reportUnknownLambdaType]
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`."""
 
@@ -194,6 +212,8 @@ MUTATIONS = (
     Mutation("10", takes_any_configuration, FaultCell("arm", "host-other-file", "cia402")),
     Mutation("11", begins_after_a_break, FaultCell("motion", "fleet-restarted", "shrc203")),
     Mutation("3", misses_absence, FaultCell("motion", "operator-lost", "smc4000")),
+    Mutation("13", adopts_once, FaultCell("arm", "host-killed", "smc4000")),
+    Mutation("13", names_no_command, FaultCell("motion", "estop", "shrc203")),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000")),
 )
 SEEDS = 12  # a fault does not find its precondition in every one

@@ -56,7 +56,7 @@ def test_the_demo_job_runs_and_its_evidence_contains_the_truth() -> None:
             "not-referenced",
             "gantry.x is not referenced",
         ),
-        ("[{do: home, axes: [gantry]}]", "not-enabled", "gantry.x is not enabled"),
+        ("[{do: home, axes: [gantry]}]", "not-enabled", "gantry.x, gantry.y are not enabled"),
     ],
 )
 def test_refusals_before_the_fleet_is_prepared(steps: str, code: str, text: str) -> None:

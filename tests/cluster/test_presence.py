@@ -231,7 +231,9 @@ def test_a_job_waits_for_the_estop_to_be_reset_and_a_release_changes_nothing() -
         await client.start_queue()
         waiting = await client.submit(SHORT)
         await asyncio.sleep(5.0)
-        assert (await entry(client, waiting)).reason == "waits for: e-stop by anna: a test"
+        assert (await entry(client, waiting)).reason == (
+            "waits for: e-stop by anna: a test; make the machine safe, then `tutti reset`"
+        )
         await client.release_jobs()
         await asyncio.sleep(5.0)
         assert (await entry(client, waiting)).state == "queued"
@@ -264,8 +266,11 @@ def test_jobs_wait_for_a_permit_until_it_has_settled() -> None:
 @pytest.mark.parametrize(
     ("steps", "waits_for"),
     [
-        ("[{do: move, by: {gantry.x: 1}}]", "waits for: gantry.x is not enabled"),
-        ("[{do: enable, axes: [gantry]}, {do: move, by: {gantry.x: 1}}]", "waits for: gantry.x is not referenced"),
+        ("[{do: move, by: {gantry.x: 1}}]", "waits for: gantry.x is not enabled; enable: `tutti axis enable gantry.x`"),
+        (
+            "[{do: enable, axes: [gantry]}, {do: move, by: {gantry.x: 1, gantry.y: 1}}]",
+            "waits for: gantry.x, gantry.y are not referenced; home: `tutti axis home gantry.x gantry.y`",
+        ),
     ],
 )
 def test_a_job_waits_for_references_and_motors_that_none_of_its_steps_provides(steps: str, waits_for: str) -> None:

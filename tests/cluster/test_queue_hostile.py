@@ -44,6 +44,7 @@ SERVICE: dict[str, dict[str, Any]] = {
     "release-axes": {"holder": "manual-1"},
     "reload": {"configuration": demo_fleet().to_plain()},
     "check-wiring": {},
+    "repair-epoch": {},
 }
 COMMANDS: dict[str, dict[str, Any]] = {
     "adopt": {"leader": {}},

@@ -11,7 +11,8 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.jobs.queue import find_axes, find_needed_controllers
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Enable, Home, Move, Step
-from orchestrator.model.state import ControllerState
+from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
+from orchestrator.model.state import AxisState, ControllerState
 
 ESTOP_VISIBLE_NS = NS_PER_S  # after an e-stop; by then every adapter has published its latch
 _SAFE = "make the machine safe, then `tutti reset`"
@@ -24,6 +25,9 @@ class Obstacle:
     code: str
     text: str
     remedy: str = ""
+
+    def describe(self) -> str:
+        return f"{self.text}; {self.remedy}" if self.remedy else self.text
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +77,7 @@ class WorldConditions:
 
     def __init__(self, fleet: FleetAccess) -> None:
         self._view = fleet.view
+        self._leadership = fleet.requests.leadership
         self._permits = fleet.permits
         self._clock = fleet.clock
         self._estop: tuple[int, str] | None = None
@@ -104,23 +109,36 @@ class WorldConditions:
             return Obstacle("estop-latched", text, _SAFE)
         if state.mode == "offline":
             return Obstacle("offline", f"{controller} is offline{_first_fault(state)}", "check power and cable")
+        epoch = self._leadership.epoch
+        if moves and state.epoch != epoch:
+            # In a moment, as a rule: after a change of the leader, or a restart of the adapter.
+            text = f"{controller} is not adopted: it is of epoch {state.epoch}, the coordinator of {epoch}"
+            return Obstacle("not-adopted", text, EPOCH_REMEDY if abs(state.epoch - epoch) > MAX_EPOCH_STEP else "")
         if moves and state.faults:
             first = state.faults[0]
             return Obstacle("fault", f"{controller}: {first.text}", first.remedy)
         return None
 
     def _find_axis_obstacle(self, enabled: Iterable[str], referenced: Iterable[str]) -> Obstacle | None:
-        for axis in sorted(enabled):
-            controller, _, name = axis.partition(".")
-            state = self._view.last_state(controller)
-            if state is None or not state.axes[name].enabled:
-                return Obstacle("not-enabled", f"{axis} is not enabled", f"enable it: `tutti axis enable {axis}`")
-        for axis in sorted(referenced):
-            controller, _, name = axis.partition(".")
-            state = self._view.last_state(controller)
-            if state is None or not state.axes[name].referenced:
-                return Obstacle("not-referenced", f"{axis} is not referenced", f"home it: `tutti axis home {axis}`")
+        # All of them at once: one command is enough.
+        off = [axis for axis in sorted(enabled) if not (now := self._find_axis(axis)) or not now.enabled]
+        if off:
+            return Obstacle("not-enabled", _join(off, "not enabled"), f"enable: `tutti axis enable {' '.join(off)}`")
+        lost = [axis for axis in sorted(referenced) if not (now := self._find_axis(axis)) or not now.referenced]
+        if lost:
+            return Obstacle(
+                "not-referenced", _join(lost, "not referenced"), f"home: `tutti axis home {' '.join(lost)}`"
+            )
         return None
+
+    def _find_axis(self, axis: str) -> AxisState | None:
+        controller, _, name = axis.partition(".")
+        state = self._view.last_state(controller)
+        return None if state is None else state.axes.get(name)
+
+
+def _join(axes: list[str], state: str) -> str:
+    return f"{', '.join(axes)} {'is' if len(axes) == 1 else 'are'} {state}"
 
 
 def _first_fault(state: ControllerState) -> str:

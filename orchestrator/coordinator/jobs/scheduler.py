@@ -290,7 +290,7 @@ class Scheduler:
 
     def _find_condition(self, waiting: WaitingJob) -> str:
         obstacle = self._conditions.find_obstacle(self._find_needs(waiting))
-        return "" if obstacle is None else obstacle.text
+        return "" if obstacle is None else obstacle.describe()
 
     def find_obstacle(self, job: Job, terms: QueueTerms) -> Obstacle | None:
         """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`."""

@@ -26,7 +26,7 @@ from orchestrator.coordinator.journal.records import (
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
-from orchestrator.model.messages import MAX_EPOCH_STEP
+from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
 from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
@@ -144,7 +144,7 @@ class Journal:
         """
         with self._transaction():
             known = self._read_meta("epoch", "0")
-            if not known.isdecimal():
+            if not known.isdecimal() or int(known) > MAX_EPOCH:
                 raise _unusable_error(self._path, ValueError(f"its epoch {known!r} is damaged"))
             last = int(known)
             epoch = max(last, seen if seen <= last + MAX_EPOCH_STEP else 0) + 1

@@ -1,0 +1,62 @@
+"""An operator of the campaign that knows nothing of the machine: it runs exactly the commands that the fleet names.
+
+Invariant 13: after the last fault the fleet does a job by itself, or names the command that a person has to run.
+"""
+
+import re
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+
+from orchestrator.client.api import Tutti
+from orchestrator.model.errors import Refusal
+from orchestrator.model.job import Job
+from orchestrator.model.report import QueueEntry
+
+_COMMAND = re.compile(r"`tutti ([^`]+)`")
+MOST_REPEATS = 5
+"""The same command is named again while it is refused, or while it was run a moment too early; not for ever."""
+
+
+class NamedCommands:
+    """Runs the commands named in the reasons of waiting jobs. run_step: runs a job of one step, as the command does,
+    and returns when it has ended."""
+
+    def __init__(self, client: Tutti, run_step: Callable[[Job], Awaitable[None]]) -> None:
+        self._client = client
+        self._run_step = run_step
+        self.commands: list[str] = []
+
+    @property
+    def is_repeating(self) -> bool:
+        """Whether one command was named so often that it evidently has no effect."""
+        return any(self.commands.count(each) > MOST_REPEATS for each in self.commands)
+
+    async def run_named(self, waiting: Sequence[QueueEntry]) -> str:
+        """Run the first command that the jobs name; return it, empty if none is named."""
+        for entry in waiting:
+            named = _COMMAND.search(entry.reason)
+            words = f"job release {entry.id}" if entry.held_by else named[1] if named else ""
+            if words:
+                self.commands.append(words)
+                with suppress(Refusal):  # the next look shows what is still named
+                    await self._run(words.split())
+                return words
+        return ""
+
+    async def _run(self, words: list[str]) -> None:
+        client = self._client
+        match words:
+            case ["reset"]:
+                await client.reset()
+            case ["queue", "start"]:
+                await client.start_queue()
+            case ["job", "release", *jobs]:
+                await client.release_jobs(*jobs)
+            case ["axis", "enable" | "home" as verb, *axes] if axes:
+                step = {"do": verb, "axes": axes}
+                plain = {"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [step]}
+                await self._run_step(Job.model_validate(plain))
+            case ["repair", "epoch"]:
+                await client.repair_epoch()
+            case _:
+                pass  # it repairs nothing, and will be named again
