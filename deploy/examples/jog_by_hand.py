@@ -3,7 +3,7 @@
 import asyncio
 import sys
 
-from orchestrator.client import Refusal, Tutti
+from tutti import Refusal, Tutti
 
 SECONDS, EVERY_S = 1.0, 0.05
 
@@ -23,4 +23,4 @@ async def main(axis: str, velocity: float, endpoint: str) -> None:
 try:
     asyncio.run(main(sys.argv[1], float(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else "tcp/127.0.0.1:7447"))
 except Refusal as error:
-    sys.exit(f"{error.refusal.text}; {error.refusal.remedy}")
+    sys.exit(f"{error.text}; {error.remedy}")

@@ -17,12 +17,12 @@ from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
 from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.bench.truth import NothingHappened, TruthLog
-from orchestrator.client import Job
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.motion.lead_time import KEPT_STEPS, KNOWN_AFTER
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport, JobTransition
 from orchestrator.runtime.live import LiveFleet
 from orchestrator.runtime.virtual import VirtualFleet

@@ -17,10 +17,11 @@ from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps, wait_
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
 from orchestrator.bench.sync_fleets import make_shrc203, make_smc2000, make_smc4000
 from orchestrator.bench.truth import NothingHappened, TruthLog
-from orchestrator.client import Job, SubmittedJob, Tutti
+from orchestrator.client import SubmittedJob, Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import RealtimePriority, reset_priority, set_realtime_priority
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Job
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.live import LiveFleet
 

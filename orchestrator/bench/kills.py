@@ -18,9 +18,11 @@ from typing import NamedTuple
 from orchestrator.bench.fleet import run_measured_fleet
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
 from orchestrator.bench.truth import NothingHappened, TruthLog
-from orchestrator.client import Job, Refusal, Tutti
+from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Job
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.live import STANDBY, LiveFleet
 

@@ -187,7 +187,7 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
     the suffix.
     """
     from orchestrator.client import Tutti
-    from orchestrator.monitor.job_plot import plot_step
+    from orchestrator.monitor.job_plot import plot_recordings
 
     async def plot_job(tutti: Tutti) -> None:
         job_id = (await tutti.find_job(job)).id
@@ -207,7 +207,7 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
                 path = path.with_stem(f"{path.stem}-{each.step}")
             title = f"job {job_id} {shown.entry.name!r}, step {each.step} {each.name}".rstrip()
             try:
-                plot_step(each, title, path)
+                plot_recordings([each], title, path)
             except (OSError, ValueError) as error:
                 exit_with_error(f"{path} cannot be written: {error}", FAILED)
             files[str(each.step)] = str(path)

@@ -50,23 +50,10 @@ def list_jobs(
 
 
 def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
-    """Print a line for each job, and one for its reason: at 80 columns the other cells leave no room for a sentence."""
-    from rich.text import Text
+    """Print the table of jobs."""
+    from orchestrator.monitor.queue_words import make_job_table
 
-    from orchestrator.monitor.tables import make_plain_table
-    from orchestrator.monitor.times import format_time, localize_times
-
-    table = make_plain_table(["name", "job", "actor", "#>", "state", "submitted"], shrinking=("name", "actor"))
-    for entry in jobs:
-        place = "" if entry.place is None else str(entry.place)
-        # Text of users: one row each, whatever line breaks or markup it contains.
-        name, actor = (
-            Text(" ".join(words.split()), no_wrap=True, overflow="ellipsis") for words in (entry.name, entry.actor)
-        )
-        table.add_row(name, entry.id, actor, place, entry.state, format_time(entry.submitted_utc))
-        if entry.reason:
-            table.add_note(localize_times(entry.reason))
-    console.print(table)
+    console.print(make_job_table(jobs))
 
 
 @click.command(epilog="Example: tutti job prune --older 90d --keep 1000")

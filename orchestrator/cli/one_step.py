@@ -95,8 +95,9 @@ def _exit_with_failure(report: "JobReport") -> None:
 async def _print_outcome(tutti: "Tutti", report: "JobReport", axes: list[str], done: str, *, as_json: bool) -> None:
     """Print what has been done, with the names of the axes and where they are now."""
     from orchestrator.cli.base.positions import describe_positions, list_positions
+    from orchestrator.model.state import ControllerState
 
-    states = await tutti.status() if axes else {}
+    states: dict[str, ControllerState] = await tutti.status() if axes else {}
     where = describe_positions(states, axes)
     words = f"{done}: {where}" if done and where else done or where
     value = {"job_id": report.job_id, "state": report.state, "axes": list_positions(states, axes)}

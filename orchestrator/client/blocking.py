@@ -1,120 +1,172 @@
 """The Python API without `async`, for scripts and notebooks.
 
 with BlockingTutti("tcp/127.0.0.1:7447") as tutti:
-    job = tutti.submit(load_job(Path("demo.job.yaml")))
-    for event in job.events():
-        print(event)
-    print(job.result().state)
+    tutti.home()
+    tutti.move({"gantry.x": 120})
+    print(tutti.position("gantry.x"))
 
-A loop in a thread of its own does the work, so that it also works where one runs already, as in a notebook. Ctrl-C
-gives up waiting, and leaves the job alone.
+Written by `tools/blocking_client.py` from the asynchronous API; a change belongs there. Ctrl-C stops what the
+interrupted call has begun, and says so; a job that was submitted stays in the queue.
 """
 
-import asyncio
-import threading
-from collections.abc import Callable, Coroutine, Iterator, Sequence
-from typing import Any, Self, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Literal, Self
 
+from orchestrator.bus.base import Bus
+from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.client.api import Tutti
-from orchestrator.client.connection import DEFAULT_ENDPOINT
+from orchestrator.client.attendance import Attendance
+from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.jobs import SubmittedJob
+from orchestrator.client.manual import VALID_MS, ManualControl
+from orchestrator.client.results import FleetStates, JobQueue, JobResult
+from orchestrator.client.worker import BlockingObject, LoopThread, Worker
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
-from orchestrator.model.job import Job
+from orchestrator.model.job import Job, Step
+from orchestrator.model.messages import TraceReply
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.report import JobProgress, JobReport, JobState, JobTransition, LeaseState, QueueState
-from orchestrator.model.service import JobRetried, JobShown
-from orchestrator.model.state import ControllerInfo, ControllerState
-
-T = TypeVar("T")
-
-
-class _LoopThread:
-    """An event loop in a thread of its own."""
-
-    def __init__(self) -> None:
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="tutti", daemon=True)
-        self._thread.start()
-
-    def run_coroutine(self, work: Coroutine[Any, Any, T]) -> T:
-        future = asyncio.run_coroutine_threadsafe(work, self._loop)
-        try:
-            return future.result()
-        except KeyboardInterrupt:
-            future.cancel()
-            raise
-
-    def close(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
+from orchestrator.model.report import (
+    JobProgress,
+    JobReport,
+    JobState,
+    JobTransition,
+    LeaseState,
+    QueueEntry,
+    StepRecording,
+)
+from orchestrator.model.service import FleetNames, JobRetried, JobShown, WireFinding
+from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo
+from orchestrator.model.units import Quantity
 
 
-class BlockingJob:
-    """A submitted job. `id` identifies it for all clients."""
-
-    def __init__(self, job: SubmittedJob, worker: _LoopThread) -> None:
-        self._job = job
-        self._worker = worker
+class BlockingJob(BlockingObject[SubmittedJob]):
+    """The id of a job, with methods to follow it. As text it can be stored and passed to other processes, which get
+    the same object from `tutti.job(id)`."""
 
     @property
     def id(self) -> str:
-        return self._job.id
+        return self._wrapped.id
 
     def events(self) -> Iterator[JobTransition | JobProgress]:
-        """Every change of its state, and its progress in between, until its end. Raises `Refusal`."""
-        events = self._job.events()
-        try:
-            while True:
-                try:
-                    yield self._worker.run_coroutine(anext(events))
-                except StopAsyncIteration:
-                    return
-        finally:
-            self._worker.run_coroutine(events.aclose())
+        """All transitions from the beginning on, each once, from the journal, and progress in between from the bus.
 
-    def result(self) -> JobReport:
-        """Wait for its end and return its report. Raises `Refusal`."""
-        return self._worker.run_coroutine(self._job.result())
+        Ends with the job. Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        return self._iterate(self._wrapped.events())
+
+    def result(self) -> JobResult:
+        """Wait for the job's end and return its report. Raises `Refusal` for a job that does not exist."""
+        return self._run(self._wrapped.result())
 
     def show(self) -> JobShown:
-        """All details that the journal has. Raises `Refusal`."""
-        return self._worker.run_coroutine(self._job.show())
+        """All that the journal has of the job. Raises `Refusal`."""
+        return self._run(self._wrapped.show())
 
     def cancel(self) -> None:
-        """Cancel it, whether queued or running. Raises `Refusal`."""
-        self._worker.run_coroutine(self._job.cancel())
+        """Cancel the job, queued or running. Raises `Refusal`."""
+        self._run(self._wrapped.cancel())
 
     def hold(self) -> None:
-        """Hold it in the queue until it is released. Raises `Refusal`: code `not-queued`."""
-        self._worker.run_coroutine(self._job.hold())
+        """Hold the queued job until it is released. Raises `Refusal`: code `not-queued`."""
+        self._run(self._wrapped.hold())
 
     def release(self) -> None:
-        """Release it, so that it begins in its turn. Raises `Refusal`."""
-        self._worker.run_coroutine(self._job.release())
+        """Release the held job. Raises `Refusal`."""
+        self._run(self._wrapped.release())
 
     def pause(self, *, now: bool = False) -> None:
-        """Pause it after its current step, or `now`, inside a motion step. Raises `Refusal`: `not-running`."""
-        self._worker.run_coroutine(self._job.pause(now=now))
+        """Pause the job after its current step, or `now` inside a motion step; it keeps its axes. Raises `Refusal`:
+        code `not-running`."""
+        self._run(self._wrapped.pause(now=now))
 
     def resume(self) -> None:
-        """Resume it. Raises `Refusal`: codes `not-running`, `not-paused`."""
-        self._worker.run_coroutine(self._job.resume())
+        """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
+        self._run(self._wrapped.resume())
 
 
-class BlockingTutti:
-    """A connection to one fleet; use it as a context manager. Jogging needs `Tutti`: it is renewed while it lasts."""
+class BlockingManualControl(BlockingObject[ManualControl]):
+    """The lease of `axes` (axes, groups, controllers) and the motion under it. Made by `Tutti.manual_control`."""
 
-    def __init__(self, connect: str = DEFAULT_ENDPOINT, fleet: str | None = None, actor: str = "api") -> None:
-        self._tutti = Tutti(connect, fleet, actor)
-        self._worker: _LoopThread | None = None
+    def __enter__(self) -> Self:
+        self._run(self._wrapped.__aenter__())
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._run(self._wrapped.__aexit__(*error))
+
+    @property
+    def axes(self) -> list[str]:
+        return self._wrapped.axes
+
+    @property
+    def lost(self) -> Refusal | None:
+        return self._wrapped.lost
+
+    @property
+    def holder(self) -> str:
+        return self._wrapped.holder
+
+    def release(self) -> None:
+        """Stop what still moves and release the axes. Raises nothing: a lease that is not renewed ends by itself."""
+        self._run(self._wrapped.release())
+
+    def jog(self, velocities: Mapping[str, float], valid_ms: int = VALID_MS) -> None:
+        """Move each `controller.axis` at a velocity (its unit/s, user's direction) for `valid_ms`; 0 stops it.
+
+        At most 200 ms, unless it is renewed. Returns when all controllers have accepted it, and renews it until then;
+        one that refuses stops the others. Raises `Refusal`: codes `not-leased`, `leased`, `too-fast`, `soft-limit`,
+        `not-enabled`, and others of the adapter.
+        """
+        self._run(self._wrapped.jog(velocities, valid_ms))
+
+    def renew_jog(self, velocities: Mapping[str, float] | None = None, valid_ms: int = VALID_MS) -> None:
+        """Continue all motion for `valid_ms` from now, at the last velocities, or at new ones (unit/s).
+
+        Raises `Refusal`: code `not-jogging` for an axis that has been stopped meanwhile, or was not renewed in time.
+        """
+        self._run(self._wrapped.renew_jog(velocities, valid_ms))
+
+    def stop(self) -> None:
+        """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
+        answer."""
+        self._run(self._wrapped.stop())
+
+
+class BlockingAttendance(BlockingObject[Attendance]):
+    """One session; use it as a context."""
+
+    def __enter__(self) -> Self:
+        self._run(self._wrapped.__aenter__())
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._run(self._wrapped.__aexit__(*error))
+
+    @property
+    def session(self) -> str:
+        return self._wrapped.session
+
+
+class BlockingTutti(BlockingObject[Tutti]):
+    """A connection to one fleet, with all requests; use it as a context. For its arguments see `FleetConnection`."""
+
+    def __init__(
+        self,
+        connect: str | Bus = DEFAULT_ENDPOINT,
+        fleet: str | None = None,
+        actor: str = "api",
+        worker: Worker | None = None,
+    ) -> None:
+        """worker: runs the requests; None: a thread of its own."""
+        super().__init__(Tutti(connect, fleet, actor), worker or LoopThread())
+        self._closed = False
 
     def __enter__(self) -> Self:
         """Connect. Raises `RouterUnreachable`, or `Refusal` with code `no-fleet` or `which-fleet`."""
-        self._worker = _LoopThread()
         try:
-            self._worker.run_coroutine(self._tutti.open())
+            self._run(self._wrapped.open())
         except BaseException:
             self.close()
             raise
@@ -125,64 +177,306 @@ class BlockingTutti:
 
     def close(self) -> None:
         """Close the connection. May be called twice."""
-        worker, self._worker = self._worker, None
-        if worker is not None:
-            worker.run_coroutine(self._tutti.close())
-            worker.close()
-
-    # Jobs
-
-    def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> BlockingJob:
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`."""
-        return BlockingJob(self._run(self._tutti.submit(job, client_key, terms)), self._loop_thread)
-
-    def job(self, job_id: str) -> BlockingJob:
-        """A job by its id."""
-        return BlockingJob(self._tutti.job(job_id), self._loop_thread)
-
-    def dry_run(self, job: Job, on_steps: Callable[[int], None] | None = None) -> JobForecast:
-        """Run a job forward from the present positions, without motion; see `Tutti.dry_run`. Raises `Refusal`."""
-        return self._run(self._tutti.dry_run(job, on_steps))
-
-    def list_jobs(self, limit: int = 50, state: JobState | None = None, name: str = "") -> QueueState:
-        """The newest jobs, newest first. Raises `Refusal`."""
-        return self._run(self._tutti.list_jobs(limit, state, name))
-
-    def retry_job(self, job_id: str, from_step: int = 0, *, dry_run: bool = False) -> JobRetried:
-        """Re-run a finished job, from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`."""
-        return self._run(self._tutti.retry_job(job_id, from_step, dry_run=dry_run))
-
-    # The fleet
-
-    def status(self) -> dict[str, ControllerState]:
-        """The state of every controller whose adapter is present, by id."""
-        return self._run(self._tutti.status())
-
-    def controller_info(self, controller: str) -> ControllerInfo:
-        """The identity and abilities of a controller. Raises `Refusal`."""
-        return self._run(self._tutti.controller_info(controller))
-
-    def list_leases(self) -> Sequence[LeaseState]:
-        """The current leases of the axes."""
-        return self._run(self._tutti.list_leases())
-
-    def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
-        """Stop every controller and the running jobs, and hold the queued ones; return each controller's reply."""
-        return self._run(self._tutti.stop(mode))
-
-    def estop(self, reason: str = "") -> dict[str, bool]:
-        """Publish an e-stop; return which controllers show its latch."""
-        return self._run(self._tutti.estop(reason))
-
-    def reset(self, event: str | None = None) -> dict[str, Refusal | None]:
-        """Release the e-stop latch if it is safe on all controllers; return each controller's reply."""
-        return self._run(self._tutti.reset(event))
-
-    def _run(self, work: Coroutine[Any, Any, T]) -> T:
-        return self._loop_thread.run_coroutine(work)
+        if not self._closed:
+            self._closed = True
+            self._run(self._wrapped.close())
+            self._worker.close()
 
     @property
-    def _loop_thread(self) -> _LoopThread:
-        if self._worker is None:
-            raise RuntimeError("not connected; use it as `with BlockingTutti(…) as tutti:`")
-        return self._worker
+    def actor(self) -> str:
+        return self._wrapped.actor
+
+    def run(self, job: Job | Step | Sequence[Step], *, wait: bool = False) -> JobResult:
+        """Run a job, or steps, and return its report when it is done; it ends with this program.
+
+        wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. Raises
+        `Refusal` if it does not begin, and `JobFailed` if it is not done. Unlike a job that is submitted, it begins
+        also while the queue is stopped, and does not survive an interruption.
+        """
+        return self._run(self._wrapped.run(job, wait=wait))
+
+    def move(
+        self,
+        to: Mapping[str, Quantity] | None = None,
+        by: Mapping[str, Quantity] | None = None,
+        *,
+        speed: float = 1.0,
+        sync: Literal["time", "phase", "none"] = "time",
+        wait: bool = False,
+    ) -> JobResult:
+        """Move axes together: to positions, or by distances, in their units or with one (`"6 mm"`).
+
+        speed: fraction of each axis's velocity limit. sync, wait: as in a job, and in `run`. Raises `Refusal`,
+        `JobFailed`.
+        """
+        return self._run(self._wrapped.move(to, by, speed=speed, sync=sync, wait=wait))
+
+    def home(self, *axes: str, wait: bool = False) -> JobResult:
+        """Find the reference of axes (groups, controllers); without any, of the whole fleet in its home_order.
+
+        Raises `Refusal`, `JobFailed`."""
+        return self._run(self._wrapped.home(*axes, wait=wait))
+
+    def enable(self, *axes: str, wait: bool = False) -> JobResult:
+        """Switch the motors of axes (groups, controllers) on. Raises `Refusal`, `JobFailed`."""
+        return self._run(self._wrapped.enable(*axes, wait=wait))
+
+    def disable(self, *axes: str, wait: bool = False) -> JobResult:
+        """Switch the motors of axes (groups, controllers) off. Raises `Refusal`, `JobFailed`."""
+        return self._run(self._wrapped.disable(*axes, wait=wait))
+
+    def set_position(self, axes: Mapping[str, Quantity | None], *, wait: bool = False) -> JobResult:
+        """Set the present positions of axes; None removes an axis's offset. Nothing moves. Raises `Refusal`,
+        `JobFailed`."""
+        return self._run(self._wrapped.set_position(axes, wait=wait))
+
+    def set_output(self, output: str, *, on: bool = True, wait: bool = False) -> JobResult:
+        """Switch the output `controller.output`. Raises `Refusal`, `JobFailed`."""
+        return self._run(self._wrapped.set_output(output, on=on, wait=wait))
+
+    def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> JobResult:
+        """Wait until the input `controller.input` is active (`on=False`: passive). Raises `Refusal`, and `JobFailed`
+        after `timeout_s`."""
+        return self._run(self._wrapped.wait_input(name, on=on, timeout_s=timeout_s))
+
+    def dwell(self, seconds: float) -> JobResult:
+        """Wait, as a step of the fleet's own. Raises `Refusal`, `JobFailed`."""
+        return self._run(self._wrapped.dwell(seconds))
+
+    def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> BlockingJob:
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`.
+
+        job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
+        often it is submitted. terms: priority, repeats, predecessor and start time.
+        """
+        return BlockingJob(self._run(self._wrapped.submit(job, client_key, terms)), self._worker)
+
+    def attend(self) -> BlockingAttendance:
+        """A session for jobs that a person waits for: they end when its context does, or its process."""
+        return BlockingAttendance(self._wrapped.attend(), self._worker)
+
+    def start_queue(self) -> None:
+        """Let the jobs of the queue begin again after a break or a stop. Raises `Refusal`."""
+        self._run(self._wrapped.start_queue())
+
+    def stop_queue(self) -> None:
+        """Let no further job begin; running jobs continue. Raises `Refusal`."""
+        self._run(self._wrapped.stop_queue())
+
+    def find_job(self, reference: str) -> QueueEntry:
+        """The job that a user means: by the beginning of its id, its name, or `last`, the newest.
+
+        Raises `Refusal`: codes `unknown-job`, and `ambiguous`, which names the jobs that fit.
+        """
+        return self._run(self._wrapped.find_job(reference))
+
+    def job(self, job_id: str) -> BlockingJob:
+        """A job by its id, to follow it."""
+        return BlockingJob(self._wrapped.job(job_id), self._worker)
+
+    def enqueue_job(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> QueueEntry:
+        """Submit a job and return its place in the queue. Raises `Refusal`."""
+        return self._run(self._wrapped.enqueue_job(job, client_key, terms))
+
+    def dry_run(self, job: Job, on_steps: Callable[[int], None] | None = None) -> JobForecast:
+        """Run a job forward from the present positions, each step from where the one before it leaves its axes, and
+        ask every controller what it would be sent. Nothing moves. Raises `Refusal`.
+
+        on_steps: called with the number of steps that are done. The work ends with this call: the job is sent in parts.
+        """
+        return self._run(self._wrapped.dry_run(job, on_steps))
+
+    def list_jobs(
+        self, limit: int = 50, state: JobState | None = None, name: str = "", since: str | None = None
+    ) -> JobQueue:
+        """The newest jobs, newest first; `total` is the number of all that match. Raises `Refusal`.
+
+        state: only jobs in it. name: only jobs with this text in their name. since: only jobs submitted at this RFC
+        3339 time or later.
+        """
+        return self._run(self._wrapped.list_jobs(limit, state, name, since))
+
+    def show_job(self, job_id: str) -> JobShown:
+        """All that the journal has of a job. Raises `Refusal`."""
+        return self._run(self._wrapped.show_job(job_id))
+
+    def load_recording(self, job_id: str, step: int) -> StepRecording | None:
+        """The plan and the polled samples of a motion step; None if there is no recording."""
+        return self._run(self._wrapped.load_recording(job_id, step))
+
+    def cancel_job(self, job_id: str) -> None:
+        """Cancel a queued or running job. Raises `Refusal`."""
+        self._run(self._wrapped.cancel_job(job_id))
+
+    def hold_jobs(self, *job_ids: str) -> None:
+        """Hold queued jobs until they are released. Raises `Refusal`: code `not-queued`."""
+        self._run(self._wrapped.hold_jobs(*job_ids))
+
+    def release_jobs(self, *job_ids: str) -> None:
+        """Release held jobs; without ids, all held jobs. Raises `Refusal`."""
+        self._run(self._wrapped.release_jobs(*job_ids))
+
+    def reorder_job(self, job_id: str, before: str) -> None:
+        """Move a queued job before another one, with that one's priority. Raises `Refusal`: code `not-queued`."""
+        self._run(self._wrapped.reorder_job(job_id, before))
+
+    def pause_job(self, job_id: str, *, now: bool = False) -> None:
+        """Pause a running job after its current step; it keeps its axes. Raises `Refusal`: code `not-running`.
+
+        now: pause inside a motion step by a feed hold; the axes brake together, and `resume_job` continues from there.
+        """
+        self._run(self._wrapped.pause_job(job_id, now=now))
+
+    def resume_job(self, job_id: str) -> None:
+        """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
+        self._run(self._wrapped.resume_job(job_id))
+
+    def retry_job(
+        self,
+        job_id: str,
+        from_step: int = 0,
+        *,
+        dry_run: bool = False,
+        terms: QueueTerms | None = None,
+        client_key: str | None = None,
+    ) -> JobRetried:
+        """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
+
+        dry_run: only report the remaining steps and the present positions of their axes.
+        """
+        return self._run(
+            self._wrapped.retry_job(job_id, from_step, dry_run=dry_run, terms=terms, client_key=client_key)
+        )
+
+    def prune_jobs(self, older_s: float, keep: int) -> int:
+        """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`; return how
+        many."""
+        return self._run(self._wrapped.prune_jobs(older_s, keep))
+
+    def wait_for_job(
+        self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0
+    ) -> JobReport:
+        """Wait for a job's end and return its report, as the journal has it. on_progress: called with progress from
+        the bus, and at once with what a queued job waits for; what it raises is raised here.
+
+        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s))
+
+    def manual_control(
+        self, axes: Sequence[str], what: str = "manual control", ttl_s: float = 3.0
+    ) -> BlockingManualControl:
+        """Manual control of axes (groups, controllers) while the context lasts: nothing else moves them, and they can
+        be jogged.
+
+        with tutti.manual_control(["gantry.x"], what="alignment") as manual:
+            manual.jog({"gantry.x": 5.0})
+
+        what: shown to clients that are refused meanwhile. ttl_s: how long the axes stay acquired if this process dies.
+        Entering raises `Refusal`: code `leased` while another holder has one of them, `permit` while one is missing.
+        """
+        return BlockingManualControl(self._wrapped.manual_control(axes, what, ttl_s), self._worker)
+
+    def reserve_axes(self, axes: Sequence[str], seconds: float, what: str = "manual work") -> tuple[list[str], str]:
+        """Reserve axes (groups, controllers) for work at the machine, for `seconds` or until `release_axes`.
+
+        Jobs that need them wait, other holders are refused. Returns all reserved axes, and the holder. Raises
+        `Refusal`: code `leased`.
+        """
+        return self._run(self._wrapped.reserve_axes(axes, seconds, what))
+
+    def release_axes(self, holder: str) -> None:
+        """Release all axes of a manual `holder`. Raises `Refusal`."""
+        self._run(self._wrapped.release_axes(holder))
+
+    def list_leases(self) -> list[LeaseState]:
+        """The lease of each controller; where several holders have its axes, one of them."""
+        return self._run(self._wrapped.list_leases())
+
+    def send_raw(self, controller: str, command: str, *, i_know: bool) -> str:
+        """Send a command in the controller's own language, with all its axes acquired meanwhile. Raises `Refusal`.
+
+        i_know: must be True, because no limit is checked.
+        """
+        return self._run(self._wrapped.send_raw(controller, command, i_know=i_know))
+
+    def axes(self) -> dict[str, AxisState]:
+        """The state of every axis, by `controller.axis`; those of controllers that are offline are old."""
+        return self._run(self._wrapped.axes())
+
+    def position(self, axis: str) -> float:
+        """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
+        return self._run(self._wrapped.position(axis))
+
+    def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> Iterator[dict[str, float]]:
+        """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
+
+        An axis whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's
+        `poll` states how often. Raises `Refusal`: code `unknown-axis`.
+        """
+        return self._iterate(self._wrapped.positions(axes, hz))
+
+    def events(self, controller: str | None = None) -> Iterator[ControllerEvent]:
+        """The events of the fleet, or of one controller, as they come: starts, ends, faults, limits, e-stops."""
+        return self._iterate(self._wrapped.events(controller))
+
+    def status(self, timeout_s: float = ANSWER_S) -> FleetStates:
+        """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`."""
+        return self._run(self._wrapped.status(timeout_s))
+
+    def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
+        """Stop every controller, directly, and the running jobs, and hold the queued ones.
+
+        Returns the refusal of each controller, by id; None where it has accepted the stop. mode: `decelerate`, or
+        `abort` for the shortest stop.
+        """
+        return self._run(self._wrapped.stop(mode))
+
+    def estop(self, reason: str = "", timeout_s: float = 2.0) -> dict[str, bool]:
+        """Send an e-stop; return which controllers report its latch within `timeout_s`, by id."""
+        return self._run(self._wrapped.estop(reason, timeout_s))
+
+    def wait_for_latch(self, timeout_s: float = 2.0) -> dict[str, bool]:
+        """Wait until all controllers report an e-stop latch, at most `timeout_s`; return which do, by id."""
+        return self._run(self._wrapped.wait_for_latch(timeout_s))
+
+    def reset(self, event: str | None = None) -> dict[str, Refusal | None]:
+        """Release the e-stop latch named `event` (None: any) on every controller, and clear faults that can be cleared.
+
+        All controllers check first whether it is safe; if one refuses, none is released. Returns the refusal of each,
+        by id; None where it has been reset.
+        """
+        return self._run(self._wrapped.reset(event))
+
+    def reload_fleet(self, fleet: Fleet) -> list[str]:
+        """Load another fleet file into the running fleet; return the controllers that have changed.
+
+        Raises `Refusal`.
+        """
+        return self._run(self._wrapped.reload_fleet(fleet))
+
+    def check_wiring(self) -> list[WireFinding]:
+        """Check each wire of the fleet file; nothing moves. Raises `Refusal` while wired axes are in use."""
+        return self._run(self._wrapped.check_wiring())
+
+    def repair_epoch(self) -> list[str]:
+        """Let controllers that remember another epoch accept the present coordinator; return them. Raises `Refusal`
+        while an axis moves."""
+        return self._run(self._wrapped.repair_epoch())
+
+    def list_names(self, timeout_s: float = ANSWER_S) -> FleetNames:
+        """The names of the fleet: of its coordinator, or else of the adapters that answer. Raises `Refusal`, code
+        `no-fleet`, if nothing answers."""
+        return self._run(self._wrapped.list_names(timeout_s))
+
+    def controller_info(self, controller: str) -> ControllerInfo:
+        """Identity, capabilities and configuration of a controller, as its adapter has it. Raises `Refusal`."""
+        return self._run(self._wrapped.controller_info(controller))
+
+    def axis_config(self, axis: str) -> dict[str, Any]:
+        """The configuration of `controller.axis`, as its adapter has it. Raises `Refusal`."""
+        return self._run(self._wrapped.axis_config(axis))
+
+    def read_trace(self, controller: str) -> TraceReply:
+        """The last minute of bytes on a controller's link. Raises `Refusal`."""
+        return self._run(self._wrapped.read_trace(controller))

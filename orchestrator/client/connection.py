@@ -1,9 +1,10 @@
 """The connection to one fleet: the bus, the keys, and requests to the leader and to controllers."""
 
+import asyncio
 import uuid
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from orchestrator.bus.base import Bus, BusSample, NoReply, RequestRefused, RequestTimeout
 from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
@@ -12,9 +13,6 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply, Request
-
-if TYPE_CHECKING:
-    import asyncio
 
 M = TypeVar("M", bound=Model)
 
@@ -37,6 +35,7 @@ class FleetConnection:
     ) -> None:
         self._endpoint = connect if isinstance(connect, str) else ""
         self._bus = None if isinstance(connect, str) else connect
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._keys = None if fleet is None else FleetKeys(fleet)
         self.actor = actor
         self.new_id = new_id
@@ -48,6 +47,7 @@ class FleetConnection:
 
         if self._bus is None:
             self._bus = await open_bus(self._endpoint)
+            self._loop = asyncio.get_running_loop()
         if self._keys is None:
             try:
                 self._keys = FleetKeys(await find_only_fleet(self._bus))
@@ -58,9 +58,11 @@ class FleetConnection:
 
     @property
     def bus(self) -> Bus:
-        """The bus. Raises `RuntimeError` before `open`."""
+        """The bus. Raises `RuntimeError` before `open`, and in another event loop than that of `open`."""
         if self._bus is None:
             raise RuntimeError("not connected; use it as `async with Tutti(…) as tutti:`")
+        if self._loop not in (None, asyncio.get_running_loop()):
+            raise RuntimeError("connected in another event loop; open a Tutti in this one, or use BlockingTutti")
         return self._bus
 
     @property
@@ -83,10 +85,8 @@ class FleetConnection:
             await bus.close()
 
     @asynccontextmanager
-    async def subscribe_samples(self, *expressions: str) -> AsyncGenerator["asyncio.Queue[BusSample]"]:
+    async def subscribe_samples(self, *expressions: str) -> AsyncGenerator[asyncio.Queue[BusSample]]:
         """A queue that receives every sample on the given key expressions while the context lasts."""
-        import asyncio
-
         queue: asyncio.Queue[BusSample] = asyncio.Queue()
         declared = [await self.bus.subscribe(expression, queue.put_nowait) for expression in expressions]
         try:

@@ -6,6 +6,7 @@ from typing import Any
 from orchestrator.bus.base import Priority
 from orchestrator.bus.estop import put_estop
 from orchestrator.client.connection import ANSWER_S, FleetConnection, absence_refusal
+from orchestrator.client.results import FleetStates
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EstopReset, Reply, Request, ResetRequest, StopRequest, TraceReply
@@ -29,11 +30,11 @@ WIRING_S = 60.0
 class FleetRequests(FleetConnection):
     """Watch, stop and reset the fleet."""
 
-    async def status(self, timeout_s: float = ANSWER_S) -> dict[str, ControllerState]:
+    async def status(self, timeout_s: float = ANSWER_S) -> FleetStates:
         """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`."""
         replies = await self.bus.request_all(self.keys.state(), b"", timeout_s)
         states = [ControllerState.model_validate_json(payload) for payload in replies.values()]
-        return {state.controller: state for state in sorted(states, key=lambda each: each.controller)}
+        return FleetStates({state.controller: state for state in sorted(states, key=lambda each: each.controller)})
 
     async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.

@@ -7,6 +7,7 @@ from typing import Self
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S, FleetConnection
+from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
@@ -19,7 +20,6 @@ from orchestrator.model.report import (
     JobState,
     JobTransition,
     QueueEntry,
-    QueueState,
     StepRecording,
     make_queued_progress,
 )
@@ -49,6 +49,7 @@ DRY_RUN_STEPS = 50  # in one request, so that other requests get their turn
 DRY_RUN_S = 30.0  # for such a part
 SUBMIT_STEP_S = 0.01
 PRUNE_S = 60.0
+MAX_RECORDINGS = 100
 
 
 class JobRequests(FleetConnection):
@@ -130,14 +131,14 @@ class JobRequests(FleetConnection):
 
     async def list_jobs(
         self, limit: int = 50, state: JobState | None = None, name: str = "", since: str | None = None
-    ) -> QueueState:
+    ) -> JobQueue:
         """The newest jobs, newest first; `total` is the number of all that match. Raises `Refusal`.
 
         state: only jobs in it. name: only jobs with this text in their name. since: only jobs submitted at this RFC
         3339 time or later.
         """
         request = ListJobs(**self.request_fields(), limit=limit, state=state, name=name, since=since)
-        return await self.request_service("list", request, QueueState)
+        return await self.request_service("list", request, JobQueue)
 
     async def show_job(self, job_id: str) -> JobShown:
         """All that the journal has of a job. Raises `Refusal`."""
@@ -157,6 +158,12 @@ class JobRequests(FleetConnection):
         """The plan and the polled samples of a motion step; None if there is no recording."""
         request = RecordingReference(**self.request_fields(), job_id=job_id, step=step)
         return (await self.request_service("recording", request, RecordingReply)).recording
+
+    async def load_result(self, report: JobReport) -> JobResult:
+        """A report with the recordings of its first `MAX_RECORDINGS` motion steps."""
+        moves = [step.index for step in report.steps if step.do == "move"][:MAX_RECORDINGS]
+        found = [await self.load_recording(report.job_id, index) for index in moves]
+        return JobResult.of(report, [each for each in found if each is not None])
 
     async def cancel_job(self, job_id: str) -> None:
         """Cancel a queued or running job. Raises `Refusal`."""
@@ -218,16 +225,24 @@ class JobRequests(FleetConnection):
         self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0
     ) -> JobReport:
         """Wait for a job's end and return its report, as the journal has it. on_progress: called with progress from
-        the bus, and at once with what a queued job waits for.
+        the bus, and at once with what a queued job waits for; what it raises is raised here.
 
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
         changed = asyncio.Event()
+        failed: list[Exception] = []
 
         def receive_progress(sample: BusSample) -> None:
-            progress = JobProgress.model_validate_json(sample.payload)
+            try:
+                progress = JobProgress.model_validate_json(sample.payload)
+            except ValueError:
+                return  # not of the coordinator
             if on_progress is not None:
-                on_progress(progress)
+                try:
+                    on_progress(progress)
+                except Exception as error:
+                    failed.append(error)  # raised where the caller waits
+                    changed.set()
             if progress.state in FINISHED_STATES:
                 changed.set()
 
@@ -247,6 +262,8 @@ class JobRequests(FleetConnection):
                         await changed.wait()
                 except TimeoutError:
                     continue
+                if failed:
+                    raise failed[0]
         finally:
             await subscription.undeclare()
 
@@ -291,9 +308,9 @@ class SubmittedJob(str):
         finally:
             await subscription.undeclare()
 
-    async def result(self) -> JobReport:
+    async def result(self) -> JobResult:
         """Wait for the job's end and return its report. Raises `Refusal` for a job that does not exist."""
-        return await self._requests.wait_for_job(self)
+        return await self._requests.load_result(await self._requests.wait_for_job(self))
 
     async def show(self) -> JobShown:
         """All that the journal has of the job. Raises `Refusal`."""

@@ -58,14 +58,14 @@ class LoadedFile:
         return FileProblem(self.name, node.line, field, text)
 
 
-def load_fleet(path: Path) -> Fleet:
+def load_fleet(path: Path | str) -> Fleet:
     """Load the fleet file at `path`. Raises `FileError`."""
-    return parse_file(read_file(path), Fleet)
+    return parse_file(read_file(Path(path)), Fleet)
 
 
-def load_job(path: Path) -> Job:
+def load_job(path: Path | str) -> Job:
     """Load the job file at `path`. Raises `FileError`."""
-    return parse_file(read_file(path), Job)
+    return parse_file(read_file(Path(path)), Job)
 
 
 def read_file(path: Path) -> LoadedFile:
@@ -102,11 +102,17 @@ def parse_file(file: LoadedFile, model: type[M]) -> M:
     if not isinstance(file.root.children, dict):
         text = f"must be a mapping that starts with `schema:`, e.g. {_example_line(model)}"
         raise FileError([FileProblem(file.name, 1, "", text)])
+    # In Python a job needs none: there its version is that of the program.
+    problems = [] if "schema" in file.root.children else [file.problem(("schema",), "is missing")]
     try:
         # As JSON, because that is where pydantic is strict about text and numbers, but not about enums and lists.
-        return model.model_validate_json(json.dumps(file.root.value), strict=True)
+        found = model.model_validate_json(json.dumps(file.root.value), strict=True)
     except ValidationError as error:
-        raise FileError(file.problem(each.place, each.text) for each in list_problems(error, model)) from None
+        problems += [file.problem(each.place, each.text) for each in list_problems(error, model)]
+    else:
+        if not problems:
+            return found
+    raise FileError(problems)
 
 
 def _make_file_error(error: YamlError, name: str) -> FileError:

@@ -1,8 +1,9 @@
 """The job file: a list of steps for the whole fleet."""
 
-from typing import Annotated, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
@@ -11,12 +12,24 @@ from orchestrator.model.state import StartWish
 from orchestrator.model.units import Quantity
 
 UNKNOWN_ACTOR = "unknown"
+_MISSING: Any = object()
 
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
 
 
+def _require_in_files(name: str) -> Callable[[dict[str, Any]], None]:
+    """Keep a field that has a default in Python required in the JSON Schema of files."""
+
+    def add(schema: dict[str, Any]) -> None:
+        schema["required"] = [name, *schema.get("required", [])]
+
+    return add
+
+
 class StepBase(Model):
     """Fields that every step may have."""
+
+    model_config = ConfigDict(json_schema_extra=_require_in_files("do"))
 
     name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
 
@@ -24,7 +37,7 @@ class StepBase(Model):
 class Move(StepBase):
     """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one instant."""
 
-    do: Literal["move"]
+    do: Literal["move"] = "move"
     to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
     by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
     speed: Part = Field(default=1.0, description="Fraction of each axis's velocity limit.")
@@ -62,42 +75,42 @@ class Move(StepBase):
 class Home(StepBase):
     """Find the reference of axes; without `axes`, of the whole fleet in its `home_order`."""
 
-    do: Literal["home"]
+    do: Literal["home"] = "home"
     axes: Axes | None = None
 
 
 class Enable(StepBase):
     """Switch motors on."""
 
-    do: Literal["enable"]
+    do: Literal["enable"] = "enable"
     axes: Axes
 
 
 class Disable(StepBase):
     """Switch motors off."""
 
-    do: Literal["disable"]
+    do: Literal["disable"] = "disable"
     axes: Axes
 
 
 class SetPosition(StepBase):
     """Set the current position of axes to the given user positions; null removes an axis's offset. Nothing moves."""
 
-    do: Literal["set-position"]
+    do: Literal["set-position"] = "set-position"
     axes: dict[str, Quantity | None] = Field(min_length=1, description="User positions by axis.")
 
 
 class Dwell(StepBase):
     """Wait."""
 
-    do: Literal["dwell"]
+    do: Literal["dwell"] = "dwell"
     duration: Duration
 
 
 class SetOutput(StepBase):
     """Switch a named output."""
 
-    do: Literal["output"]
+    do: Literal["output"] = "output"
     output: str = Field(description="controller.output")
     value: bool = Field(description="true: active")
 
@@ -105,7 +118,7 @@ class SetOutput(StepBase):
 class WaitInput(StepBase):
     """Wait for a named input."""
 
-    do: Literal["wait"]
+    do: Literal["wait"] = "wait"
     input: str = Field(description="controller.input")
     value: bool = Field(default=True, description="true: active")
     timeout: Duration
@@ -126,9 +139,15 @@ def named_axes(step: Step) -> list[str]:
 
 
 class Job(Model):
-    """A sequence of steps that a user submits to the fleet."""
+    """A sequence of steps that a user submits to the fleet.
 
-    schema_: Literal["tutti.job/1"] = Field(alias="schema")
+    In Python: `Job("scan", [Home(), Move(to={"gantry.x": 120, "stage.u": "6 mm"})], max_start_skew="5 ms")`; skews and
+    durations are text with a unit. Raises `pydantic.ValidationError` with every mistake.
+    """
+
+    model_config = ConfigDict(json_schema_extra=_require_in_files("schema"))
+
+    schema_: Literal["tutti.job/1"] = Field(default="tutti.job/1", alias="schema")
     name: str = Field(min_length=1, max_length=120)
     actor: str = Field(
         default=UNKNOWN_ACTOR, min_length=1, max_length=80, description="The user or program that submits the job."
@@ -143,6 +162,13 @@ class Job(Model):
         default=None, description="Maximum time offset between axes along their path."
     )
     steps: list[Step] = Field(min_length=1, max_length=10_000)
+
+    def __init__(self, name: str = _MISSING, steps: Sequence["Step"] = _MISSING, **fields: Any) -> None:
+        given = {"name": name, "steps": steps}
+        super().__init__(**{key: value for key, value in given.items() if value is not _MISSING}, **fields)
+
+    # Validation fills the fields itself, as for a model without a constructor of its own.
+    __init__.__pydantic_base_init__ = True  # pyright: ignore[reportFunctionMemberAccess]
 
     @field_validator("max_start_skew", "max_end_skew", "max_path_skew")
     @classmethod

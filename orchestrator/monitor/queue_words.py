@@ -1,7 +1,13 @@
-"""The state of the queue in words."""
+"""The queue in words, and lists of jobs as tables."""
 
-from orchestrator.model.report import QueueState
-from orchestrator.monitor.times import format_time
+from collections.abc import Iterable
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from orchestrator.model.report import QueueEntry, QueueState
+from orchestrator.monitor.tables import make_plain_table
+from orchestrator.monitor.times import format_time, localize_times
 
 
 def describe_queue(state: QueueState) -> str:
@@ -11,3 +17,25 @@ def describe_queue(state: QueueState) -> str:
         return f"the queue is running; {jobs}"
     since = format_time(state.stopped.utc)
     return f"the queue is stopped since {since} ({state.stopped.reason}); {jobs}: tutti queue start"
+
+
+def make_job_table(jobs: Iterable[QueueEntry]) -> RenderableType:
+    """Build a table with a row for each job, and below it its reason: at 80 columns the other cells leave no room for
+    a sentence. #: the place of a waiting job in the queue."""
+    table = make_plain_table(["name", "job", "actor", "#>", "state", "submitted"], shrinking=("name", "actor"))
+    for entry in jobs:
+        place = "" if entry.place is None else str(entry.place)
+        # Text of users: one row each, whatever line breaks or markup it contains.
+        name, actor = (
+            Text(" ".join(words.split()), no_wrap=True, overflow="ellipsis") for words in (entry.name, entry.actor)
+        )
+        table.add_row(name, entry.id, actor, place, entry.state, format_time(entry.submitted_utc))
+        if entry.reason:
+            table.add_note(localize_times(entry.reason))
+    return table
+
+
+def make_queue_table(state: QueueState) -> RenderableType:
+    """Build the table of a list of jobs, with what keeps the queue from going on."""
+    lines = [Text(describe_queue(state))] if state.stopped is not None else []
+    return Group(make_job_table(state.jobs), *lines)

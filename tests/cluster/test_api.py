@@ -5,8 +5,9 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, job, run_fleet
 
-from orchestrator.client import Refusal, Tutti
+from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.report import JobProgress, JobTransition
 from orchestrator.runtime.virtual import VirtualFleet
 

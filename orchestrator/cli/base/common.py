@@ -130,7 +130,8 @@ def print_result(value: Any, words: str, *, as_json: bool) -> None:
 def with_fleet(connect: str, fleet: str | None, action: Callable[[Any], Awaitable[T]]) -> T:
     """Connect, run `act(tutti)`, and leave the bus in every case."""
     from orchestrator.cli.base.names import explain_absence
-    from orchestrator.client import Refusal, Tutti
+    from orchestrator.client import Tutti
+    from orchestrator.model.errors import Refusal
 
     async def run_connected() -> T:
         async with Tutti(connect, fleet, actor=actor_name()) as tutti:

@@ -24,10 +24,11 @@ from orchestrator.cli.jog.screen import render_panel
 from orchestrator.cli.jog.terminal import ESCAPE_TIMEOUT_S, RawTerminal
 from orchestrator.cli.jog.work import CancelWork, RunWork
 from orchestrator.cli.jog.work_runner import WorkRunner
-from orchestrator.client import Refusal, Tutti
+from orchestrator.client import Tutti
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.live import raw_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.report import LeaseState
 from orchestrator.model.state import ControllerState
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from orchestrator.cli.jog.panel import JogPanel
 from orchestrator.cli.jog.work import RunWork
-from orchestrator.client import Refusal, Tutti
+from orchestrator.client import Tutti
+from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
 

@@ -9,10 +9,11 @@ import pytest
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.memory.bus import MemoryNet
-from orchestrator.client import Refusal, Tutti
+from orchestrator.client import Tutti
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import JogRequest, RefusalDetails, Reply
 from orchestrator.model.service import AcquireAxes, AxesAcquired, ReleaseAxes
 

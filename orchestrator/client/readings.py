@@ -1,0 +1,93 @@
+"""Positions and events of the fleet, once or as they come."""
+
+import asyncio
+import math
+from collections.abc import AsyncGenerator, Sequence
+
+from pydantic import ValidationError
+
+from orchestrator.bus.base import BusSample
+from orchestrator.client.fleet import FleetRequests
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
+
+MAX_WAITING_EVENTS = 10_000  # of a reader that is too slow; the oldest are dropped
+
+
+class ReadingRequests(FleetRequests):
+    """Read axes, and follow them."""
+
+    async def axes(self) -> dict[str, AxisState]:
+        """The state of every axis, by `controller.axis`; those of controllers that are offline are old."""
+        states = await self.status()
+        return {f"{name}.{axis}": now for name, state in states.items() for axis, now in state.axes.items()}
+
+    async def position(self, axis: str) -> float:
+        """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
+        controller, _, name = axis.partition(".")
+        states = await self.status()
+        if not states:
+            raise await self.find_absence()
+        if controller not in states or name not in states[controller].axes:
+            raise _unknown_axis(axis, states)
+        if states[controller].mode == "offline":
+            raise Refusal("offline", f"{controller} is offline", "check its power and cable", controller)
+        return states[controller].axes[name].position
+
+    async def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> AsyncGenerator[dict[str, float]]:
+        """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
+
+        An axis whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's
+        `poll` states how often. Raises `Refusal`: code `unknown-axis`.
+        """
+        if not 0 < hz <= 1000:
+            raise Refusal("bad-rate", f"{hz:g} Hz is not a rate", "choose 0.001 to 1000 Hz")
+        states: dict[str, ControllerState] = dict(await self.status())
+        wanted = [f"{name}.{axis}" for name, state in states.items() for axis in state.axes] if axes is None else axes
+        for axis in wanted:
+            controller, _, name = axis.partition(".")
+            if controller not in states or name not in states[controller].axes:
+                raise _unknown_axis(axis, states)
+
+        def receive_state(sample: BusSample) -> None:
+            try:
+                state = ControllerState.model_validate_json(sample.payload)
+            except ValidationError:
+                return  # not of an adapter
+            states[state.controller] = state
+
+        declared = [
+            await self.bus.subscribe(self.keys.state(each), receive_state) for each in group_by_controller(wanted)
+        ]
+        try:
+            while True:
+                yield {axis: _find_position(states, axis) for axis in wanted}
+                await asyncio.sleep(1 / hz)
+        finally:
+            for each in declared:
+                await each.undeclare()
+
+    async def events(self, controller: str | None = None) -> AsyncGenerator[ControllerEvent]:
+        """The events of the fleet, or of one controller, as they come: starts, ends, faults, limits, e-stops."""
+        async with self.subscribe_samples(self.keys.event(controller)) as samples:
+            while True:
+                sample = await samples.get()
+                while samples.qsize() > MAX_WAITING_EVENTS:
+                    sample = samples.get_nowait()
+                try:
+                    event = ControllerEvent.model_validate_json(sample.payload)
+                except ValidationError:
+                    continue
+                yield event
+
+
+def _find_position(states: dict[str, ControllerState], axis: str) -> float:
+    controller, _, name = axis.partition(".")
+    state = states[controller]
+    return math.nan if state.mode == "offline" else state.axes[name].position
+
+
+def _unknown_axis(axis: str, states: dict[str, ControllerState]) -> Refusal:
+    known = ", ".join(f"{name}.{each}" for name, state in states.items() for each in state.axes)
+    return Refusal("unknown-axis", f"the fleet has no axis {axis!r}; its axes are: {known}", "see `tutti axis ls`")

@@ -1,0 +1,117 @@
+"""What requests return to people: the same models, with tables for a notebook and pictures.
+
+Rendering is imported when it is used: a program that only sends requests needs none of it.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.report import JobReport, QueueEntry, QueueState, StepRecording
+from orchestrator.model.state import ControllerState
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
+
+WIDTH = 120  # characters of a table
+
+
+class FleetStates(dict[str, ControllerState]):
+    """The state of every controller, by id. It prints as the table of `tutti status`."""
+
+    def __str__(self) -> str:
+        return _render_text(self._make_table())
+
+    def _repr_html_(self) -> str:
+        return _render_html(self._make_table())
+
+    def _make_table(self) -> "RenderableType":
+        from orchestrator.monitor.fleet_view import make_state_table
+
+        return make_state_table(self)
+
+
+class JobQueue(QueueState):
+    """A list of jobs: iterate over its entries. It prints as a table."""
+
+    def __iter__(self) -> Iterator[QueueEntry]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return iter(self.jobs)
+
+    def __len__(self) -> int:
+        return len(self.jobs)
+
+    def __getitem__(self, index: int) -> QueueEntry:
+        return self.jobs[index]
+
+    def __str__(self) -> str:
+        return _render_text(self._make_table())
+
+    def _repr_html_(self) -> str:
+        return _render_html(self._make_table())
+
+    def _make_table(self) -> "RenderableType":
+        from orchestrator.monitor.queue_words import make_queue_table
+
+        return make_queue_table(self)
+
+
+class JobResult(JobReport):
+    """The record of a job that has ended. It prints as the table of `tutti job report`.
+
+    recordings: plan and polled positions of its first 100 motion steps, as far as they are kept.
+    """
+
+    recordings: tuple[StepRecording, ...] = Field(default=(), exclude=True, repr=False)
+
+    @classmethod
+    def of(cls, report: JobReport, recordings: Sequence[StepRecording]) -> "JobResult":
+        """A result of `report` with the recordings of its motion steps."""
+        return cls.model_validate({**dict(report), "recordings": tuple(recordings)})
+
+    def __str__(self) -> str:
+        return _render_text(self._make_table())
+
+    def _repr_html_(self) -> str:
+        return _render_html(self._make_table())
+
+    def _make_table(self) -> "RenderableType":
+        from orchestrator.monitor.report_table import make_report_tables
+
+        return make_report_tables(self)
+
+    def plot(self, path: Path | str | None = None) -> "Figure":
+        """Plot the planned and the polled positions of its axes over time, and their difference; a notebook shows it.
+
+        path: also write it there, as PNG or SVG by its ending. Raises `Refusal`, code `no-recording`, if nothing was
+        recorded: a job without a move, or an old one.
+        """
+        from orchestrator.monitor.job_plot import plot_recordings
+
+        if not self.recordings:
+            raise Refusal("no-recording", f"job {self.name!r} has no recording of a move", "plot a job that moves axes")
+        title = f"{self.name} {self.job_id}: planned and polled positions"
+        return plot_recordings(self.recordings, title, None if path is None else Path(path))
+
+
+def _render_text(table: "RenderableType") -> str:
+    console = _make_console()
+    console.print(table)
+    return console.export_text().rstrip()
+
+
+def _render_html(table: "RenderableType") -> str:
+    console = _make_console()
+    console.print(table)
+    return console.export_html(inline_styles=True, code_format='<pre style="line-height: 1.3">{code}</pre>')
+
+
+def _make_console() -> Any:
+    import io
+
+    from rich.console import Console
+
+    return Console(record=True, width=WIDTH, file=io.StringIO())

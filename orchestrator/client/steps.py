@@ -1,0 +1,139 @@
+"""Verbs of a script: each runs a job that belongs to the program, and returns when its axes are there.
+
+await tutti.home()
+await tutti.move({"gantry.x": 120, "stage.u": "6 mm"})
+
+What a program has begun ends with it: a cancelled task, Ctrl-C, or the end of the process stops the axes, and the
+interruption says so on standard error.
+"""
+
+import asyncio
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Literal
+
+from orchestrator.client.jobs import JobRequests
+from orchestrator.client.results import JobResult
+from orchestrator.model.errors import Refusal, TuttiError
+from orchestrator.model.job import (
+    Disable,
+    Dwell,
+    Enable,
+    Home,
+    Job,
+    Move,
+    SetOutput,
+    SetPosition,
+    Step,
+    WaitInput,
+)
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import QueueEntry
+from orchestrator.model.units import Quantity
+
+STOP_S = 5.0  # for an interrupted job to come to rest
+
+
+class JobFailed(TuttiError):
+    """A job, or a verb, that was not done. report: the record of what happened."""
+
+    def __init__(self, report: JobResult) -> None:
+        reason = f": {report.reason}" if report.reason else ""
+        super().__init__(f"{report.name} is {report.state}{reason}")
+        self.report = report
+
+
+class StepRequests(JobRequests):
+    """Run jobs and single steps that end with this program."""
+
+    async def run(self, job: Job | Step | Sequence[Step], *, wait: bool = False) -> JobResult:
+        """Run a job, or steps, and return its report when it is done; it ends with this program.
+
+        wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. Raises
+        `Refusal` if it does not begin, and `JobFailed` if it is not done. Unlike a job that is submitted, it begins
+        also while the queue is stopped, and does not survive an interruption.
+        """
+        async with self.attend() as attendance:
+            terms = QueueTerms(session=attendance.session, now=not wait)
+            submitting = asyncio.ensure_future(self.enqueue_job(_make_job(job), None, terms))
+            try:
+                # Not cancelled: a job whose id is unknown cannot be stopped.
+                entry = await asyncio.shield(submitting)
+                report = await self.load_result(await self.wait_for_job(entry.id))
+            except asyncio.CancelledError:
+                await self._stop_interrupted(submitting)
+                raise
+        if report.state != "done":
+            raise JobFailed(report)
+        return report
+
+    async def move(
+        self,
+        to: Mapping[str, Quantity] | None = None,
+        by: Mapping[str, Quantity] | None = None,
+        *,
+        speed: float = 1.0,
+        sync: Literal["time", "phase", "none"] = "time",
+        wait: bool = False,
+    ) -> JobResult:
+        """Move axes together: to positions, or by distances, in their units or with one (`"6 mm"`).
+
+        speed: fraction of each axis's velocity limit. sync, wait: as in a job, and in `run`. Raises `Refusal`,
+        `JobFailed`.
+        """
+        return await self.run(Move(to=dict(to or {}), by=dict(by or {}), speed=speed, sync=sync), wait=wait)
+
+    async def home(self, *axes: str, wait: bool = False) -> JobResult:
+        """Find the reference of axes (groups, controllers); without any, of the whole fleet in its home_order.
+
+        Raises `Refusal`, `JobFailed`."""
+        return await self.run(Home(axes=list(axes) or None), wait=wait)
+
+    async def enable(self, *axes: str, wait: bool = False) -> JobResult:
+        """Switch the motors of axes (groups, controllers) on. Raises `Refusal`, `JobFailed`."""
+        return await self.run(Enable(axes=list(axes)), wait=wait)
+
+    async def disable(self, *axes: str, wait: bool = False) -> JobResult:
+        """Switch the motors of axes (groups, controllers) off. Raises `Refusal`, `JobFailed`."""
+        return await self.run(Disable(axes=list(axes)), wait=wait)
+
+    async def set_position(self, axes: Mapping[str, Quantity | None], *, wait: bool = False) -> JobResult:
+        """Set the present positions of axes; None removes an axis's offset. Nothing moves. Raises `Refusal`,
+        `JobFailed`."""
+        return await self.run(SetPosition(axes=dict(axes)), wait=wait)
+
+    async def set_output(self, output: str, *, on: bool = True, wait: bool = False) -> JobResult:
+        """Switch the output `controller.output`. Raises `Refusal`, `JobFailed`."""
+        return await self.run(SetOutput(output=output, value=on), wait=wait)
+
+    async def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> JobResult:
+        """Wait until the input `controller.input` is active (`on=False`: passive). Raises `Refusal`, and `JobFailed`
+        after `timeout_s`."""
+        return await self.run(WaitInput.model_validate({"input": name, "value": on, "timeout": f"{timeout_s:.9f} s"}))
+
+    async def dwell(self, seconds: float) -> JobResult:
+        """Wait, as a step of the fleet's own. Raises `Refusal`, `JobFailed`."""
+        return await self.run(Dwell.model_validate({"duration": f"{seconds:.9f} s"}))
+
+    async def _stop_interrupted(self, submitting: "asyncio.Future[QueueEntry]") -> None:
+        """Stop the job of an interrupted call, and say so. Its session ends anyhow, which stops it within a second."""
+        try:
+            async with asyncio.timeout(STOP_S):
+                entry = await submitting
+                with suppress(Refusal):
+                    await self.cancel_job(entry.id)
+                report = await self.wait_for_job(entry.id)
+            text = f"{report.name} is {report.state}"
+        except Refusal as error:
+            text = f"nothing has begun ({error.text})"
+        except TimeoutError:
+            text = "the end of the job is not confirmed; if axes still move: `tutti stop`"
+        sys.stderr.write(f"tutti: interrupted: {text}\n")
+
+
+def _make_job(job: Job | Step | Sequence[Step]) -> Job:
+    if isinstance(job, Job):
+        return job
+    steps = list(job) if isinstance(job, Sequence) else [job]
+    return Job("+".join(dict.fromkeys(step.do for step in steps))[:120] or "nothing", steps)

@@ -1,0 +1,72 @@
+"""The Python interface of Tutti, for scripts, notebooks and programs.
+
+from tutti import BlockingTutti
+
+with BlockingTutti() as tutti:
+    tutti.home()
+    tutti.move({"gantry.x": 120, "stage.u": "6 mm"})
+
+`Tutti` is the same with `async`. A request that is not carried out raises `Refusal`, with `code`, `text` and `remedy`;
+a job that is not done raises `JobFailed`, with its `report`. Both are a `TuttiError`.
+"""
+
+from importlib.metadata import version as _version
+
+from orchestrator.client.api import Tutti
+from orchestrator.client.blocking import BlockingJob, BlockingManualControl, BlockingTutti
+from orchestrator.client.jobs import SubmittedJob
+from orchestrator.client.manual import ManualControl
+from orchestrator.client.results import FleetStates, JobQueue, JobResult
+from orchestrator.client.steps import JobFailed
+from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
+from orchestrator.model.files import FileError, load_fleet, load_job
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.forecast import JobForecast
+from orchestrator.model.job import Disable, Dwell, Enable, Home, Job, Move, SetOutput, SetPosition, Step, WaitInput
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import JobProgress, JobReport, JobTransition, QueueEntry, StepRecording, StepReport
+from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
+
+__version__ = _version("tutti")
+
+__all__ = [
+    "AxisState",
+    "BlockingJob",
+    "BlockingManualControl",
+    "BlockingTutti",
+    "ControllerEvent",
+    "ControllerFault",
+    "ControllerInfo",
+    "ControllerState",
+    "Disable",
+    "Dwell",
+    "Enable",
+    "FileError",
+    "Fleet",
+    "FleetStates",
+    "Home",
+    "Job",
+    "JobFailed",
+    "JobForecast",
+    "JobProgress",
+    "JobQueue",
+    "JobReport",
+    "JobResult",
+    "JobTransition",
+    "ManualControl",
+    "Move",
+    "QueueEntry",
+    "QueueTerms",
+    "Refusal",
+    "SetOutput",
+    "SetPosition",
+    "Step",
+    "StepRecording",
+    "StepReport",
+    "SubmittedJob",
+    "Tutti",
+    "TuttiError",
+    "WaitInput",
+    "load_fleet",
+    "load_job",
+]
