@@ -78,9 +78,14 @@ LEFT_OUT = {
     "bus", "keys", "open", "close", "request_fields", "request_service", "request_controller", "subscribe_samples",
     "find_absence", "show_job_when_available", "load_result", "acquire",
 }  # fmt: skip
-ATTRIBUTE_TYPES = {
-    "id": "str", "axes": "list[str]", "lost": "Refusal | None", "holder": "str", "session": "str", "actor": "str",
-}  # fmt: skip
+ATTRIBUTES = {
+    "id": ("str", "The id as plain text."),
+    "axes": ("list[str]", "The leased axes, as `controller.axis`."),
+    "lost": ("Refusal | None", "Why the lease ended before it was released; None while it lasts."),
+    "holder": ("str", "The holder of the lease, as others are shown it."),
+    "session": ("str", "The session, for the terms of jobs that belong to it."),
+    "actor": ("str", "The user or program that makes the requests."),
+}
 
 
 class Imports:
@@ -192,9 +197,10 @@ def write_classes() -> str:
             text.append(CONTEXT)
         for attribute in attributes:
             imports.found |= {"Refusal": "orchestrator.model.errors"} if attribute == "lost" else {}
+            kind, doc = ATTRIBUTES[attribute]
             text.append(
-                f"    @property\n    def {attribute}(self) -> {ATTRIBUTE_TYPES[attribute]}:\n"
-                f"        return self._wrapped.{attribute}"
+                f"    @property\n    def {attribute}(self) -> {kind}:\n"
+                f'        """{doc}"""\n        return self._wrapped.{attribute}'
             )
         done: set[str] = set(LEFT_OUT)
         for base in wrapped.__mro__:

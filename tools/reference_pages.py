@@ -1,13 +1,17 @@
-"""Write the generated reference pages: fields of fleet and job files, and the command line. `make docs` runs it."""
+"""Write the generated reference pages: fields of files, command line, Python interface. `make docs` runs it."""
 
+import inspect
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 from click.testing import CliRunner
+from pydantic import BaseModel
 
+import tutti
 from orchestrator.cli.main import main as command
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
@@ -100,12 +104,72 @@ def command_page() -> str:
     return "\n".join(parts)
 
 
+def python_page() -> str:
+    """The page of the Python interface: every public name of `tutti`, its signature and its docstring."""
+    parts = ["# Python interface\n", (inspect.getdoc(tutti) or "").partition("\n")[0] + " Generated from the code.\n"]
+    for name in tutti.__all__:
+        found = getattr(tutti, name)
+        parts.append(f"## {name}\n")
+        if name == "Step":
+            parts.append(f"One of {', '.join(each.__name__ for each in get_args(get_args(found)[0]))}.\n")
+            continue
+        parts += _describe_object(name, found)
+        waiting = name.removeprefix("Blocking") if name.startswith("Blocking") else ""
+        if waiting:
+            same = {"Job": "SubmittedJob"}.get(waiting, waiting)
+            parts.append(
+                f"It has every method of [{same}](#{same.lower()}), with the same arguments, without `async`.\n"
+            )
+        elif inspect.isclass(found) and found.__module__.startswith("orchestrator.client"):
+            for part, value in inspect.getmembers(
+                found, lambda each: inspect.isroutine(each) or isinstance(each, property)
+            ):
+                if not part.startswith("_") and part not in dir(BaseModel) and _is_ours(value):
+                    parts.append(f"### {name}.{part}\n")
+                    parts += _describe_object(part, value)
+    return "\n".join(parts)
+
+
+def _is_documented(value: object) -> bool:
+    return inspect.isroutine(value) or isinstance(value, property)
+
+
+def _is_documented(value: object) -> bool:
+    return inspect.isroutine(value) or isinstance(value, property)
+
+
+def _is_ours(value: Any) -> bool:
+    code = value.fget if isinstance(value, property) else value
+    return (getattr(code, "__module__", "") or "").startswith(("orchestrator", "tutti"))
+
+
+def _describe_object(name: str, found: Any) -> Iterator[str]:
+    """Signature and docstring; of a model, its fields instead of the signature."""
+    doc = inspect.getdoc(found) or ""
+    if inspect.isclass(found) and issubclass(found, BaseModel):
+        fields = ", ".join(f"`{field.alias or key}`" for key, field in found.model_fields.items())
+        yield f"```text\n{doc}\n```\n"
+        yield f"Fields: {fields}.\n"
+        return
+    if callable(found) and not (inspect.isclass(found) and issubclass(found, dict | Exception)):
+        shown = str(inspect.signature(found)).replace("orchestrator.model.", "").replace("collections.abc.", "")
+        yield f"`{name}{_shorten_types(shown)}`\n"
+    yield f"```text\n{doc}\n```\n"
+
+
+def _shorten_types(signature: str) -> str:
+    """Types without their modules, and without what validates them."""
+    plain = re.sub(r"typing\.|pathlib\.|\b(?:[a-z_]+\.)+(?=[A-Z])", "", signature)
+    return plain if len(plain) < 400 else re.sub(r"\(.*\)", "(…)", plain, flags=re.DOTALL)
+
+
 def pages() -> dict[str, str]:
     """The generated pages by file name."""
     return {
         "fleet-file.md": file_page("fleet", Fleet.model_json_schema(), "Fleet"),
         "job-file.md": file_page("job", Job.model_json_schema(), "Job"),
         "command-line.md": command_page(),
+        "python.md": python_page(),
     }
 
 

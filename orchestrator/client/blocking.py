@@ -47,6 +47,7 @@ class BlockingJob(BlockingObject[SubmittedJob]):
 
     @property
     def id(self) -> str:
+        """The id as plain text."""
         return self._wrapped.id
 
     def events(self) -> Iterator[JobTransition | JobProgress]:
@@ -98,14 +99,17 @@ class BlockingManualControl(BlockingObject[ManualControl]):
 
     @property
     def axes(self) -> list[str]:
+        """The leased axes, as `controller.axis`."""
         return self._wrapped.axes
 
     @property
     def lost(self) -> Refusal | None:
+        """Why the lease ended before it was released; None while it lasts."""
         return self._wrapped.lost
 
     @property
     def holder(self) -> str:
+        """The holder of the lease, as others are shown it."""
         return self._wrapped.holder
 
     def release(self) -> None:
@@ -146,6 +150,7 @@ class BlockingAttendance(BlockingObject[Attendance]):
 
     @property
     def session(self) -> str:
+        """The session, for the terms of jobs that belong to it."""
         return self._wrapped.session
 
 
@@ -184,6 +189,7 @@ class BlockingTutti(BlockingObject[Tutti]):
 
     @property
     def actor(self) -> str:
+        """The user or program that makes the requests."""
         return self._wrapped.actor
 
     def run(self, job: Job | Step | Sequence[Step], *, wait: bool = False) -> JobResult:

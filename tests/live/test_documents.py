@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,9 +19,11 @@ PAGE_S = 240.0
 PAGES = (
     "tutorial/first-quarter-hour.md",
     "tutorial/first-day.md",
+    "tutorial/first-script.md",
     "how-to/write-a-fleet.md",
     "how-to/write-a-job.md",
     "how-to/work-with-the-queue.md",
+    "how-to/use-python.md",
 )
 
 
@@ -28,6 +31,16 @@ def commands(page: Path) -> list[str]:
     """The lines of a page's `console` blocks that begin with a prompt, without it."""
     blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     return [line.removeprefix("$ ") for block in blocks for line in block.splitlines() if line.startswith("$ ")]
+
+
+def programs(page: Path) -> list[str]:
+    """The `python` blocks of a page that are whole programs, each as a command."""
+    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [
+        f"cd {tempfile.gettempdir()}; python - <<'PROGRAM'\n{block}PROGRAM\n"
+        for block in blocks
+        if block.startswith(("from ", "import "))
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +54,15 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
 
 def test_every_page_with_commands_is_run() -> None:
     pages = [*(ROOT / "docs" / "tutorial").glob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
-    with_commands = {str(page.relative_to(ROOT / "docs")) for page in pages if commands(page)}
+    with_commands = {str(page.relative_to(ROOT / "docs")) for page in pages if commands(page) or programs(page)}
     assert with_commands == set(PAGES)
 
 
 @pytest.mark.timeout(PAGE_S + 60)
 @pytest.mark.parametrize("page", PAGES)
 def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
-    script = "set -eu\n" + "\n".join(commands(ROOT / "docs" / page))
+    script = "\n".join(["set -eu", *commands(ROOT / "docs" / page), *programs(ROOT / "docs" / page)])
+    script = script.replace("tcp/127.0.0.1:7447", fleet.endpoint)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = os.environ | {"PATH": path, "TUTTI_CONNECT": fleet.endpoint}
     done = subprocess.run(

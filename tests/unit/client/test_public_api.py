@@ -33,7 +33,10 @@ def test_every_public_name_is_documented(name: str) -> None:
     if name == "Step":
         return  # a union
     assert inspect.getdoc(found)
-    for part, value in inspect.getmembers(found, inspect.isroutine) if inspect.isclass(found) else []:
+    members = inspect.getmembers(found, lambda each: inspect.isroutine(each) or isinstance(each, property))
+    for part, value in members if inspect.isclass(found) else []:
+        if isinstance(value, property):
+            value = value.fget
         if not part.startswith("_") and (getattr(value, "__module__", "") or "").startswith(("orchestrator", "tutti")):
             assert inspect.getdoc(value), f"{name}.{part} has no docstring"
 

@@ -22,7 +22,7 @@ PACKAGES = ("orchestrator", "adapters", "sim")
 # ends, each for the reason that stands in its docstring, and benchmarks, which measure real time.
 LIVE = re.compile(
     r"(process|live|guardian|workers|executor|parent)\.py$|/link/|^orchestrator/(cli|bus/zenoh)/"
-    r"|^orchestrator/bench/(?!can/fleet|sync_)|^orchestrator/client/(connection|blocking)"
+    r"|^orchestrator/bench/(?!can/fleet|sync_)|^orchestrator/client/(connection|worker)"
 )
 BANNED = {"time", "threading", "concurrent.futures", "uuid", "multiprocessing", "secrets"}
 
