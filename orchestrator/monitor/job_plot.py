@@ -35,11 +35,15 @@ def plot_recordings(recordings: Sequence[StepRecording], title: str, path: Path 
     rows = figure.subplots(len(names), 2, squeeze=False, sharex=True, width_ratios=(3, 2))
     for name, (above, difference) in zip(names, rows, strict=True):
         unit = next(each.axes[name].unit for each in recordings if name in each.axes)
+        rest: tuple[float, float] | None = None
         difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
         for number, recording in enumerate(each for each in recordings if name in each.axes):
             axis, offset_s = recording.axes[name], (recording.t0_fleet_ns - first_ns) * 1e-9
             planned_s, planned = _planned_curve(axis, offset_s)
             seen_s, seen, off = _polled_points(recording, axis, offset_s)
+            if rest:  # between two moves
+                above.plot([rest[0], planned_s[0]], [rest[1], planned[0]], color=COLOUR_PLAN, linewidth=1, zorder=1)
+            rest = planned_s[-1], planned[-1]
             labels = ("planned", "polled") if number == 0 else (None, None)
             above.plot(planned_s, planned, color=COLOUR_PLAN, linewidth=2.5, label=labels[0], zorder=1)
             above.plot(seen_s, seen, ".", color=COLOUR_SEEN, markersize=5, label=labels[1], zorder=2)
