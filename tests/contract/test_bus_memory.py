@@ -209,6 +209,40 @@ def test_a_partition_separates_only_its_two_sides() -> None:
     run_virtual(main)
 
 
+def test_one_way_can_be_blocked_from_one_process_or_from_all() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        a, b, c = (net.join_process(name) for name in "abc")
+        got: dict[str, list[bytes]] = {"a": [], "b": [], "c": []}
+        present: dict[str, bool] = {}
+        for bus in (a, b, c):
+            await bus.subscribe("k", lambda sample, name=bus.name: got[name].append(sample.payload))
+        await b.serve("q", _echo)
+        await b.watch("live/*", present.__setitem__)
+        net.block_way("a", "b")
+        await a.announce("live/a")
+        a.put("k", b"from a", Priority.EVENT)
+        b.put("k", b"from b", Priority.ESTOP)
+        with pytest.raises(RequestTimeout):
+            await a.request("q", b"", 0.5)
+        assert await c.request("q", b"x", 0.5) == b"x"
+        assert got == {"a": [b"from b", b"from a"], "b": [b"from b"], "c": [b"from b", b"from a"]}
+        assert present == {}
+        net.open_way("a", "b")
+        assert await a.request("q", b"x", 0.5) == b"x"
+        assert present == {"live/a": True}
+        net.block_way(None, "b")
+        for bus in (a, b, c):
+            bus.put("k", b"last", Priority.EVENT)
+        with pytest.raises(RequestTimeout):
+            await c.request("q", b"", 0.5)
+        assert got["b"][1:] == [b"last"] and got["a"][2:] == got["c"][2:] == [b"last"] * 3
+        net.open_way(None, "b")
+        assert await c.request("q", b"x", 0.5) == b"x"
+
+    run_virtual(main)
+
+
 def test_a_death_is_detected_within_milliseconds_and_the_name_is_free_again() -> None:
     async def main(clock: VirtualClock) -> None:
         net = MemoryNet(clock)

@@ -78,6 +78,7 @@ class MemoryNet:
         self._sides: dict[str, int] = {}
         self._lost_sides: dict[str, int] = {}
         self._cuts = 0
+        self._blocked_ways: set[tuple[str | None, str]] = set()
         self._lossy: dict[str, float] = {}
         self.presence = PresenceBoard(self)
         self.requests = RequestBoard(self)
@@ -124,6 +125,16 @@ class MemoryNet:
                 self.presence.refresh_watches()
 
         self.schedule_call(self.clock.now_ns() + RECONNECT_NS, restore_presence)
+
+    def block_way(self, sender: str | None, receiver: str) -> None:
+        """Lose all samples, requests and replies from `sender` (None: any process) to `receiver` from now on. The other
+        direction stays open. For less than the lease: presence stays as it was."""
+        self._blocked_ways.add((sender, receiver))
+
+    def open_way(self, sender: str | None, receiver: str) -> None:
+        """End what `block_way` began."""
+        self._blocked_ways.discard((sender, receiver))
+        self.presence.refresh_watches()
 
     def set_loss(self, name: str, share: float) -> None:
         """Drop this share (0 to 1) of a process's droppable samples."""
@@ -192,9 +203,18 @@ class MemoryNet:
         least_ns = self._latency.least_ns
         return self.clock.now_ns() + (least_ns if priority is Priority.ESTOP else self._latency.draw_ns(self._rng))
 
-    def is_cut(self, one: BusProcess, other: BusProcess) -> bool:
-        """Whether two processes are separated now."""
-        return one.given_up or other.given_up or _are_apart(self._sides, one, other)
+    def is_cut(self, sender: BusProcess, receiver: BusProcess) -> bool:
+        """Whether nothing passes from one process to the other now."""
+        return (
+            sender.given_up
+            or receiver.given_up
+            or _are_apart(self._sides, sender, receiver)
+            or (bool(self._blocked_ways) and self._is_way_blocked(sender, receiver))
+        )
+
+    def _is_way_blocked(self, sender: BusProcess, receiver: BusProcess) -> bool:
+        ways = ((sender.name, receiver.name), (None, receiver.name))
+        return sender is not receiver and not self._blocked_ways.isdisjoint(ways)
 
     def is_lost(self, one: BusProcess, other: BusProcess) -> bool:
         """Whether two processes count each other as gone."""

@@ -92,11 +92,11 @@ class PresenceBoard:
         present = {token.key: token.bus for token in self._tokens if expressions_intersect(watch.expression, token.key)}
         for key, bus in list(watch.believed.items()):
             # Changes on the other side of a partition are unknown here until the lease has expired.
-            if net.is_lost(watch.bus, bus) or (key not in present and not net.is_cut(watch.bus, bus)):
+            if net.is_lost(watch.bus, bus) or (key not in present and not net.is_cut(bus, watch.bus)):
                 del watch.believed[key]
                 self._notify_watch(watch, key, present=False)
         for key, bus in present.items():
-            if key not in watch.believed and not net.is_cut(watch.bus, bus) and not net.is_lost(watch.bus, bus):
+            if key not in watch.believed and not net.is_cut(bus, watch.bus) and not net.is_lost(watch.bus, bus):
                 watch.believed[key] = bus
                 self._notify_watch(watch, key, present=True)
 
