@@ -1,6 +1,7 @@
 """Axes are homed in order; a failure stops the axes that depend on it, and nothing else."""
 
 import asyncio
+import json
 
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
@@ -204,6 +205,34 @@ def test_an_unreachable_adapter_is_not_waited_for_while_homing() -> None:
         assert fleet.controllers["gantry"].at_rest()
 
     run_fleet(main, searching())
+
+
+@pytest.mark.parametrize("lost", ["request", "answer"])
+def test_a_homing_whose_request_or_answer_is_lost_is_done_once_and_soon(lost: str) -> None:
+    """The bus was away for a moment, too short for anything to be missed."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, ENABLE)
+        client = fleet.make_client()
+        host = fleet.find_process(f"host/{fleet.fleet.controllers['gantry'].host}").name
+        coordinator = fleet.find_process("coordinator/first").name
+        way = (coordinator, host) if lost == "request" else (host, coordinator)
+        begun_ns = fleet.clock.now_ns()
+        homing = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
+        if lost == "answer":
+            await fleet.wait_until(lambda states: states["gantry"].axes["x"].homing)
+            while not fleet.controllers["gantry"].at_rest():
+                await asyncio.sleep(0.001)
+        fleet.net.block_way(*way)
+        await asyncio.sleep(0.4)
+        fleet.net.open_way(*way)
+        report = await client.wait_for_job(homing)
+        assert report.state == "done"
+        assert fleet.clock.now_ns() - begun_ns < 10 * NS_PER_S
+        homed = [json.loads(line) for line in fleet.lines if '"homed"' in line]
+        assert len(homed) == 1
+
+    run_fleet(main)
 
 
 @pytest.mark.parametrize("after_ms", [5, 30, 90, 180])

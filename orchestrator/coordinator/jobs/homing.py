@@ -13,6 +13,8 @@ from orchestrator.plan.step import ExactTargets
 
 ANSWER_S = 3.0
 POLL_S = 0.05
+REPEAT_S = 1.0
+"""After this time the last state of an adapter that is not silent is one from after the request."""
 
 ProgressCallback = Callable[[float, str], None]
 """Receives the fraction that is done, 0 to 1, and what is being done."""
@@ -125,8 +127,12 @@ class HomingSequence:
         request = HomeRequest(**self._fleet.requests.request_fields(run.actor), axes=names, holder=run.holder)
         state = self._fleet.view.last_state(controller)
         instance = None if state is None else state.instance
-        ask = self._fleet.requests.request(controller, "home", request, HomeReply, timeout_s + ANSWER_S)
-        asked = asyncio.get_running_loop().create_task(ask)
+        requests, loop = self._fleet.requests, asyncio.get_running_loop()
+
+        def ask() -> "asyncio.Task[HomeReply]":
+            return loop.create_task(requests.request(controller, "home", request, HomeReply, timeout_s + ANSWER_S))
+
+        asked, asked_s = ask(), loop.time()
         try:
             while True:
                 await asyncio.wait([asked], timeout=POLL_S)
@@ -138,8 +144,16 @@ class HomingSequence:
                     await self._fleet.stop_members([controller], "decelerate", run.actor, gone)
                     remedy = "check its adapter host (`tutti status`), then home again"
                     return HomeReply(refused=RefusalDetails(code="absent", text=gone, remedy=remedy, member=controller))
+                if loop.time() - asked_s > REPEAT_S and not self._is_homing(controller, names):
+                    # The request or its answer was lost. It keeps its id, so it is executed once.
+                    asked.cancel()
+                    asked, asked_s = ask(), loop.time()
         finally:
             asked.cancel()
+
+    def _is_homing(self, controller: str, names: list[str]) -> bool:
+        state = self._fleet.view.last_state(controller)
+        return state is not None and any(state.axes[name].homing for name in names)
 
     def _take_reply(self, run: _HomingRun, controller: str, reply: HomeReply) -> None:
         axes = run.busy.pop(controller)
