@@ -5,6 +5,7 @@ mode, and a crashed host leaves a motion with an end.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 
 from adapters.cia402 import objects as o
 from adapters.cia402 import states
@@ -80,11 +81,8 @@ class Cia402ManualMotion:
                 raise Refusal("stopped", f"axis {self._name} was stopped before its search began", "")
             return await self._run_search(found)
         except BaseException:
-            try:
-                if node.is_enabled:
-                    self._power.write_stop(abort=False)
-            except LinkClosed:
-                pass
+            with suppress(LinkClosed):
+                self._power.write_stop(abort=False)
             raise
         finally:
             self.homing = False
@@ -164,6 +162,8 @@ class Cia402ManualMotion:
             why = "this computer has left the bus (bus-off)"
         elif node.state is not DriveState.ENABLED:
             why = f"it is {node.state.value}: {node.fault_text()}"
+            # A status can be wrong.
+            self._power.write_stop(abort=False)
         elif not begun:
             why = "the drive does not begin its search, and still shows the result of an earlier one"
             node.send_control(states.ENABLE)

@@ -112,12 +112,12 @@ class PowerStage:
         if not node.mapped:
             waiting = node.control_at_sync(states.QUICK_STOP, self._passive_outputs)
             return node.bus.send_stop(node.number, [waiting, quick_stop_by_sdo(node.number)])
-        # A disabled drive does not move, and a halt would enable it.
-        moving = node.state in (DriveState.ENABLED, DriveState.QUICK_STOP)
-        control = states.QUICK_STOP if abort or node.state is DriveState.QUICK_STOP else states.ENABLE | states.HALT
+        # A halt would enable a disabled drive. A quick stop does not, and stops one whose status was wrong.
+        halts = node.state is DriveState.ENABLED and not abort
         at_ns = node.bus.send_stop(
-            node.number, node.control_frames(control if moving else node.control & ~states.NEW_SET_POINT)
+            node.number, node.control_frames(states.ENABLE | states.HALT if halts else states.QUICK_STOP)
         )
+        moving = node.state in (DriveState.ENABLED, DriveState.QUICK_STOP)
         if moving:
             task = asyncio.get_running_loop().create_task(self._complete_stop(node.stops))
             self._stopping.add(task)
@@ -140,9 +140,13 @@ class PowerStage:
         return bool(self._stopping)
 
     async def wait_for_stops(self) -> None:
-        """Wait until every stop has been completed."""
+        """Wait until every stop has been completed; complete the last one if it was only begun: by an earlier
+        connection, or because a wrong status showed a drive at rest, or disabled. What enables the drive next would
+        otherwise end the halt, and the drive would continue to its target."""
         while self._stopping:
             await asyncio.gather(*self._stopping, return_exceptions=True)
+        if self._node.mapped and self._node.control & states.HALT:
+            await self._complete_stop(self._node.stops)
 
     def cancel_stops(self) -> None:
         for task in self._stopping:

@@ -1,5 +1,6 @@
 """Faults of drives and their bus are reported in words, and nothing continues that should not."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -361,6 +362,68 @@ def test_a_new_connection_stops_a_moving_drive_before_it_queries_anything() -> N
         await fresh.set_enabled(["a"], on=True)
         assert (await fresh.poll()).axes["a"].enabled
         await fresh.close()
+
+    run(main)
+
+
+STATUS = 0x181  # PDO with the statusword of node 1
+AT_REST, DISABLED = 0x0637, 0x0250
+
+
+def replace_status(word: int) -> Callable[[bytes], bytes]:
+    """Return a hook for a wire: every statusword is `word`."""
+
+    def change(frame: CanFrame) -> CanFrame:
+        return CanFrame(STATUS, word.to_bytes(2, "little") + frame.data[2:]) if frame.id == STATUS else frame
+
+    return lambda data: encode_frames(*map(change, decode_frames(data)))
+
+
+@pytest.mark.parametrize("how", ["closed", "wrong status"])
+def test_a_halt_that_was_not_completed_is_no_motion_of_the_next_step(how: str) -> None:
+    """The halt keeps the target: the connection ended within the ramp, or the drive seemed to be disabled."""
+
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await world.go(target=400_000)
+        await world.driver.wait_for_start()
+        await world.until(t0_ns + 700 * NS_PER_MS)
+        await world.driver.stop(abort=False)
+        if how == "closed":
+            await world.rest(2)
+            await world.driver.close()
+        else:
+            world.wire.to_near = replace_status(DISABLED)
+            await world.rest(100)
+            world.wire.to_near = None
+        await world.rest(500)
+        assert not world.unit.is_moving("1")
+        here = world.unit.position("1")
+        await world.ready()
+        await world.rest(500)
+        assert world.unit.position("1") == here
+        begin = (await world.driver.poll()).axes["a"].commanded_counts
+        await world.arm(0, begin + 3000, world.clock.now_ns() + 400 * NS_PER_MS, begin)
+        assert world.unit.position("1") == here
+        await world.driver.go()
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state == "done"
+
+    run(main)
+
+
+def test_a_stop_reaches_a_moving_drive_that_seems_to_be_disabled() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await world.go(target=400_000)
+        await world.driver.wait_for_start()
+        await world.until(t0_ns + 500 * NS_PER_MS)
+        world.unit.set_input(3, level=True)
+        world.wire.to_near = replace_status(DISABLED)
+        await world.rest(100)
+        await world.driver.stop(abort=False)
+        await world.rest(500)
+        assert not world.unit.is_moving("1")
 
     run(main)
 
