@@ -197,16 +197,17 @@ class JogControl:
             self._drop_jog(axis, jog, reason)
 
     def handle_reading(self, reading: ControllerReading) -> None:
-        """Handle a poll: an axis at rest has reached a limit; an axis that is off or faulted no longer jogs."""
+        """Handle a poll: an axis at rest has reached a limit; an axis that is off or faulted no longer jogs.
+
+        The stop is sent all the same: on a disturbed line the reading may come from another controller's reply, or be
+        wrong."""
         for axis, jog in list(self._jogs.items()):
             now = reading.axes[axis]
             if not now.enabled:
-                self._drop_jog(axis, jog, "its motor has switched off")
+                self._spawn(self.stop_axes([axis], "its motor has switched off"))
             elif jog.wanted != jog.velocity:
                 pass  # it may come to rest to change its speed
             elif jog.accepted_ns is not None and not now.moving and reading.at_ns > jog.accepted_ns + SEEN_MOVING_NS:
-                # The stop is sent all the same: on a disturbed line the reading may come from another controller's
-                # reply.
                 reason = "it is on its limit switch" if now.limit != "none" else "it is at its soft limit"
                 self._spawn(self.stop_axes([axis], reason))
 

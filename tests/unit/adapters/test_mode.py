@@ -166,8 +166,9 @@ def test_slow_jog_commands_of_several_axes_are_renewed_before_their_answers(
     run_virtual(main)
 
 
-def test_a_controller_reported_at_rest_by_itself_is_stopped_nevertheless() -> None:
-    """On a bad line another controller's answer may have been taken for its own."""
+@pytest.mark.parametrize("enabled", [True, False])
+def test_a_controller_reported_at_rest_or_off_by_itself_is_stopped_nevertheless(*, enabled: bool) -> None:
+    """On a bad line another controller's answer may have been taken for its own, or an answer be wrong."""
 
     async def main(clock: VirtualClock) -> None:
         at_rest = AxisReading(0, 0.0, 0.0, moving=False, enabled=True)
@@ -180,7 +181,8 @@ def test_a_controller_reported_at_rest_by_itself_is_stopped_nevertheless() -> No
             JogRequest(request_id="r", actor="a", holder="h", seq=1, velocities=velocities, valid_ms=200)
         )
         await sleep_ns(clock, 1)
-        jogging.handle_reading(ControllerReading(clock.now_ns() + NS_PER_S, {"x": at_rest}))
+        reading = replace(at_rest, enabled=enabled)
+        jogging.handle_reading(ControllerReading(clock.now_ns() + NS_PER_S, {"x": reading}))
         await sleep_ns(clock, 1)
         assert driver.ordered == ["x", "stop x"]
         assert condition.stop_unseen and not condition.jogging
