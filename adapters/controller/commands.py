@@ -164,6 +164,9 @@ class ControllerCommands:
             refusal = RefusalDetails(code=error.code, text=error.text, remedy=error.remedy)
         except (LinkClosed, LinkRefused) as error:
             refusal = RefusalDetails(code="offline", text=str(error), remedy="check power and cable of the controller")
+        except OSError as error:
+            text = f"the memory of {self._context.controller} cannot be saved: {error}"
+            refusal = RefusalDetails(code="disk", text=text, remedy="check the disk of its adapter host, and try again")
         except Exception as error:
             fault = self._supervisor.handle_defect(error)
             refusal = RefusalDetails(code=fault.code, text=fault.text, remedy=fault.remedy)
@@ -269,8 +272,7 @@ class ControllerCommands:
                 offsets[name] = parse_quantity(request.position, axis.unit) - motor
             except UnitError as error:
                 raise Refusal("bad-unit", f"{name}: {error}") from None
-        self._components.remembered.change_values(offsets=offsets)
-        await self._components.remembered.persist()
+        await self._components.remembered.store_values(offsets=offsets)
         self._publisher.publish_state()
         return Reply()
 

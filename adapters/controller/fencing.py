@@ -72,9 +72,8 @@ class EpochFence:
     async def accept_epoch(self, request: AcceptEpoch) -> None:
         """Remember the epoch of `request` as the highest one, and wait for its leader to adopt. Raises `OSError`."""
         async with self._adopting:
-            self._remembered.change_values(epoch=request.epoch, coordinator=request.coordinator)
+            await self._remembered.store_values(epoch=request.epoch, coordinator=request.coordinator)
             self._adopted = False
-            await self.persist()
 
     async def require_current_leader(self, request: FencedRequest) -> None:
         """Raise `Refusal` unless `request` comes from the coordinator that adopted this controller."""
@@ -118,9 +117,9 @@ class EpochFence:
             raise Refusal("other-estop", f"the latched e-stop is {latch.event}, not {event}", "see `tutti status`")
 
     async def reset_latch(self) -> bool:
-        """Reset the latch. Return False if none was latched. Raises `OSError`."""
+        """Reset the latch. Return False if none was latched. Raises `OSError`; then it stays: after a restart it would
+        be back."""
         if self.estop_latch is None:
             return False
-        self._remembered.change_values(estop=None)
-        await self.persist()
+        await self._remembered.store_values(estop=None)
         return True

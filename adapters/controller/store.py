@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import Any, Protocol
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from orchestrator.clock.executor import Executor
 from orchestrator.model.base import Int53, Model, Rational
-from orchestrator.model.private_files import read_private_file, replace_private_file
+from orchestrator.model.checksums import add_checksum, take_checksum
+from orchestrator.model.private_files import ON_DISK, FileAccess
 from orchestrator.model.state import EstopLatch
 
 
@@ -41,6 +42,16 @@ class PersistentMemory:
     def change_values(self, **fields: Any) -> None:
         self.values = self.values.model_copy(update=fields)
 
+    async def store_values(self, **fields: Any) -> None:
+        """Change values and save them. Raises `OSError`; then these are as before."""
+        before = {name: getattr(self.values, name) for name in fields}
+        self.change_values(**fields)
+        try:
+            await self.persist()
+        except OSError:
+            self.change_values(**before)
+            raise
+
     async def persist(self) -> None:
         """Save all changes made so far. Raises `OSError`."""
         memory = self.values
@@ -49,34 +60,38 @@ class PersistentMemory:
             self._kept = memory
 
 
-class VolatileStore:
-    """A store in memory that outlives a virtual process, as a disk does."""
-
-    def __init__(self) -> None:
-        self._memory = AdapterMemory()
-
-    def load(self) -> AdapterMemory:
-        return self._memory
-
-    def save(self, memory: AdapterMemory) -> None:
-        self._memory = memory
-
-
 class FileStore:
-    """A store in a small JSON file, replaced as a whole and synced to disk."""
+    """A store in a small JSON file with a checksum, replaced as a whole and synced to disk; and a copy of it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, files: FileAccess = ON_DISK) -> None:
         self._path = path
+        self._files = files
 
     def load(self) -> AdapterMemory:
-        """Return the saved memory. An unreadable file counts as a latched e-stop: that is the safe interpretation."""
+        """Return the saved memory. An unreadable file counts as a latched e-stop: that is the safe interpretation.
+        Epoch and offsets are then those of the copy; without one the offsets are lost."""
         try:
-            return AdapterMemory.model_validate_json(read_private_file(self._path))
+            return self._read_memory(self._path)
         except FileNotFoundError:
             return AdapterMemory()
-        except (OSError, ValidationError) as error:
+        except (OSError, ValueError) as error:
             reason = f"{self._path} cannot be read ({type(error).__name__}); reset the e-stop to continue"
-            return AdapterMemory(estop=EstopLatch(event="unreadable-store", actor="adapter", reason=reason, utc=""))
+        copied = AdapterMemory()
+        try:
+            copied = self._read_memory(self._copy)
+        except (OSError, ValueError):
+            reason += ", and check the positions of its axes: offsets that were set are lost"
+        latch = EstopLatch(event="unreadable-store", actor="adapter", reason=reason, utc="")
+        return copied.model_copy(update={"estop": copied.estop or latch})
 
     def save(self, memory: AdapterMemory) -> None:
-        replace_private_file(self._path, memory.to_json())
+        contents = add_checksum(memory.to_json())
+        self._files.replace(self._path, contents)
+        self._files.replace(self._copy, contents)
+
+    @property
+    def _copy(self) -> Path:
+        return self._path.with_name(f"{self._path.name}.copy")
+
+    def _read_memory(self, path: Path) -> AdapterMemory:
+        return AdapterMemory.model_validate_json(take_checksum(self._files.read(path)))

@@ -179,7 +179,7 @@ class ControllerSupervisor:
                 continue
             if state.estop is not None and state.controller != self.controller:
                 self._fence.latch_estop(state.estop)
-        await self._fence.persist()
+        await self._persist_latch()
         self._fence.allow_adoption()
 
     async def _keep_connected(self) -> None:
@@ -474,6 +474,10 @@ class ControllerSupervisor:
         if fresh is not None:
             self._publisher.emit_event("estop", f"e-stop by {fresh.actor}: {fresh.reason}")
         self._publisher.publish_state()
+        await self._persist_latch()
+
+    async def _persist_latch(self) -> None:
+        """Save the latch; a disk that is full takes nothing from what this process knows."""
         try:
             await self._fence.persist()
         except OSError as error:

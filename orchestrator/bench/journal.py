@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.bus.latch import VolatileLatchStore
+from orchestrator.bus.latch import FileLatchStore
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S
@@ -18,6 +18,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobReport, JobState, JobTransition
+from orchestrator.runtime.virtual_disk import VirtualDisk
 
 SUBMIT_TARGET_S = 3.0  # for a thousand
 RESTART_TARGET_S = 1.0  # with ten thousand
@@ -100,7 +101,7 @@ def _make_coordinator(fleet: Fleet, clock: VirtualClock, journal: Journal) -> tu
         new_id=make_id,
         sink=lambda _: None,
         save_fleet=lambda _: None,
-        latches=VolatileLatchStore(),
+        latches=FileLatchStore(Path("estop.json"), VirtualDisk(clock).access_files()),
     )
     return Coordinator(fleet, court), Tutti(net.join_process("client"), fleet.fleet, "bench", make_id)
 

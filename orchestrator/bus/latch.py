@@ -13,8 +13,9 @@ from pydantic import ValidationError
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.model.checksums import add_checksum, take_checksum
 from orchestrator.model.messages import EstopMessage, EstopReset, KeptEstop
-from orchestrator.model.private_files import read_private_file, replace_private_file
+from orchestrator.model.private_files import ON_DISK, FileAccess
 from orchestrator.model.state import EstopLatch
 
 
@@ -83,34 +84,23 @@ class LatchKeeper:
         return KeptEstop(estop=self.latch).to_json()
 
 
-class VolatileLatchStore:
-    """A store in memory that outlives a virtual process, as a disk does."""
-
-    def __init__(self) -> None:
-        self._latch: EstopLatch | None = None
-
-    def load(self) -> EstopLatch | None:
-        return self._latch
-
-    def save(self, latch: EstopLatch | None) -> None:
-        self._latch = latch
-
-
 class FileLatchStore:
-    """A store in a small JSON file, replaced as a whole and synced to disk. Without the file nothing is latched."""
+    """A store in a small JSON file with a checksum, replaced as a whole and synced to disk. Without the file nothing is
+    latched."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, files: FileAccess = ON_DISK) -> None:
         self._path = path
+        self._files = files
 
     def load(self) -> EstopLatch | None:
         """The stored latch. An unreadable file counts as a latched e-stop: that is the safe interpretation."""
         try:
-            return KeptEstop.model_validate_json(read_private_file(self._path)).estop
+            return KeptEstop.model_validate_json(take_checksum(self._files.read(self._path))).estop
         except FileNotFoundError:
             return None
-        except (OSError, ValidationError) as error:
+        except (OSError, ValueError) as error:
             reason = f"{self._path} cannot be read ({type(error).__name__}); reset the e-stop to continue"
             return EstopLatch(event="unreadable-store", actor="coordinator", reason=reason, utc="")
 
     def save(self, latch: EstopLatch | None) -> None:
-        replace_private_file(self._path, KeptEstop(estop=latch).to_json())
+        self._files.replace(self._path, add_checksum(KeptEstop(estop=latch).to_json()))

@@ -200,8 +200,8 @@ class FaultInjector:
                 self.former_leaders.append(self.leader_name)
                 self._start_coordinator(take_over=True)
             case "journal-full":
-                fleet.disk_full = True
-                return lambda: setattr(fleet, "disk_full", False)
+                fleet.coordinator_disk.full = True
+                return lambda: setattr(fleet.coordinator_disk, "full", False)
             case "adversary":
                 self._send_forged_messages()
             case "wall-clock":

@@ -14,7 +14,7 @@ from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
 from orchestrator.coordinator.jobs.rehearsal import JobRehearsal
 from orchestrator.coordinator.jobs.scheduler import Scheduler
-from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
@@ -159,7 +159,12 @@ class UserRequests:
         record = await execute(journal.load_record, request.job_id)
         if record is None:
             raise Refusal("unknown-job", f"no job {request.job_id}", "see `tutti job ls`")
-        job, report = await execute(journal.load_job, record.id), await execute(journal.load_report, record.id)
+        job, report = None, await execute(journal.load_report, record.id)
+        try:
+            job = await execute(journal.load_job, record.id)
+        except DamagedRecord:
+            if report is None:
+                raise
         return JobShown(
             entry=self._scheduler.make_entry(record),
             job=job,

@@ -4,7 +4,9 @@ place."""
 import errno
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from orchestrator.model.errors import TuttiError
 
@@ -91,3 +93,13 @@ def replace_private_file(path: Path, contents: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     fresh.replace(path)
+
+
+class FileAccess(NamedTuple):
+    """How small files are read and replaced: on a disk, or on that of a virtual fleet. Raise as the functions above."""
+
+    read: Callable[[Path], bytes] = read_private_file
+    replace: Callable[[Path, bytes], None] = replace_private_file
+
+
+ON_DISK = FileAccess()

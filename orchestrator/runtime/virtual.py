@@ -7,21 +7,22 @@ import asyncio
 from collections.abc import Callable, Coroutine, Sequence
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
 from typing import Any, TypeVar
 
-from adapters.controller.store import VolatileStore
+from adapters.controller.store import FileStore
 from adapters.host.host import AdapterHost, HostEnvironment, stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.bus.latch import VolatileLatchStore
+from orchestrator.bus.latch import FileLatchStore
 from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES, MAX_HOST_MESSAGE_BYTES
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.bus.memory.medium import BusLatency
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
-from orchestrator.clock.executor import run_inline
+from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal
@@ -35,6 +36,7 @@ from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, 
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.bridge import network_wire
 from orchestrator.runtime.simulated import make_simulator_options
+from orchestrator.runtime.virtual_disk import VirtualDisk
 from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator
@@ -102,13 +104,12 @@ class VirtualFleet:
         self.hosts: dict[str, _RunningHost] = {}
         self.adapter_hosts: dict[str, AdapterHost] = {}
         self.coordinators: dict[str, tuple[VirtualProcess, Coordinator]] = {}
-        self.disk_full = False
+        self.coordinator_disk = VirtualDisk(clock)
+        self.host_disks = {config.host: VirtualDisk(clock) for config in fleet.controllers.values()}
         self._guardian = guardian
         self.wrap_bus: Callable[[MemoryBus], Bus] = lambda bus: bus
         """Wraps the bus of a coordinator that starts, e.g. to observe it."""
         self._draw = Random(seed)
-        self._stores: dict[str, VolatileStore] = {}
-        self._latches = VolatileLatchStore()
         self._starts = 0
         for names in group_by_link(fleet):
             self._start_simulator(names)
@@ -225,14 +226,15 @@ class VirtualFleet:
             return open_memory_link
 
         draw = Random(self._draw.getrandbits(32))
+        disk = self.host_disks[name]
         environment = HostEnvironment(
             bus=bus,
             keys=self.keys,
             clock=self.clock,
             timed_writer=LoopTimedWriter(self.clock, lambda: draw.randrange(MAX_WAKE_DELAY_NS)),
             open_link=open_link,
-            store=lambda controller: self._stores.setdefault(controller, VolatileStore()),
-            runs=run_inline,
+            store=lambda controller: FileStore(Path(f"{controller}.json"), disk.access_files()),
+            runs=disk.make_executor(),
             sink=self.lines.append,
             instance=label,
         )
@@ -310,18 +312,27 @@ class VirtualFleet:
             keys=self.keys,
             clock=self.clock,
             journal=self.journal,
-            execute=self._run_journal_call,
+            execute=self._make_journal_executor(),
             new_id=self.draw_id,
             sink=self.lines.append,
             save_fleet=self._save_fleet,
-            latches=self._latches,
+            latches=FileLatchStore(Path("estop.json"), self.coordinator_disk.access_files()),
         )
 
-    async def _run_journal_call(self, function: Callable[..., T], *values: Any) -> T:
-        """Run a call of the journal; calls that write fail while its disk is full."""
-        if self.disk_full and function.__name__ not in READ_ONLY_JOURNAL_CALLS:
-            raise JournalError("the journal cannot be used (database or disk is full)", "free space on its disk")
-        return await run_inline(function, *values)
+    def _make_journal_executor(self) -> Executor:
+        """Make the executor of a coordinator for calls of its journal; calls that write fail while its disk is full."""
+        execute = self.coordinator_disk.make_executor()
+
+        async def run_journal_call(function: Callable[..., T], *values: Any) -> T:
+            def call() -> T:
+                if self.coordinator_disk.full and function.__name__ not in READ_ONLY_JOURNAL_CALLS:
+                    text = "the journal cannot be used (database or disk is full)"
+                    raise JournalError(text, "free space on its disk")
+                return function(*values)
+
+            return await execute(call)
+
+        return run_journal_call
 
     def _save_fleet(self, fleet: Fleet) -> None:
         """Set the fleet file for hosts and coordinators that start from now on."""

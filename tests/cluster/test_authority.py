@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
+from adapters.controller.store import FileStore
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from orchestrator.bus.base import BusSample, Priority
 from orchestrator.bus.latch import FileLatchStore
@@ -285,12 +286,13 @@ def test_a_far_epoch_is_repaired_by_the_command_that_the_fleet_names(damaged: st
             fleet.kill(f"host/{host}")
         fleet.kill("coordinator/first")
         if damaged == "adapter":
-            store = fleet._stores["gantry"]
+            disk = fleet.host_disks[fleet.fleet.controllers["gantry"].host]
+            store = FileStore(Path("gantry.json"), disk.access_files())
             store.save(store.load().model_copy(update={"epoch": 2**40, "coordinator": "none"}))
         else:
             fleet.journal.take_epoch(0)
             with fleet.journal._transaction():
-                fleet.journal._write_meta("epoch", str(2**40))
+                fleet.journal._values.write("epoch", str(2**40))
         fleet.start_coordinator("second")
         await asyncio.sleep(3.0)
         await client.start_queue()

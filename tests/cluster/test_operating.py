@@ -1,23 +1,21 @@
 """Functions for commissioning a machine: motors and brakes, permits, coordinates, configuration, reset."""
 
 import asyncio
-from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, TypeVar
 
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
-from adapters.controller.store import AdapterMemory, VolatileStore
+from adapters.controller.store import AdapterMemory, FileStore
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.link.memory import MemoryLink
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, Permit
+from orchestrator.model.queue import QueueTerms
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.virtual import VirtualFleet
 
-T = TypeVar("T")
 DOOR = Permit(input="gantry.door", value=False, axes=["table"])
 TEN_S = job("[{do: move, to: {gantry.x: 390, stage.u: 40}, speed: 0.2}]")
 
@@ -462,13 +460,13 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     order: list[str] = []
-    write, save = MemoryLink.write, VolatileStore.save
+    write, save = MemoryLink.write, FileStore.save
 
     def told(link: MemoryLink, data: bytes) -> int:
         order.append(data.decode("latin-1"))
         return write(link, data)
 
-    def kept(store: VolatileStore, memory: AdapterMemory) -> None:
+    def kept(store: FileStore, memory: AdapterMemory) -> None:
         order.append("disk")
         save(store, memory)
 
@@ -478,7 +476,7 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
         moving = await client.submit(TEN_S)
         await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
         monkeypatch.setattr(MemoryLink, "write", told)
-        monkeypatch.setattr(VolatileStore, "save", kept)
+        monkeypatch.setattr(FileStore, "save", kept)
         await client.estop("a test")
         await moving.result()
         assert {"AB\r", "L:E\r\n"} < set(order[: order.index("disk")])
@@ -487,23 +485,55 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
     run_fleet(main)
 
 
-def test_a_slow_disk_does_not_delay_an_estop(monkeypatch: pytest.MonkeyPatch) -> None:
-    takes_s = 0.0
+def test_a_client_that_waits_for_a_job_whose_record_is_damaged_gets_a_report() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        waiting = await client.submit(PREPARE, terms=QueueTerms(held=True))
+        ending = asyncio.ensure_future(client.wait_for_job(waiting))
+        await asyncio.sleep(1.5)
+        fleet.journal.database.execute("UPDATE jobs SET state = 'quEued'")
+        fleet.kill("coordinator/first")
+        fleet.start_coordinator("second")
+        async with asyncio.timeout(10.0):
+            report = await ending
+        assert report.state == "failed" and "its record in the journal is damaged: the state 'quEued'" in report.reason
+        assert (await client.show_job(waiting)).entry is not None
 
-    async def slow(function: Callable[..., T], *values: Any) -> T:
-        if function.__name__ == "save":
-            await asyncio.sleep(takes_s)
-        return function(*values)
+    run_fleet(main)
 
-    monkeypatch.setattr("orchestrator.runtime.virtual.run_inline", slow)
+
+def test_a_full_disk_of_a_host_refuses_what_must_be_stored_and_nothing_else() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.make_client()
+        fleet.host_disks["local"].full = True
+        await client.estop("a test")
+        states = await fleet.wait_until(lambda states: all(each.estop is not None for each in states.values()))
+        refused = (await client.reset())["gantry"]
+        assert refused is not None and "the memory of gantry cannot be saved" in refused.text
+        states = await client.status()
+        assert states["gantry"].estop is not None and not states["gantry"].faults
+        fleet.kill("coordinator/first")
+        fleet.start_coordinator("second")
+        await asyncio.sleep(2.0)  # it cannot be adopted: its epoch would be forgotten
+        states = await client.status()
+        assert states["gantry"].epoch == 2 and states["gantry"].mode != "offline"
+        fleet.host_disks["local"].full = False
+        await client.reset()
+        assert (await outcome(fleet, PREPARE)).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_slow_disk_does_not_delay_an_estop() -> None:
+    takes_s = 2.0
 
     async def main(fleet: VirtualFleet) -> None:
-        nonlocal takes_s
         await outcome(fleet, PREPARE)
         client = fleet.make_client()
         moving = await client.submit(TEN_S)
         await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
-        takes_s = 2.0
+        fleet.host_disks["local"].draw_delay_ns = lambda: round(takes_s * NS_PER_S)
         began_ns = fleet.clock.now_ns()
         await client.estop("a test")
         await moving.result()

@@ -113,9 +113,10 @@ class Scheduler:
             except DamagedRecord as error:
                 damage = error.text
         services.log.warning(f"job cannot be run: {damage}", job=row.id)
-        await services.execute(
-            services.journal.fail_damaged, row, services.make_transition("failed", damage, COORDINATOR)
-        )
+        transition = services.make_transition("failed", damage, COORDINATOR)
+        ended = {"state": "failed", "reason": damage, "ended_utc": transition.utc, "transitions": [transition]}
+        report = self._report_of(row, None).model_copy(update=ended)
+        await services.execute(services.journal.fail_damaged, row, transition, report)
         return None
 
     async def close(self, reason: str) -> None:
@@ -461,7 +462,8 @@ class Scheduler:
             self._waiting[waiting.row.id] = waiting
             raise
 
-    def _report_of(self, row: JobRecord, job: Job) -> JobReport:
+    def _report_of(self, row: JobRecord, job: Job | None) -> JobReport:
+        """Return the report of a job that has not begun. job: None if it cannot be read."""
         return JobReport(
             job_id=row.id,
             name=row.name,
@@ -470,7 +472,7 @@ class Scheduler:
             reason=row.reason,
             epoch=self._services.leadership.epoch,
             submitted_utc=row.submitted_utc,
-            max_start_skew_ns=job.max_start_skew,
+            max_start_skew_ns=job.max_start_skew if job is not None else 0,
             repeat=row.repeat,
             origin=row.origin,
             from_step=row.from_step,

@@ -5,6 +5,7 @@
 
 import json
 import os
+import re
 import sqlite3
 import weakref
 from collections.abc import Iterable, Mapping
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar, get_args
 from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.records import (
+    CHECKED_COLUMNS,
     COLUMNS,
     UNREADABLE_TIME,
     DamagedRecord,
@@ -21,9 +23,11 @@ from orchestrator.coordinator.journal.records import (
     JobHasEnded,
     JobRecord,
     JournalError,
+    find_checksum,
     make_record,
 )
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.coordinator.journal.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
@@ -96,6 +100,7 @@ class Journal:
             if steps:
                 self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
             self._identity = self._find_identity()
+            self._values = StoredValues(self._db)
         except (sqlite3.Error, OSError) as error:
             raise _unusable_error(self._path, error) from None
 
@@ -132,6 +137,11 @@ class Journal:
                 "`tutti up FILE --new-journal`",
             )
 
+    @property
+    def database(self) -> sqlite3.Connection:
+        """The database, for what looks at it, or damages it, from outside."""
+        return self._db
+
     def close(self) -> None:
         self._close()
 
@@ -143,37 +153,41 @@ class Journal:
         seen: of other coordinators and adapters; one that is far from the last one here is no real one, and is ignored.
         """
         with self._transaction():
-            known = self._read_meta("epoch", "0")
-            if not known.isdecimal() or int(known) > MAX_EPOCH:
-                raise _unusable_error(self._path, ValueError(f"its epoch {known!r} is damaged"))
-            last = int(known)
+            last = self._read_epoch()
             epoch = max(last, seen if seen <= last + MAX_EPOCH_STEP else 0) + 1
-            self._write_meta("epoch", str(epoch))
+            self._values.write("epoch", str(epoch))
         return epoch
 
     def require_latest_epoch(self, epoch: int) -> None:
         """Raises `Overtaken` if an epoch after `epoch` has been taken."""
-        rows = self._select_rows("SELECT value FROM meta WHERE key = 'epoch'")
-        if rows and int(rows[0][0]) > epoch:
-            raise EpochOvertaken(f"epoch {epoch} is over: a coordinator leads with epoch {rows[0][0]}")
+        last = self._read_epoch()
+        if last > epoch:
+            raise EpochOvertaken(f"epoch {epoch} is over: a coordinator leads with epoch {last}")
+
+    def _read_epoch(self) -> int:
+        known = self._read_value("epoch", "0")
+        if not known.isdecimal() or int(known) > MAX_EPOCH:
+            raise _unusable_error(self._path, ValueError(f"its epoch {known!r} is damaged"))
+        return int(known)
 
     def fleet_time_scale(self, kernel_id: str, now_ns: int, scale_id: str) -> tuple[str, int]:
         """(scale id, origin in host ns): those of the last leader on this kernel, else a new scale from `now_ns`."""
         with self._transaction():
-            if self._read_meta("kernel_id", "") == kernel_id:
-                return self._read_meta("scale_id", ""), int(self._read_meta("origin_host_ns", "0"))
-            self._write_meta("kernel_id", kernel_id)
-            self._write_meta("scale_id", scale_id)
-            self._write_meta("origin_host_ns", str(now_ns))
+            origin = self._values.read("origin_host_ns")
+            if self._values.read("kernel_id") == kernel_id and re.fullmatch(r"-?\d+", origin):
+                return self._values.read("scale_id"), int(origin)
+            self._values.write("kernel_id", kernel_id)
+            self._values.write("scale_id", scale_id)
+            self._values.write("origin_host_ns", str(now_ns))
         return scale_id, now_ns
 
     # The queue as a whole
 
     def load_queue_stop(self) -> QueueStop | None:
         """Why no job of the queue begins; None: jobs begin."""
-        rows = self._select_rows("SELECT value FROM meta WHERE key = 'queue_stop' AND value != ''")
+        text = self._read_value("queue_stop")
         try:
-            return QueueStop.model_validate_json(rows[0][0]) if rows else None
+            return QueueStop.model_validate_json(text) if text else None
         except ValidationError:
             # Stopped is the safe reading.
             return QueueStop(reason="its state in the journal is damaged", actor="coordinator", utc=UNREADABLE_TIME)
@@ -181,20 +195,19 @@ class Journal:
     def store_queue_stop(self, stop: QueueStop | None) -> None:
         """Record that the queue is stopped, or started (None)."""
         with self._transaction():
-            self._write_meta("queue_stop", "" if stop is None else stop.model_dump_json())
+            self._values.write("queue_stop", "" if stop is None else stop.model_dump_json())
 
     def load_instances(self) -> dict[str, str]:
         """The adapter instance of each controller, as the last leader saw them."""
-        rows = self._select_rows("SELECT value FROM meta WHERE key = 'instances'")
         try:
-            found: dict[str, str] = json.loads(rows[0][0]) if rows else {}
+            found: dict[str, str] = json.loads(self._read_value("instances", "{}"))
         except ValueError:
             return {}  # every adapter then counts as started again
         return found
 
     def store_instances(self, instances: Mapping[str, str]) -> None:
         with self._transaction():
-            self._write_meta("instances", json.dumps(dict(instances)))
+            self._values.write("instances", json.dumps(dict(instances)))
 
     # Jobs
 
@@ -235,6 +248,7 @@ class Journal:
                 "now": int(terms.now),
                 "session": terms.session,
             }
+            values["crc"] = find_checksum(values)
             marks = ", ".join("?" * len(values))
             made = self._db.execute(f"INSERT INTO jobs ({', '.join(values)}) VALUES ({marks})", (*values.values(),))
             self._db.execute("UPDATE jobs SET place = number WHERE number = ?", (made.lastrowid,))
@@ -313,6 +327,10 @@ class Journal:
         return [(step, t0_fleet_ns) for step, t0_fleet_ns in rows]
 
     def load_job(self, job_id: str) -> Job | None:
+        columns = ", ".join(CHECKED_COLUMNS)
+        for *row, crc in self._select_rows(f"SELECT {columns}, crc FROM jobs WHERE id = ?", (job_id,)):
+            if crc not in (None, find_checksum(dict(zip(CHECKED_COLUMNS, row, strict=True)))):
+                raise self._damaged_record("the Job", job_id, "its checksum is wrong")
         return self._select_body(Job, "SELECT body FROM jobs WHERE id = ?", (job_id,))
 
     def load_record(self, job_id: str) -> JobRecord | None:
@@ -326,11 +344,12 @@ class Journal:
         marks = ", ".join("?" * len(finished))
         return self._select_records(f"WHERE state NOT IN ({marks}) ORDER BY priority DESC, place", finished)
 
-    def fail_damaged(self, job: JobRecord, transition: JobTransition) -> None:
+    def fail_damaged(self, job: JobRecord, transition: JobTransition, report: JobReport) -> None:
         """End a job that cannot be read, so that the others can be run."""
         with self._transaction():
             if self._db.execute("SELECT 1 FROM jobs WHERE id = ?", (job.id,)).fetchone():
                 self._insert_transition(job.id, transition)
+                self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job.id, report.model_dump_json()))
 
     def find_jobs(
         self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = ""
@@ -363,7 +382,7 @@ class Journal:
         try:
             return [JobTransition(state=s, reason=r, actor=a, utc=u, fleet_ns=f) for s, r, a, u, f in rows]
         except ValidationError as error:
-            raise self._damaged_record("a transition", job_id, error) from None
+            raise self._damaged_record("a transition", job_id, error.errors()[0]["msg"]) from None
 
     def load_report(self, job_id: str) -> JobReport | None:
         return self._select_body(JobReport, "SELECT body FROM reports WHERE job_id = ?", (job_id,))
@@ -431,10 +450,10 @@ class Journal:
         try:
             return model.model_validate_json(rows[0][0]) if rows else None
         except ValidationError as error:
-            raise self._damaged_record(f"the {model.__name__}", values[0], error) from None
+            raise self._damaged_record(f"the {model.__name__}", values[0], error.errors()[0]["msg"]) from None
 
-    def _damaged_record(self, what: str, job_id: str, error: ValidationError) -> DamagedRecord:
-        text = f"{self._path}: {what} of job {job_id} cannot be read: {error.errors()[0]['msg']}"
+    def _damaged_record(self, what: str, job_id: str, problem: str) -> DamagedRecord:
+        text = f"{self._path}: {what} of job {job_id} cannot be read: {problem}"
         return DamagedRecord(text, "it is damaged, or was written by another version of Tutti")
 
     def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
@@ -443,12 +462,11 @@ class Journal:
         except sqlite3.Error as error:
             raise _unusable_error(self._path, error) from None
 
-    def _read_meta(self, key: str, default: str) -> str:
-        row = self._db.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
-        return default if row is None else row[0]
-
-    def _write_meta(self, key: str, value: str) -> None:
-        self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
+    def _read_value(self, key: str, default: str = "") -> str:
+        try:
+            return self._values.read(key, default)
+        except sqlite3.Error as error:
+            raise _unusable_error(self._path, error) from None
 
     def _transaction(self) -> "_Transaction":
         return _Transaction(self._db, self._path)

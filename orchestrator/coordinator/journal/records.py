@@ -1,8 +1,9 @@
 """Records of the journal, read one by one: a damaged one is shown as a failed job, and the others are not affected."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, get_args
+from zlib import crc32
 
 from pydantic import ValidationError
 
@@ -83,6 +84,31 @@ COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
     " origin, from_step, expires_utc, now, session"
 )
+
+
+CHECKED_COLUMNS = (
+    "id",
+    "client_key",
+    "name",
+    "actor",
+    "body",
+    "submitted_utc",
+    "repeat",
+    "after_job",
+    "at_utc",
+    "missed",
+    "origin",
+    "from_step",
+    "expires_utc",
+    "now",
+    "session",
+)
+"""What never changes of a job."""
+
+
+def find_checksum(values: Mapping[str, Any]) -> int:
+    """Return the checksum of a job by the values of its columns."""
+    return crc32(repr([values[each] for each in CHECKED_COLUMNS]).encode())
 
 
 def make_record(row: Sequence[Any]) -> JobRecord:

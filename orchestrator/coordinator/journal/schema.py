@@ -1,6 +1,6 @@
 """The tables of the journal, and the migrations from older versions."""
 
-VERSION = 5
+VERSION = 6
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -68,5 +68,9 @@ UPDATE reports SET body = replace(replace(replace(replace(replace(replace(body,
 ALTER TABLE jobs ADD COLUMN expires_utc TEXT;
 ALTER TABLE jobs ADD COLUMN now INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE jobs ADD COLUMN session TEXT;
+""",
+    5: """
+CREATE TABLE meta_copies (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
+ALTER TABLE jobs ADD COLUMN crc INTEGER;
 """,
 }

@@ -2,13 +2,14 @@
 
 import asyncio
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from adapters.controller.fencing import EpochFence
-from adapters.controller.store import AdapterMemory, FileStore, PersistentMemory, VolatileStore
+from adapters.controller.store import AdapterMemory, FileStore, PersistentMemory
 from orchestrator.clock.executor import ThreadExecutor, run_inline
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import AdoptRequest, LeaderHeartbeat
@@ -17,19 +18,22 @@ from orchestrator.model.state import EstopLatch
 LATCH = EstopLatch(event="e1", actor="anna", reason="a hand in the machine", utc="2026-11-23T04:00:00Z")
 
 
-class Disk(VolatileStore):
+class Disk:
     """A store that counts its writes, and that can be full."""
 
     def __init__(self) -> None:
-        super().__init__()
+        self._memory = AdapterMemory()
         self.saved: list[int] = []
         self.full = False
+
+    def load(self) -> AdapterMemory:
+        return self._memory
 
     def save(self, memory: AdapterMemory) -> None:
         if self.full:
             raise OSError("no space left on device")
         self.saved.append(memory.epoch)
-        super().save(memory)
+        self._memory = memory
 
 
 def test_stored_values_are_restored(tmp_path: Path) -> None:
@@ -54,6 +58,29 @@ def test_an_unreadable_file_counts_as_an_estop(tmp_path: Path, content: bytes) -
     latch = FileStore(path).load().estop
     assert latch is not None and latch.event == "unreadable-store"
     assert str(path) in latch.reason and "reset" in latch.reason
+
+
+def test_what_an_unreadable_file_contained_is_taken_from_its_copy(tmp_path: Path) -> None:
+    """All but the latch: that it was not latched is no longer known."""
+    path = tmp_path / "gantry.json"
+    FileStore(path).save(AdapterMemory(epoch=7, coordinator="c1", offsets={"x": Fraction(5, 2)}))
+    whole = path.read_bytes()
+    for place in range(8 * len(whole)):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        memory = FileStore(path).load()
+        assert (memory.epoch, memory.coordinator, memory.offsets) == (7, "c1", {"x": Fraction(5, 2)})
+        assert memory.estop is not None and memory.estop.event == "unreadable-store"
+    (tmp_path / "gantry.json.copy").unlink()
+    latch = FileStore(path).load().estop
+    assert latch is not None and "check the positions of its axes" in latch.reason
+
+
+def test_a_file_without_a_checksum_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "gantry.json"
+    path.write_bytes(AdapterMemory(epoch=7).to_json())
+    assert FileStore(path).load() == AdapterMemory(epoch=7)
 
 
 def test_changes_reach_the_disk_in_their_order(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertak
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse_document
 from orchestrator.model.job import Job
-from orchestrator.model.queue import QueueTerms
+from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition
 
 JOB = parse_document("schema: tutti.job/1\nname: scan\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
@@ -29,8 +29,8 @@ def utc(day: int) -> str:
     return f"2026-11-{day:02}T10:00:00.000000Z"
 
 
-def end(journal: Journal, job_id: str, state: JobState = "done") -> None:
-    report = JobReport(
+def report(job_id: str, state: JobState) -> JobReport:
+    return JobReport(
         job_id=job_id,
         name="scan",
         actor="a",
@@ -40,7 +40,11 @@ def end(journal: Journal, job_id: str, state: JobState = "done") -> None:
         submitted_utc=utc(1),
         max_start_skew_ns=1,
     )
-    journal.record_transition(job_id, JobTransition(state=state, reason="", actor="a", utc=utc(2)), report)
+
+
+def end(journal: Journal, job_id: str, state: JobState = "done") -> None:
+    transition = JobTransition(state=state, reason="", actor="a", utc=utc(2))
+    journal.record_transition(job_id, transition, report(job_id, state))
 
 
 def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:
@@ -287,8 +291,45 @@ def test_a_damaged_record_is_a_failed_job_and_affects_no_other(damage: str, show
     assert (second.id, second.state, second.damage) == ("b", "queued", "")
     assert (first.id, first.state) == ("a", "failed") and first.damage.endswith(shown)
     assert first.terms == QueueTerms() and {each.id for each in journal.find_jobs(9)[0]} == {"a", "b"}
-    journal.fail_damaged(first, JobTransition(state="failed", reason=first.damage, actor="x", utc=utc(2)))
+    transition = JobTransition(state="failed", reason=first.damage, actor="x", utc=utc(2))
+    journal.fail_damaged(first, transition, report("a", "failed"))
     assert [row.id for row in journal.list_unfinished()] == ["b"]
+    assert journal.load_report("a") == report("a", "failed")
+
+
+@pytest.mark.parametrize("column", ["name", "actor", "body", "submitted_utc", "missed"])
+def test_a_bit_that_changes_in_a_job_is_noticed_although_the_job_can_be_read(column: str) -> None:
+    """One more second of dwell, or the target of a move."""
+    journal = Journal(":memory:")
+    terms = QueueTerms(at="2026-12-01T12:00:00+02:00", missed="run")
+    journal.accept_job("a", "a", JOB, utc(1), QueueEntryOptions(terms))
+    change = "replace(body, '1', '3')" if column == "body" else f"replace({column}, substr({column}, 2, 1), '2')"
+    journal.database.execute(f"UPDATE jobs SET {column} = {change}")
+    with pytest.raises(DamagedRecord, match="the Job of job a cannot be read: its checksum is wrong"):
+        journal.load_job("a")
+
+
+@pytest.mark.parametrize("damaged", ["meta", "meta_copies"])
+def test_a_bit_that_changes_in_a_value_is_taken_back_from_its_copy(damaged: str) -> None:
+    journal = Journal(":memory:")
+    journal.take_epoch(6)
+    assert journal.fleet_time_scale("k", 1234, "s") == ("s", 1234)
+    stop = QueueStop(reason="test", actor="anna", utc=utc(1))
+    journal.store_queue_stop(stop)
+    journal.store_instances({"a": "i1"})
+    journal.database.execute(f"UPDATE {damaged} SET value = replace(replace(value, '7', '3'), '2', '6')")
+    journal.database.execute(f"UPDATE {damaged} SET value = 'x' WHERE key IN ('kernel_id', 'instances')")
+    assert journal.take_epoch(0) == 8
+    assert journal.fleet_time_scale("k", 99, "t") == ("s", 1234)
+    assert journal.load_queue_stop() == stop and journal.load_instances() == {"a": "i1"}
+
+
+def test_a_scale_whose_origin_cannot_be_read_begins_anew() -> None:
+    journal = Journal(":memory:")
+    journal.fleet_time_scale("k", 1234, "s")
+    for table in ("meta", "meta_copies"):
+        journal.database.execute(f"UPDATE {table} SET value = '12x4' WHERE key = 'origin_host_ns'")
+    assert journal.fleet_time_scale("k", 99, "t") == ("t", 99)
 
 
 def test_damaged_bytes_and_damaged_values_of_the_queue(tmp_path: Path) -> None:
