@@ -2,21 +2,24 @@
 
 from collections.abc import Callable
 from contextvars import Context
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from random import Random
 from typing import Literal
 
 from orchestrator.bus.base import Priority
+from orchestrator.campaign import disk_faults
+from orchestrator.campaign.bus_faults import BusFaults
 from orchestrator.campaign.fleets import PERMIT
 from orchestrator.campaign.jobs import find_link_members
+from orchestrator.campaign.link_faults import LinkFaults
+from orchestrator.campaign.repairs import Repair, do_nothing
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.link.can import CanFrame, decode_frames, encode_frames
+from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.links import CanBusLink
 from orchestrator.model.messages import EstopMessage, EstopReset
 from orchestrator.runtime.virtual import VirtualFleet
-from sim.smc30.framing import compute_checksum
 
 FaultReach = Literal["unit", "power", "line", "host", "fleet"]
 
@@ -87,17 +90,22 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("fleet-restarted", "fleet"),
         FaultKind("cable-pulled", "line", makes=("smc4000",)),
         FaultKind("second-master", "unit", must_stop=False, makes=("smc4000", "cia402")),
+        # Networks, lines and replies that are partly broken.
+        FaultKind("one-way-partition", "host", jog_may_continue=True),
+        FaultKind("one-way-gap", "host", must_stop=False),
+        FaultKind("nothing-forwarded", "host"),
+        FaultKind("flapping-link", "line"),
+        FaultKind("arbitrary-replies", "line", must_stop=False, outside_model=True),
+        FaultKind("disk-full", "fleet", must_stop=False),
+        FaultKind("disk-slow", "fleet", must_stop=False),
+        FaultKind("disk-bit-flip", "fleet"),
     )
 }
 
 CRYSTAL_PPM = 400.0  # eight times the largest rate error of a crystal in the fleets
-MAX_EXTRA_LATENCY_NS = 150 * NS_PER_MS
 POWER_CYCLE_NS = 400 * NS_PER_MS
 SECOND_MASTER_NS = 200 * NS_PER_MS  # until a second master leaves
-REFUSALS_NS = 300 * NS_PER_MS
 OVERLAP_NS = 1500 * NS_PER_MS  # a new coordinator leads for this time before a hung one resumes
-
-Repair = Callable[[], object]
 
 
 class FaultInjector:
@@ -114,7 +122,9 @@ class FaultInjector:
         self._draw = draw
         self._whole_fleet = fleet.fleet
         self._coordinators = 1
-        self._repair: Repair = _do_nothing
+        self._repair: Repair = do_nothing
+        self._links = LinkFaults(fleet, clock, draw)
+        self._buses = BusFaults(fleet, clock, draw)
 
     def find_affected(self, fault: FaultKind, member: str) -> list[str]:
         """Return the controllers that `fault` of `member` affects: all of them if one is the controller with the
@@ -132,7 +142,7 @@ class FaultInjector:
 
     async def inject_fault(self, fault: FaultKind, member: str) -> None:
         """Inject the fault now."""
-        blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._inject_link_fault}
+        blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._links.inject_fault}
         self._repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
         if fault.name == "second-master":
             await self._change_one_thing(member)
@@ -185,10 +195,7 @@ class FaultInjector:
                 fleet.act_on_controller(door, lambda each: each.set_input(number, level=False))  # it is active when low
                 return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=True))
             case "fleet-restarted":
-                for host in {config.host for config in self._whole_fleet.controllers.values()}:
-                    fleet.kill(f"host/{host}")
-                fleet.kill(leader)
-                return self._start_coordinator
+                return self._kill_all_processes()
             case "coordinator-killed":
                 fleet.kill(leader)
                 return self._start_coordinator
@@ -202,13 +209,18 @@ class FaultInjector:
             case "journal-full":
                 fleet.coordinator_disk.full = True
                 return lambda: setattr(fleet.coordinator_disk, "full", False)
+            case "disk-full" | "disk-slow":
+                return disk_faults.inject_fault(fleet, fault, self._draw)
+            case "disk-bit-flip":
+                disk_faults.inject_fault(fleet, fault, self._draw)
+                return self._kill_all_processes()
             case "adversary":
                 self._send_forged_messages()
             case "wall-clock":
                 self._clock.wall_step_ns += self._draw.choice((-3600, -1, 1, 3600)) * NS_PER_S
             case _:  # "none", and those that a client causes: "stop", "operator-interrupts", "operator-lost"
                 pass
-        return _do_nothing
+        return do_nothing
 
     def _send_forged_messages(self) -> None:
         """Put on the bus what any session can: heartbeats of a leader that does not exist or is far ahead, resets of
@@ -239,10 +251,10 @@ class FaultInjector:
         match fault:
             case "host-killed":
                 fleet.kill(host)
-                return _do_nothing
+                return do_nothing
             case "host-hung":
                 fleet.freeze(host)
-                return _do_nothing
+                return do_nothing
             case "host-other-file":
                 fleet.fleet = _with_lower_velocity(self._whole_fleet, member)
                 fleet.kill(host)
@@ -252,45 +264,8 @@ class FaultInjector:
                     fleet.kill(host)
 
                 return restore_fleet
-            case "bus-cut":
-                fleet.net.partition_net({bus}, {fleet.find_process(f"coordinator/{self.leader_name}").name})
-                return fleet.net.heal_partition
-            case _:  # bus-loss
-                fleet.net.set_loss(bus, self._draw.choice((0.3, 0.7, 1.0)))
-                return lambda: fleet.net.set_loss(bus, 0.0)
-
-    def _inject_link_fault(self, fault: str, member: str) -> Repair:
-        fleet, wire = self._fleet, self._fleet.wires[member]
-        usual = wire.model
-
-        def restore_wire() -> None:
-            wire.cut, wire.to_near, wire.to_far, wire.model = False, None, None, usual
-            wire.lose_close = False
-
-        match fault:
-            case "link-cut":
-                wire.cut = True
-            case "link-closed" | "cable-pulled":
-                wire.lose_close = fault == "cable-pulled"  # the controller keeps half-open connections
-                for link in list(wire.links):
-                    link.hang_up()
-            case "link-slow":
-                wire.model = replace(usual, latency_ns=usual.latency_ns + self._draw.randrange(MAX_EXTRA_LATENCY_NS))
-            case "garbage":
-                # Corrupted frames on a CAN bus are not delivered at all.
-                can = self._whole_fleet.controllers[member].link.kind == "can"
-                wire.to_near = self._drop_bytes if can else self._corrupt_bytes
-            case "refusals":
-                make = self._whole_fleet.controllers[member].adapter
-                if make == "ppsmc":  # a refused command gets no reply: the same as a lost command
-                    wire.to_far = lambda _: b""
-                else:
-                    wire.to_near = _REFUSALS[make]
-                self._schedule_call(REFUSALS_NS, restore_wire)
-            case _:  # firmware-hung
-                fleet.freeze(f"sim/{member}")
-                return lambda: fleet.resume(f"sim/{member}")
-        return restore_wire
+            case _:
+                return self._buses.inject_fault(fault, bus, fleet.find_process(f"coordinator/{self.leader_name}").name)
 
     def _inject_controller_fault(self, fault: str, member: str) -> Repair:
         fleet, axis = self._fleet, self._fleet.controllers[member].axis_names[0]
@@ -315,7 +290,14 @@ class FaultInjector:
                 pass
             case _:  # crystal
                 fleet.crystals[member].change_rate(self._draw.choice((-1, 1)) * CRYSTAL_PPM)
-        return _do_nothing
+        return do_nothing
+
+    def _kill_all_processes(self) -> Repair:
+        """Kill the coordinator and all hosts, which their guardians start again."""
+        for host in {config.host for config in self._whole_fleet.controllers.values()}:
+            self._fleet.kill(f"host/{host}")
+        self._fleet.kill(f"coordinator/{self.leader_name}")
+        return self._start_coordinator
 
     def _start_coordinator(self, *, take_over: bool = False) -> None:
         """Start another coordinator."""
@@ -328,19 +310,9 @@ class FaultInjector:
         controller, _, name = self._whole_fleet.permits[PERMIT].input.partition(".")
         return controller, self._whole_fleet.controllers[controller].inputs[name].number
 
-    def _corrupt_bytes(self, data: bytes) -> bytes:
-        return bytes(self._draw.randrange(256) for _ in data)
-
-    def _drop_bytes(self, data: bytes) -> bytes:
-        return b"" if self._draw.random() < 0.7 else data
-
     def _schedule_call(self, after_ns: int, call: Callable[[], None]) -> None:
         """Schedule a call outside of every process."""
         self._clock.call_at_ns(self._clock.now_ns() + after_ns, call, context=Context())
-
-
-def _do_nothing() -> None:
-    return None
 
 
 def _with_lower_velocity(fleet: Fleet, member: str) -> Fleet:
@@ -349,38 +321,3 @@ def _with_lower_velocity(fleet: Fleet, member: str) -> Fleet:
     for axis in plain["controllers"][member]["axes"].values():
         axis["limits"]["velocity"] *= 0.9
     return Fleet.model_validate(plain)
-
-
-# Replies of a controller that refuses everything, made from its normal replies.
-
-
-def _refuse_yaskawa(data: bytes) -> bytes:
-    return b"?" if data.endswith(b":") else data
-
-
-def _refuse_shrc203(data: bytes) -> bytes:
-    return b"NG\r\n" if data.endswith(b"\r\n") else data
-
-
-def _refuse_smc30(data: bytes) -> bytes:
-    return b"E4" + bytes((compute_checksum(b"E4"),)) + b"\r" if data.endswith(b"\r") else data
-
-
-def _refuse_cia402(data: bytes) -> bytes:
-    """Replace replies to SDOs by aborts: "data cannot be transferred because of the present device state"."""
-    abort = (0x0800_0022).to_bytes(4, "little")
-    return encode_frames(
-        *(
-            replace(frame, data=b"\x80" + frame.data[1:4] + abort) if frame.id & ~0x7F == 0x580 else frame
-            for frame in decode_frames(data)
-        )
-    )
-
-
-_REFUSALS: dict[str, Callable[[bytes], bytes]] = {
-    "smc4000": _refuse_yaskawa,
-    "smc2000": _refuse_yaskawa,
-    "shrc203": _refuse_shrc203,
-    "smc30": _refuse_smc30,
-    "cia402": _refuse_cia402,
-}

@@ -20,7 +20,7 @@ REST_AFTER_END_NS = (
 )  # from the end of a failed job, by the journal, to the rest of its axes, without the ramp
 REQUESTED_STOPS = ("stop", "estop", "operator-interrupts", "operator-resets-early")
 # Faults after which no waiting job begins until the operator has started the queue.
-BREAKS = ("stop", "estop", "operator-resets-early", "fleet-restarted")
+BREAKS = ("stop", "estop", "operator-resets-early", "fleet-restarted", "disk-bit-flip")
 ABSENCE_NS = SESSION_TIMEOUT_NS + REQUESTED_STOP_NS  # from a lost command to the start of the deceleration
 JOG_END_NS = 700 * NS_PER_MS  # from the last renewal of a jog to the end of its motion, without the ramp
 

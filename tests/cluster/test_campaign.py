@@ -34,6 +34,19 @@ def test_no_directed_seed_violates_an_invariant(first: int) -> None:
     assert len(story.hit) >= len(cells) - 1
 
 
+FOUND = [
+    FaultCell("home", "one-way-gap", "cia402"),
+    FaultCell("go", "arbitrary-replies", "cia402"),
+    FaultCell("jog", "arbitrary-replies", "cia402"),
+]
+
+
+def test_faults_that_found_something_when_they_were_new_do_not_find_it_again() -> None:
+    story = run_scenario(5, FOUND)
+    assert not story.violations, story.summarize()
+    assert len(story.hit) == len(FOUND)
+
+
 def test_directed_seeds_reach_each_stage_fault_and_make() -> None:
     assert {cell.stage for cell in DIRECTED} == set(STAGES)
     assert {cell.fault for cell in DIRECTED} == set(FAULTS)

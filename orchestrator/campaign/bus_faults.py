@@ -1,0 +1,49 @@
+"""Faults of the bus between an adapter host and others."""
+
+from contextvars import Context
+from random import Random
+
+from orchestrator.campaign.repairs import Repair
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.virtual import VirtualClock
+from orchestrator.runtime.virtual import VirtualFleet
+
+# How long one direction stays closed, from shortest to longest: longer than its detection takes, or shorter.
+PARTITION_NS = (1200 * NS_PER_MS, 2000 * NS_PER_MS)
+GAP_NS = (20 * NS_PER_MS, 450 * NS_PER_MS)
+
+
+class BusFaults:
+    """Injects faults of the bus of one fleet."""
+
+    def __init__(self, fleet: VirtualFleet, clock: VirtualClock, draw: Random) -> None:
+        self._net = fleet.net
+        self._clock = clock
+        self._draw = draw
+
+    def inject_fault(self, fault: str, host: str, coordinator: str) -> Repair:
+        """Inject a fault between two processes, by their names on the bus; return its repair."""
+        match fault:
+            case "bus-cut":
+                self._net.partition_net({host}, {coordinator})
+                return self._net.heal_partition
+            case "one-way-partition" | "one-way-gap":
+                way = (host, coordinator) if self._draw.random() < 0.5 else (coordinator, host)
+                lasts_ns = self._draw.randint(*(PARTITION_NS if fault == "one-way-partition" else GAP_NS))
+                return self._block_way(*way, lasts_ns)
+            case "nothing-forwarded":
+                return self._block_way(None, host)
+            case _:  # bus-loss
+                self._net.set_loss(host, self._draw.choice((0.3, 0.7, 1.0)))
+                return lambda: self._net.set_loss(host, 0.0)
+
+    def _block_way(self, sender: str | None, receiver: str, lasts_ns: int | None = None) -> Repair:
+        """Block one direction, for `lasts_ns` or until the repair."""
+
+        def open_way() -> None:
+            self._net.open_way(sender, receiver)
+
+        self._net.block_way(sender, receiver)
+        if lasts_ns is not None:
+            self._clock.call_at_ns(self._clock.now_ns() + lasts_ns, open_way, context=Context())
+        return open_way

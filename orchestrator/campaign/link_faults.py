@@ -1,0 +1,140 @@
+"""Faults of the link to a controller, and of what arrives over it."""
+
+from collections.abc import Callable
+from contextvars import Context
+from dataclasses import replace
+from random import Random
+
+from orchestrator.campaign.arbitrary_replies import ArbitraryReplies
+from orchestrator.campaign.repairs import Repair
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.virtual import VirtualClock
+from orchestrator.link.can import decode_frames, encode_frames
+from orchestrator.link.memory import MemoryWire
+from orchestrator.runtime.virtual import VirtualFleet
+from sim.smc30.framing import compute_checksum
+
+MAX_EXTRA_LATENCY_NS = 150 * NS_PER_MS
+REFUSALS_NS = 300 * NS_PER_MS
+# Long before the repair: what was asked meanwhile has failed by then, after up to a second.
+ARBITRARY_REPLIES_NS = 800 * NS_PER_MS
+# A flapping link: for how long it is closed again and again, how long it is open each time, and how long nothing can be
+# opened then.
+FLAPPING_NS = 1100 * NS_PER_MS
+OPEN_NS = (250 * NS_PER_MS, 500 * NS_PER_MS)
+CLOSED_NS = (0, 150 * NS_PER_MS)
+
+
+class LinkFaults:
+    """Injects faults of the links of one fleet."""
+
+    def __init__(self, fleet: VirtualFleet, clock: VirtualClock, draw: Random) -> None:
+        self._fleet = fleet
+        self._clock = clock
+        self._draw = draw
+        self._whole_fleet = fleet.fleet
+
+    def inject_fault(self, fault: str, member: str) -> Repair:
+        """Inject a fault of the member's link; return its repair."""
+        fleet, wire = self._fleet, self._fleet.wires[member]
+        usual = wire.model
+
+        def restore_wire() -> None:
+            wire.cut, wire.to_near, wire.to_far, wire.model = False, None, None, usual
+            wire.lose_close = False
+
+        can = self._whole_fleet.controllers[member].link.kind == "can"
+        match fault:
+            case "link-cut":
+                wire.cut = True
+            case "link-closed" | "cable-pulled":
+                wire.lose_close = fault == "cable-pulled"  # the controller keeps half-open connections
+                _close_links(wire)
+            case "link-slow":
+                wire.model = replace(usual, latency_ns=usual.latency_ns + self._draw.randrange(MAX_EXTRA_LATENCY_NS))
+            case "garbage":
+                # Corrupted frames on a CAN bus are not delivered at all.
+                wire.to_near = self._drop_bytes if can else self._corrupt_bytes
+            case "refusals":
+                make = self._whole_fleet.controllers[member].adapter
+                if make == "ppsmc":  # a refused command gets no reply: the same as a lost command
+                    wire.to_far = lambda _: b""
+                else:
+                    wire.to_near = _REFUSALS[make]
+                self._schedule_call(REFUSALS_NS, restore_wire)
+            case "flapping-link":
+                self._flap_link(wire)
+            case "arbitrary-replies":
+                replies = ArbitraryReplies(self._draw)
+                wire.to_near = replies.change_frames if can else replies.change_bytes
+                self._schedule_call(ARBITRARY_REPLIES_NS, restore_wire)
+            case _:  # firmware-hung
+                fleet.freeze(f"sim/{member}")
+                return lambda: fleet.resume(f"sim/{member}")
+        return restore_wire
+
+    def _flap_link(self, wire: MemoryWire) -> None:
+        """Close the link again and again for a while; after each time it cannot be opened at once."""
+        until_ns = self._clock.now_ns() + FLAPPING_NS
+
+        def close_wire() -> None:
+            if self._clock.now_ns() < until_ns:
+                wire.refuse = True
+                _close_links(wire)
+                self._schedule_call(self._draw.randint(*CLOSED_NS), open_wire)
+
+        def open_wire() -> None:
+            wire.refuse = False
+            self._schedule_call(self._draw.randint(*OPEN_NS), close_wire)
+
+        close_wire()
+
+    def _corrupt_bytes(self, data: bytes) -> bytes:
+        return bytes(self._draw.randrange(256) for _ in data)
+
+    def _drop_bytes(self, data: bytes) -> bytes:
+        return b"" if self._draw.random() < 0.7 else data
+
+    def _schedule_call(self, after_ns: int, call: Callable[[], None]) -> None:
+        """Schedule a call outside of every process."""
+        self._clock.call_at_ns(self._clock.now_ns() + after_ns, call, context=Context())
+
+
+def _close_links(wire: MemoryWire) -> None:
+    for link in list(wire.links):
+        link.hang_up()
+
+
+# Replies of a controller that refuses everything, made from its normal replies.
+
+
+def _refuse_yaskawa(data: bytes) -> bytes:
+    return b"?" if data.endswith(b":") else data
+
+
+def _refuse_shrc203(data: bytes) -> bytes:
+    return b"NG\r\n" if data.endswith(b"\r\n") else data
+
+
+def _refuse_smc30(data: bytes) -> bytes:
+    return b"E4" + bytes((compute_checksum(b"E4"),)) + b"\r" if data.endswith(b"\r") else data
+
+
+def _refuse_cia402(data: bytes) -> bytes:
+    """Replace replies to SDOs by aborts: "data cannot be transferred because of the present device state"."""
+    abort = (0x0800_0022).to_bytes(4, "little")
+    return encode_frames(
+        *(
+            replace(frame, data=b"\x80" + frame.data[1:4] + abort) if frame.id & ~0x7F == 0x580 else frame
+            for frame in decode_frames(data)
+        )
+    )
+
+
+_REFUSALS: dict[str, Callable[[bytes], bytes]] = {
+    "smc4000": _refuse_yaskawa,
+    "smc2000": _refuse_yaskawa,
+    "shrc203": _refuse_shrc203,
+    "smc30": _refuse_smc30,
+    "cia402": _refuse_cia402,
+}
