@@ -1,6 +1,6 @@
 """The SMC-4000: up to four axes, TCP, UDP and serial (L24-L55, L1719)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pydantic import BaseModel
@@ -10,7 +10,6 @@ from orchestrator.model.fleet import Controller
 from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
-from sim.yaskawa.base.commissioning import make_options
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import Smc4000Options
@@ -19,6 +18,7 @@ from sim.yaskawa.commands.dialect import COMMANDS, OPERANDS
 from sim.yaskawa.language import parameters
 from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.language.properties import BurnTimes
+from sim.yaskawa.machine.commissioning import make_options
 from sim.yaskawa.machine.controller import YaskawaBench, YaskawaController
 from sim.yaskawa.machine.core import ControllerCore
 from sim.yaskawa.machine.model import ControllerModel
@@ -89,12 +89,28 @@ WITHOUT_DELAYS = {"input_fall_us": 0, "input_rise_us": 0, "latch_us": 0, "output
 """Options of a controller whose inputs and outputs act at once."""
 
 
-class Smc4000Simulator:
-    """Builds simulated SMC-4000 controllers; implements `Simulator`."""
+class SmcSimulator:
+    """Builds simulated controllers of one family; implements `Simulator`.
+
+    options: the model of their options. find_model: the model for options. more_options: further options with which a
+    controller fits a controller's part of a fleet file.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        options: type[Smc4000Options] = Smc4000Options,
+        find_model: Callable[[Smc4000Options], ControllerModel] = lambda _: MODEL,
+        more_options: Callable[[Controller], Mapping[str, Any]] = lambda _: {},
+    ) -> None:
+        self._name = name
+        self._options = options
+        self._find_model = find_model
+        self._more_options = more_options
 
     @property
     def model(self) -> str:
-        return MODEL.name
+        return self._name
 
     def build_controller(
         self,
@@ -105,11 +121,13 @@ class Smc4000Simulator:
         timing: FirmwareTiming | None = None,
         seed: int = 0,
     ) -> YaskawaController:
-        """Build a powered-up controller. Options are the fields of `Smc4000Options`; `ValueError` names a wrong one."""
-        chosen = Smc4000Options.model_validate(dict(options))
+        """Build a powered-up controller. Options are the fields of the options' model; `ValueError` names a wrong
+        one."""
+        chosen = self._options.model_validate(dict(options))
+        model = self._find_model(chosen)
         timebase = ServoTimebase(clock, oscillator or Oscillator())
-        machine = ControllerCore(timebase, MODEL, chosen, timing or FirmwareTiming(), seed)
-        usual = (chosen.link, *(port for port in MODEL.ports if port != chosen.link))
+        machine = ControllerCore(timebase, model, chosen, timing or FirmwareTiming(), seed)
+        usual = (chosen.link, *(port for port in model.ports if port != chosen.link))
         machine.ports.first_handle = chosen.handle or ""
         machine.ports.strict_packets = chosen.strict_packets
         machine.run_ready()
@@ -117,16 +135,16 @@ class Smc4000Simulator:
 
     @property
     def options_model(self) -> type[BaseModel]:
-        return Smc4000Options
+        return self._options
 
     def make_options(self, config: Controller, expected: Mapping[str, Any]) -> Mapping[str, Any]:
         """The options with which it fits a controller's part of a fleet file."""
         del expected
-        return make_options(config, (2, 4))
+        return {**make_options(config, (2, 4)), **self._more_options(config)}
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> YaskawaBench:
         """Build the same controller, ideal in time, with the handles that test vectors need."""
         return YaskawaBench(self.build_controller(clock, WITHOUT_DELAYS | dict(options)))
 
 
-SMC4000 = Smc4000Simulator()
+SMC4000 = SmcSimulator("smc4000")

@@ -5,10 +5,10 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from cluster.worlds import EXAMPLES, job, outcome, run_fleet
+from cluster.worlds import EXAMPLES, changed, job, outcome, run_fleet
 
 from adapters.host.host import apply_make_defaults, find_controller_problems
-from orchestrator.model.files import parse_file, read_document
+from orchestrator.model.files import load_fleet, parse_file, read_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet
 from orchestrator.runtime.simulated import find_simulation_problems, make_simulator_options
@@ -127,3 +127,18 @@ def test_stages_of_one_controller_with_different_pulses() -> None:
     options = make_simulator_options(Fleet.model_validate(plain).controllers["it"])
     lengths = {motor: Fraction(rate * 10, options["divide"]) for motor, rate in options["base_rate"].items()}
     assert lengths == {"1": 1000, "2": 400}
+
+
+@pytest.mark.parametrize("make", ["smc4000", "galil"])
+def test_a_simulator_finds_the_reference_of_motors_by_either_name(make: str) -> None:
+    """A and X are one motor: its simulated home switch was that of the other name only."""
+    fleet = load_fleet(EXAMPLES / f"{make}.fleet.yaml")
+    fleet = changed(fleet, **{make: {"axes": {"x": {"motors": ["A"]}}}})
+
+    async def main(virtual: VirtualFleet) -> None:
+        report = await outcome(
+            virtual, job(f"[{{do: enable, axes: [{make}]}}, {{do: home}}, {{do: move, to: {{{make}.x: 5}}}}]")
+        )
+        assert report.state == "done", report.reason
+
+    run_fleet(main, fleet)

@@ -115,6 +115,16 @@ CASES = {
         {"axes": 2, **YASKAWA},
         "serial",
     ),
+    "galil dmc40x0": case("galil", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp", family="dmc40x0"),
+    "galil dmc21x3": case(
+        "galil",
+        TCP,
+        {"x": "X", "y": "Y"},
+        SERVO,
+        {"axes": 2, "family": "dmc21x3", **YASKAWA},
+        "tcp",
+        family="dmc21x3",
+    ),
     "smc2000 on serial": case(
         "smc2000",
         {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200},

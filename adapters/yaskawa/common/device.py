@@ -125,7 +125,7 @@ class SmcDevice:
         # Messages of programs go to the serial port, not between the replies (L3556).
         await session.send_command("CFS")
         revision = await session.read_revision()
-        self._format = RecordFormat.from_sizes((await session.query_lines("QZ")).lines[0])
+        self._format = await self._find_format(session, revision)
         if self._format.axes < self._axes_needed:
             raise ControllerFault(
                 "config-mismatch",
@@ -134,6 +134,15 @@ class SmcDevice:
                 "correct `motors` in the fleet file, or the address of the controller",
             )
         return await self._load_and_identify(revision)
+
+    async def _find_format(self, session: CommandSession, revision: str) -> RecordFormat:
+        """Return the layout of the record. Raises `ControllerFault` for a controller that is not of this model."""
+        del revision
+        return RecordFormat.from_sizes((await session.query_lines("QZ")).lines[0])
+
+    def _make_program(self) -> tuple[str, ...]:
+        """Return the lines of the resident program."""
+        return program_lines(self.record_format.axes, self.gate)
 
     async def _load_and_identify(self, revision: str) -> ControllerIdentity:
         """Install the program and read the sample counter. revision: the reply to the query of the revision."""
@@ -158,7 +167,7 @@ class SmcDevice:
 
     async def install_program(self) -> None:
         """Install the resident program if the controller does not have it. Raises `ControllerFault`."""
-        session, wanted = self.session, program_lines(self.record_format.axes, self.gate)
+        session, wanted = self.session, self._make_program()
         self._resident_program = wanted
         present = [line.rstrip() for line in await session.query_all("UL")]
         if present == list(wanted):

@@ -63,8 +63,8 @@ def axis_letters(mask: int) -> str:
     return "".join(letter for index, letter in enumerate(AXIS_LETTERS) if mask >> index & 1)
 
 
-def program_lines(axes: int, gate: GateTiming) -> tuple[str, ...]:
-    """Return the program's lines for a controller of `axes` axes."""
+def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tuple[str, ...]:
+    """Return the program's lines for a controller of `axes` axes. contours: whether it has entries for them."""
     lines = ["#TUTTI;EN"]
     for mask in range(1 << axes):
         moving = axis_letters(mask)
@@ -73,7 +73,7 @@ def program_lines(axes: int, gate: GateTiming) -> tuple[str, ...]:
         lines.append(f"#A{mask};XQ #DOG,{WATCHDOG_THREAD}")
         lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in moving]
         lines += ["XDONE=1;EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
-    for mask in range(1, 1 << axes):
+    for mask in range(1, 1 << axes) if contours else ():
         lines += contour_lines(mask, axes)
     lines += [
         *edge_lines(),

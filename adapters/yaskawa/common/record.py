@@ -91,16 +91,18 @@ class RecordFormat:
                 "is this an SMC-4000?",
             )
         axes, general, _, axis = sizes
-        length = 4 + general + axes * axis
         mask = 0x8000 | 0x0400 | ((1 << axes) - 1)  # L8921-8966: always set, I block, axes
-        layout = f"<4x{_GENERAL}{general - _GENERAL_BYTES}x" + f"{_AXIS}{axis - _AXIS_BYTES}x" * axes
-        return cls(
-            axes,
-            f"QR {RECORD_LETTERS[:axes]}I",
-            struct.pack("<HH", mask, length),
-            length,
-            struct.Struct(layout),
-        )
+        blocks = f"{_GENERAL}{general - _GENERAL_BYTES}x", f"{_AXIS}{axis - _AXIS_BYTES}x"
+        return cls.from_blocks(axes, blocks, struct.pack("<H", mask))
+
+    @classmethod
+    def from_blocks(cls, axes: int, blocks: tuple[str, str], mask: bytes) -> "RecordFormat":
+        """Build the format from the layouts of the general block (five values, as in `DataRecord`) and of an axis block
+        (nine, as in `AxisRecord`). mask: the two bytes of the header that name the blocks."""
+        general, axis = blocks
+        layout = struct.Struct(f"<4x{general}" + axis * axes)
+        header = mask + struct.pack("<H", layout.size)
+        return cls(axes, f"QR {RECORD_LETTERS[:axes]}I", header, layout.size, layout)
 
     def parse_record(self, data: bytes, sent_ns: int, received_ns: int) -> DataRecord:
         values = self.layout.unpack(data)

@@ -1,7 +1,7 @@
 """The SMC-4000: its driver, and the check of its part of the fleet file."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
@@ -27,6 +27,7 @@ from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_command
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import START_CLASSES, STOP_EXCHANGES, LoweringContext, YaskawaLowered, lower_moves
+from adapters.yaskawa.common.model import SMC4000, ModelTraits
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.record import (
     AXIS_LETTERS,
@@ -67,16 +68,19 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
 
     # After the first ones the controller accepts no commands; QR is answered by a record.
     NOT_BY_RAW = ("DL", "ED", "QD", "IN", "QR")
+    DEVICE: type[SmcDevice] = SmcDevice
+    OPTIONS: type[YaskawaOptions] = YaskawaOptions
+    ORDERS: tuple[Literal[2, 3], ...] = (2, 3)
 
     def __init__(self, setup: DriverSetup) -> None:
-        options = YaskawaOptions.model_validate(setup.options.model_dump())
+        options = self.OPTIONS.model_validate(setup.options.model_dump())
         if isinstance(setup.config.link, SerialLink):
             wire_us = LONGEST_EXCHANGE * 10 * 1_000_000 // setup.config.link.baud
             options = options.model_copy(update={"round_trip_us": options.round_trip_us + wire_us})
         motors = motor_indices(setup.config, NAMES)
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
         handles = HandleTraits(goodbye, shared=isinstance(setup.config.link, SerialLink))
-        device = SmcDevice(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
+        device = self.DEVICE(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
         serial = isinstance(setup.config.link, SerialLink)
         watch = SettingsWatch(device, motors, SMC4000_WATCHED, slow=serial)
         super().__init__(setup, motors, device, SampleStart(device, setup.clock, options), watch)
@@ -115,7 +119,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             disarm_ns=max(release_ns, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
-        return DriverCapabilities(start_classes=START_CLASSES, orders=(2, 3), independent_axes=False, costs=costs)
+        return DriverCapabilities(start_classes=START_CLASSES, orders=self.ORDERS, independent_axes=False, costs=costs)
 
     def _settings_ns(self) -> int:
         """Return how long the check of the settings before a step takes."""
@@ -125,6 +129,11 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         trips = 2 * lines if self._serial else -(-len(operands) // SETTINGS_AT_ONCE)
         leaving_ns = LEAVE_EXCHANGES * options.exchange_ns
         return leaving_ns + (lines * options.decode_us + trips * options.round_trip_us) * NS_PER_US
+
+    @property
+    def traits(self) -> ModelTraits:
+        """The bounds of the model's registers."""
+        return SMC4000
 
     # Polling
 
@@ -161,7 +170,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Lowered:
-        context = LoweringContext(self._config, self._motors, self._options, self._capabilities.costs)
+        costs = self._capabilities.costs
+        context = LoweringContext(self._config, self._motors, self._options, costs, self.traits)
         return lower_moves(context, profiles, start, mapping)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:

@@ -321,11 +321,18 @@ def _system_block(c: CommandContext, system: CoordinateSystem) -> bytes:
 
 
 def _axis_block(c: CommandContext, axis: ServoAxis, now: int) -> bytes:
-    """Pack an axis block. The command is evaluated once for all its fields: the record is the one that hosts poll."""
+    """Pack an axis block."""
+    return _AXIS_BLOCK.pack(*axis_values(c, axis, now))
+
+
+def axis_values(c: CommandContext, axis: ServoAxis, now: int) -> tuple[int, ...]:
+    """Return the nine values of an axis block: status, switches, stop code, positions (reference, motor, error,
+    auxiliary), velocity, torque. The command is evaluated once for all of them: the record is the one that hosts
+    poll."""
     here = axis.command_at(now)
     command_now = fixed.wrap_counts(fixed.round_half_up(here))
     encoder_now = axis.actual_at(now)
-    return _AXIS_BLOCK.pack(
+    return (
         _axis_status(axis, now),
         _axis_switches(c, axis, _switch_bits(c, axis, now, command_now, encoder_now)),
         axis.stop_code,

@@ -10,7 +10,6 @@ from orchestrator.model.fleet import Controller
 from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
-from sim.yaskawa.base.commissioning import make_options
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import HOP_NS, ChainOptions, Smc2000Options
@@ -20,6 +19,7 @@ from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.language.properties import BurnTimes
 from sim.yaskawa.language.registry import SMC2000_COMMANDS, SMC2000_OPERANDS
 from sim.yaskawa.language.smc2000_parameters import SMC2000 as PARAMETERS
+from sim.yaskawa.machine.commissioning import make_options
 from sim.yaskawa.machine.controller import YaskawaBench, YaskawaController
 from sim.yaskawa.machine.core import ControllerCore
 from sim.yaskawa.machine.model import ControllerModel

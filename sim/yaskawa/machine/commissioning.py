@@ -5,15 +5,14 @@ from typing import Any
 
 from orchestrator.model.fleet import Controller
 from sim.core.commissioning import search_distance
-
-_ALPHABETS = ("XYZW", "ABCDEFGH")
+from sim.yaskawa.language.arguments import LETTERS, canonical_axis
 
 
 def make_options(config: Controller, sizes: Sequence[int]) -> Mapping[str, Any]:
     """The number of axes, and a home switch and an index pulse within reach of every axis. sizes: of the models."""
-    places = {name: max(letters.find(axis.motors[0]) for letters in _ALPHABETS) for name, axis in config.axes.items()}
-    needed = max(places.values()) + 1
-    edges = {config.axes[name].motors[0]: -search_distance(config.axes[name]) for name in places}
+    letters = {name: canonical_axis(axis.motors[0]) for name, axis in config.axes.items()}
+    needed = max(LETTERS.index(letter) for letter in letters.values()) + 1
+    edges = {letters[name]: -search_distance(axis) for name, axis in config.axes.items()}
     return {
         "axes": next((size for size in sizes if size >= needed), sizes[-1]),
         "home_edge": edges,
