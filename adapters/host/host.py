@@ -18,15 +18,7 @@ from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from adapters.toolkit.firing import apply_writer_delay
-from orchestrator.bus.base import (
-    Bus,
-    BusDeclaration,
-    BusSample,
-    NoReply,
-    RequestHandler,
-    RequestRefused,
-    RequestTimeout,
-)
+from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, RequestHandler, find_only_server
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import read_estop
 from orchestrator.bus.log import LogSink, ProcessLog
@@ -42,6 +34,7 @@ from orchestrator.model.messages import LeaderHeartbeat, TimeReply
 from orchestrator.model.problems import Problem
 
 TIME_EXCHANGES = 8
+TIME_ANSWER_S = 1.0
 REPLY_SEND_NS = 20 * NS_PER_MS  # for the reply to `configure` to be sent before its supervisor is closed
 BACKLOG_LIMIT = 200  # samples; some seconds of states and events
 
@@ -298,12 +291,16 @@ class AdapterHost:
     async def _estimate_scale(self, heartbeat: LeaderHeartbeat) -> None:
         """Estimate the fleet time of a coordinator on another machine."""
         exchanges: list[TimeExchange] = []
-        clock = self._environment.clock
+        clock, bus, keys = self._environment.clock, self._environment.bus, self._environment.keys
+        leads = keys.leader_answer(heartbeat.coordinator)
+        server = ""
         while len(exchanges) < TIME_EXCHANGES:
-            sent_ns = clock.now_ns()
             try:
-                reply = await self._environment.bus.request(self._environment.keys.time, b"", timeout_s=1.0)
-            except (NoReply, RequestTimeout, RequestRefused):
+                server = server or await find_only_server(bus, leads, TIME_ANSWER_S)
+                sent_ns = clock.now_ns()
+                reply = await bus.request(keys.time, b"", TIME_ANSWER_S, server)
+            except BusError:
+                server = ""
                 await sleep_ns(clock, 100 * NS_PER_MS)
                 continue
             answer = TimeReply.model_validate_json(reply)

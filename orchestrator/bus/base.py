@@ -40,6 +40,14 @@ class NoReply(BusError):
     """No process serves the key (reported at once, not after a timeout). The message names the key."""
 
 
+class OtherServer(NoReply):
+    """The key is served, but not by the process whose reply was expected. The message names the key."""
+
+
+class DoubleServer(BusError):
+    """Several processes serve a key that only one may serve. The message names the key."""
+
+
 class RequestTimeout(BusError):
     """The key is served, or may be, but no valid reply arrived in time. The message names key and time."""
 
@@ -89,18 +97,27 @@ class Bus(Protocol):
         """Answer requests on matching keys. Requests are handled concurrently."""
         ...
 
-    async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
+    async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
         """Send a request and return the first valid reply. An error reply counts only if no valid one arrives.
 
-        Raises `NoReply` as soon as the bus detects that the key is not served, `RequestRefused`, or `RequestTimeout`
-        after `timeout_s`; the latter also if this process is disconnected, because it cannot tell then which keys
-        are served.
+        server: the process whose reply counts, as `find_servers` names it; those of others are ignored, and it is
+        waited for. None: any.
+
+        Raises `OtherServer` if that process does not answer and another one does, `NoReply` as soon as the bus detects
+        that the key is not served, `RequestRefused`, or `RequestTimeout` after `timeout_s`; the latter also if this
+        process is disconnected, because it cannot tell then which keys are served.
         """
         ...
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
         """Send a request to all processes that serve a matching key; return the valid replies within `timeout_s`, by
         key."""
+        ...
+
+    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
+        """Ask all processes that serve a matching key, with an empty request; return the names that the transport has
+        for those that gave a valid reply within `timeout_s`. A name is of one connection of a process, and new with
+        each start. Raises `NoReply`, `RequestTimeout` if there is none."""
         ...
 
     async def announce(self, key: str) -> BusDeclaration:
@@ -123,3 +140,11 @@ class Bus(Protocol):
     async def close(self) -> None:
         """Undeclare all and disconnect. Safe to call twice."""
         ...
+
+
+async def find_only_server(bus: Bus, expression: str, timeout_s: float) -> str:
+    """The one process that serves the keys of `expression`. Raises `DoubleServer`, `NoReply`, `RequestTimeout`."""
+    servers = await bus.find_servers(expression, timeout_s)
+    if len(servers) > 1:
+        raise DoubleServer(f"{len(servers)} processes answer on {expression}, where only one may")
+    return servers.pop()

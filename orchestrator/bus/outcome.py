@@ -3,14 +3,14 @@
 import asyncio
 from collections.abc import Callable
 
-from orchestrator.bus.base import NoReply, RequestRefused, RequestTimeout
+from orchestrator.bus.base import BusError, NoReply, OtherServer, RequestRefused, RequestTimeout
 
 
 class RequestOutcome:
     """Collects the replies to one request and settles its future once.
 
-    With `first_only` the first valid reply settles it; without, all valid replies are collected until no server is
-    left.
+    With `first_only` the first valid reply settles it, or, where a server is expected, the first reply of that one;
+    without, all valid replies are collected until no server is left.
     """
 
     def __init__(
@@ -19,16 +19,24 @@ class RequestOutcome:
         timeout_s: float,
         *,
         first_only: bool,
+        expected: str | None = None,
         on_double_answer: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """on_double_answer: called with the key when two processes have answered a request for one answer."""
+        """expected: the server whose reply counts, and no other; None: any. on_double_answer: called with the key when
+        two processes have answered a request for one answer."""
         self.key = key
+        self.replies: dict[str, bytes] = {}
+        """The valid replies by key; of several on one key the first."""
+        self.servers: set[str] = set()
+        """The processes that have sent a valid reply."""
+        self.silence: BusError | None = None
+        """Why no reply has arrived, once the request is settled without one."""
+        self._expected = expected
         self._on_double_answer = on_double_answer
         self._answers = 0
-        self.settled: asyncio.Future[dict[str, bytes]] = asyncio.get_running_loop().create_future()
+        self.settled: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._timeout_s = timeout_s
         self._first_only = first_only
-        self._replies: dict[str, bytes] = {}
         self._refusal: str | None = None
 
     @property
@@ -38,30 +46,37 @@ class RequestOutcome:
 
     @property
     def has_reply(self) -> bool:
-        """Whether any reply has arrived, valid or an error."""
-        return bool(self._replies) or self._refusal is not None
+        """Whether any reply has arrived, valid or an error, of any server."""
+        return self._answers > 0
 
-    def add_reply(self, key: str, payload: bytes) -> None:
-        """Take a valid reply. Of several on one key the first counts."""
-        self._replies.setdefault(key, payload)
-        self._count_answer()
-        if self._first_only:
-            self._settle_future()
+    def add_reply(self, server: str, key: str, payload: bytes) -> None:
+        """Take a valid reply of `server`. Of several on one key the first counts."""
+        if self._counts_answer(server):
+            self.replies.setdefault(key, payload)
+            self.servers.add(server)
+            if self._first_only:
+                self._settle_future()
 
-    def add_refusal(self, text: str) -> None:
-        """Take an error reply. It counts only if no valid one arrives; of several the first."""
-        self._count_answer()
-        if self._refusal is None:
-            self._refusal = text
+    def add_refusal(self, server: str, text: str) -> None:
+        """Take an error reply of `server`. Of several the first counts, and only if no valid reply arrives."""
+        if self._counts_answer(server):
+            if self._refusal is None:
+                self._refusal = text
+            if self._expected is not None:
+                self._settle_future()
 
-    def _count_answer(self) -> None:
+    def _counts_answer(self, server: str) -> bool:
         self._answers += 1
         if self._first_only and self._answers == 2:
             self._on_double_answer(self.key)
+        return self._expected in (None, server)
 
     def end_replies(self) -> None:
         """No server is left that could still answer."""
-        self._settle_future(NoReply(f"no process serves {self.key}"))
+        if self._expected is not None and self.has_reply:
+            self._settle_future(OtherServer(f"{self.key} is answered by another process than the expected one"))
+        else:
+            self._settle_future(NoReply(f"no process serves {self.key}"))
 
     def end_by_timeout(self) -> None:
         """The timeout has expired."""
@@ -72,12 +87,19 @@ class RequestOutcome:
         if not self.is_over:
             self.settled.set_exception(reason)
 
-    def _settle_future(self, silence: Exception | None = None) -> None:
+    def require_servers(self) -> set[str]:
+        """The processes that have sent a valid reply. Raises `NoReply`, `RequestTimeout` if there is none."""
+        if not self.servers:
+            raise self.silence or NoReply(f"no process serves {self.key}")
+        return self.servers
+
+    def _settle_future(self, silence: BusError | None = None) -> None:
         if self.is_over:
             return
-        if self._replies or not self._first_only or silence is None:
-            self.settled.set_result(self._replies)
+        self.silence = silence
+        if self.replies or not self._first_only:
+            self.settled.set_result(None)
         elif self._refusal is not None:
             self.settled.set_exception(RequestRefused(self._refusal))
         else:
-            self.settled.set_exception(silence)
+            self.settled.set_exception(silence or NoReply(f"no process serves {self.key}"))

@@ -102,9 +102,9 @@ class RecordedBus:
         self._bus = bus
         self._recorder = recorder
 
-    async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
+    async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
         asked = self._recorder.record_requests(key, payload)
-        reply = await self._bus.request(key, payload, timeout_s)
+        reply = await self._bus.request(key, payload, timeout_s, server)
         if asked:
             self._recorder.record_replies(key, asked, reply)
         return reply
@@ -120,6 +120,9 @@ class RecordedBus:
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
         return await self._bus.request_all(expression, payload, timeout_s)
+
+    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
+        return await self._bus.find_servers(expression, timeout_s)
 
     async def announce(self, key: str) -> BusDeclaration:
         return await self._bus.announce(key)

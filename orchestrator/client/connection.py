@@ -3,10 +3,20 @@
 import asyncio
 import uuid
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any, Self, TypeVar
 
-from orchestrator.bus.base import Bus, BusSample, NoReply, RequestRefused, RequestTimeout
+from pydantic import ValidationError
+
+from orchestrator.bus.base import (
+    Bus,
+    BusError,
+    BusSample,
+    DoubleServer,
+    NoReply,
+    RequestTimeout,
+    find_only_server,
+)
 from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.bus.fleets import find_fleets
 from orchestrator.bus.keys import FleetKeys
@@ -17,6 +27,7 @@ from orchestrator.model.messages import Reply, Request
 M = TypeVar("M", bound=Model)
 
 ANSWER_S = 3.0
+LEADER_S = 1.0  # for the leader to say that it leads
 
 
 class FleetConnection:
@@ -37,6 +48,7 @@ class FleetConnection:
         self._bus = None if isinstance(connect, str) else connect
         self._loop: asyncio.AbstractEventLoop | None = None
         self._keys = None if fleet is None else FleetKeys(fleet)
+        self._leader = ""  # as the bus names the process that has answered last
         self.actor = actor
         self.new_id = new_id
 
@@ -100,11 +112,18 @@ class FleetConnection:
         return {"request_id": self.new_id(), "actor": self.actor}
 
     async def request_service(self, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S) -> M:
-        """Send a request to the leader and return its reply. Raises `Refusal`."""
-        absent = Refusal(
-            "no-coordinator", f"fleet {self.keys.fleet} has no active coordinator", "start one: `tutti up FILE`"
-        )
-        return await self._request(self.keys.service(verb), request, reply, timeout_s, absent)
+        """Send a request to the leader and return its reply; of another process no reply counts. Raises `Refusal`."""
+        key = self.keys.service(verb)
+        try:
+            if self._leader:
+                with suppress(NoReply):  # then another coordinator leads now
+                    return await self._ask(key, request, reply, timeout_s, self._leader)
+            self._leader = await find_only_server(self.bus, self.keys.leader_answer(), min(timeout_s, LEADER_S))
+            return await self._ask(key, request, reply, timeout_s, self._leader)
+        except BusError as error:
+            self._leader = ""
+            text = f"fleet {self.keys.fleet} has no active coordinator"
+            raise _explain_failure(error, Refusal("no-coordinator", text, "start one: `tutti up FILE`")) from None
 
     async def find_absence(self) -> Refusal:
         """The refusal, code `no-fleet`, for a fleet of which no controller answers; names the fleets that do."""
@@ -134,16 +153,35 @@ class FleetConnection:
 
     async def _request(self, key: str, request: Request, reply: type[M], timeout_s: float, absent: Refusal) -> M:
         try:
-            received = reply.model_validate_json(await self.bus.request(key, request.to_json(), timeout_s))
-        except NoReply:
-            raise absent from None
-        except RequestTimeout as error:
-            raise Refusal("no-answer", str(error), "check whether that process hangs") from None
-        except RequestRefused as error:
-            raise Refusal("bad-request", str(error)) from None
+            return await self._ask(key, request, reply, timeout_s)
+        except BusError as error:
+            raise _explain_failure(error, absent) from None
+
+    async def _ask(self, key: str, request: Request, reply: type[M], timeout_s: float, server: str | None = None) -> M:
+        """Raises `BusError`, and `Refusal` if the answer is one or cannot be read."""
+        answer = await self.bus.request(key, request.to_json(), timeout_s, server)
+        try:
+            received = reply.model_validate_json(answer)
+        except ValidationError as error:
+            text = f"the answer on {key} cannot be read: {error.errors()[0]['msg']}"
+            raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
         if isinstance(received, Reply) and received.refused is not None:
             raise received.refused.as_error()
         return received
+
+
+def _explain_failure(error: BusError, absent: Refusal) -> Refusal:
+    """The refusal for a request that got no answer. absent: if no process serves its key."""
+    match error:
+        case NoReply():
+            return absent
+        case DoubleServer():
+            text = f"{error}; none of them was asked to do anything"
+            return Refusal("several-servers", text, "end the one that should not be on the bus")
+        case RequestTimeout():
+            return Refusal("no-answer", str(error), "check whether that process hangs")
+        case _:
+            return Refusal("bad-request", str(error))
 
 
 async def find_only_fleet(bus: Bus) -> str:

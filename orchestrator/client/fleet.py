@@ -1,7 +1,10 @@
 """Requests about the whole fleet and its controllers: status, stops, reset, information."""
 
 import asyncio
+from contextlib import suppress
 from typing import Any
+
+from pydantic import ValidationError
 
 from orchestrator.bus.base import Priority
 from orchestrator.bus.estop import put_estop
@@ -31,9 +34,12 @@ class FleetRequests(FleetConnection):
     """Watch, stop and reset the fleet."""
 
     async def status(self, timeout_s: float = ANSWER_S) -> FleetStates:
-        """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`."""
-        replies = await self.bus.request_all(self.keys.state(), b"", timeout_s)
-        states = [ControllerState.model_validate_json(payload) for payload in replies.values()]
+        """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`; what
+        cannot be read is left out."""
+        states: list[ControllerState] = []
+        for payload in (await self.bus.request_all(self.keys.state(), b"", timeout_s)).values():
+            with suppress(ValidationError):
+                states.append(ControllerState.model_validate_json(payload))
         return FleetStates({state.controller: state for state in sorted(states, key=lambda each: each.controller)})
 
     async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from orchestrator.bus.base import BusDeclaration
+from orchestrator.bus.base import BusDeclaration, BusError, DoubleServer
 from orchestrator.bus.latch import LatchKeeper
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.owner import TaskOwner
@@ -52,11 +52,9 @@ class Coordinator:
         self._log = ProcessLog("coordinator", self.leadership.coordinator[:8], clock, environment.sink, (bus, keys))
         self._log.fleet_ns = lambda: self.leadership.fleet_now_ns() if self.leadership.epoch else None
         self._view = FleetView(fleet, bus, keys, clock, self._log)
-        view = self._view
-        requests = MemberRequests(
-            bus, keys, self.leadership, environment.new_id, lambda controller: view.fleet.controllers[controller].host
-        )
-        access = self._fleet = FleetAccess(self._view, requests, PermitMonitor(view, clock), clock, self._log, tasks)
+        requests = MemberRequests(bus, keys, self.leadership, environment.new_id, self._view)
+        permits = PermitMonitor(self._view, clock)
+        access = self._fleet = FleetAccess(self._view, requests, permits, clock, self._log, tasks)
         self._leases = LeaseRegistry(access, bus, keys)
         motion = MotionServices(access, self.leadership, environment.journal, self._execute)
         self._plain_steps = PlainSteps(access, motion.targets)
@@ -142,6 +140,7 @@ class Coordinator:
 
     async def _adopt_controller(self, controller: str, instance: str) -> None:
         try:
+            await self._view.bind_server(controller)
             request = AdoptRequest(
                 **self._fleet.requests.request_fields("coordinator"), leader=self.leadership.make_heartbeat()
             )
@@ -154,6 +153,10 @@ class Coordinator:
                 await self._enable_at_start(controller)
             else:
                 self._log.warning(f"not adopted: {reply.refused.text}", controller=controller)
+        except DoubleServer:
+            self._report_double_answer(self._environment.keys.state(controller))
+        except BusError as error:
+            self._log.warning(f"not adopted: {error}", controller=controller)
         finally:
             self._adopting.discard(controller)
 

@@ -3,12 +3,15 @@
 # pyright: reportPrivateUsage=false
 
 import asyncio
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
+from adapters.controller.participant import StepParticipant
 from adapters.controller.store import FileStore
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from orchestrator.bus.base import BusSample, Priority
@@ -24,9 +27,12 @@ from orchestrator.model.messages import (
     AcceptEpoch,
     AdoptedReply,
     AdoptRequest,
+    CommitRequest,
     LeaderHeartbeat,
+    RefusalDetails,
     Reply,
 )
+from orchestrator.model.service import JobSubmitted
 from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -271,6 +277,103 @@ def test_a_second_queryable_on_a_controller_is_an_alarm() -> None:
         alarms = [line for line in fleet.lines if "two processes answer on " in line]
         assert alarms and len(alarms) == len(set(alarms))
         assert any("ctl/gantry/cmd/" in line for line in alarms)
+
+    run_fleet(main)
+
+
+async def serve_forged(fleet: VirtualFleet, answer: Callable[[BusSample], bytes], *expressions: str) -> list[str]:
+    """Serve `expressions` from another process that answers at once; return the keys that were requested."""
+    bus, asked = fleet.make_client("forger").bus, list[str]()
+
+    async def forge(sample: BusSample) -> bytes:
+        asked.append(sample.key)
+        return answer(sample)
+
+    for each in expressions:
+        await bus.serve(each, forge)
+    return asked
+
+
+def forge_promises(sample: BusSample) -> bytes:
+    """An "ok" to every request, single or batched."""
+    found = json.loads(sample.payload)
+    if "requests" in found:
+        return json.dumps({"replies": dict.fromkeys(found["requests"], '{"refused": null}')}).encode()
+    return b'{"refused": null}'
+
+
+@pytest.mark.parametrize("axes", ["gantry.x: 5, stage.u: 5", "gantry.x: 5"], ids=["batched", "single"])
+def test_a_forged_promise_does_not_count(axes: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its adapter refuses to commit, slower than another process says that it does."""
+
+    async def refuse(unit: StepParticipant, request: CommitRequest) -> Reply:
+        await asyncio.sleep(0.05)
+        return Reply(refused=RefusalDetails(code="not-safe", text="this one will not move"))
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        commits = (fleet.keys.command("gantry", "commit"), fleet.keys.batch_command("local", "commit"))
+        asked = await serve_forged(fleet, forge_promises, *commits)
+        with monkeypatch.context() as patched:
+            patched.setattr(StepParticipant, "commit_step", refuse)
+            report = await outcome(fleet, job(f"[{{do: move, to: {{{axes}}}}}]"))
+        assert asked
+        assert report.state == "failed" and "this one will not move" in report.reason
+        assert any("two processes answer on " in line for line in fleet.lines)
+        # A promise of its adapter counts beside the forged one.
+        assert (await outcome(fleet, job(f"[{{do: move, to: {{{axes}}}}}]"))).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_forged_acceptance_of_a_job_does_not_count() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        forged = JobSubmitted(job_id="forged").to_json()
+        asked = await serve_forged(fleet, lambda _: forged, fleet.keys.service("submit"))
+        client = fleet.make_client()
+        for _ in range(20):
+            assert (await client.submit(PREPARE)).id != "forged"
+        with pytest.raises(Refusal) as refused:
+            await client.submit(job("[{do: move, to: {gantry.x: 99999}}]"))
+        assert refused.value.code != "no-coordinator"
+        assert len(asked) == 21
+        # Without a leader the forged answer is not an acceptance, either.
+        fleet.kill("coordinator/first")
+        await asyncio.sleep(0.1)
+        for each in (client, fleet.make_client()):
+            with pytest.raises(Refusal) as refused:
+                await each.submit(PREPARE)
+            assert refused.value.code == "no-coordinator"
+        # A client follows the next coordinator.
+        fleet.start_coordinator("second")
+        await asyncio.sleep(3.0)
+        assert (await client.submit(PREPARE)).id != "forged"
+
+    run_fleet(main)
+
+
+def test_nothing_is_submitted_while_two_processes_say_that_they_lead() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await serve_forged(fleet, lambda _: forge(fleet).to_json(), fleet.keys.leader_answer("forged"))
+        with pytest.raises(Refusal) as refused:
+            await fleet.make_client().submit(PREPARE)
+        assert refused.value.code == "several-servers"
+
+    run_fleet(main)
+
+
+def test_a_controller_with_two_adapters_is_not_adopted() -> None:
+    """Which of them drives it cannot be known; the alarm is given once."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await serve_forged(fleet, lambda _: b"{}", fleet.keys.state("gantry"))
+        fleet.kill("host/local")
+        await asyncio.sleep(10.0)
+        alarms = [line for line in fleet.lines if f"two processes answer on {fleet.keys.state('gantry')}" in line]
+        assert len(alarms) == 1
+        assert fleet.adapter_hosts["local"]._leaders._adopters.keys() == {"stage"}
+        # What the other process answers keeps no client from the states of the adapters.
+        assert "stage" in await fleet.make_client().status()
 
     run_fleet(main)
 

@@ -302,9 +302,9 @@ def test_data_in_the_answer_to_a_lease_is_not_requested_again(monkeypatch: pytes
     asked: list[str] = []
     request = MemoryBus.request
 
-    async def noted(self: MemoryBus, key: str, payload: bytes, timeout_s: float) -> bytes:
+    async def noted(self: MemoryBus, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
         asked.append(key)
-        return await request(self, key, payload, timeout_s)
+        return await request(self, key, payload, timeout_s, server)
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)

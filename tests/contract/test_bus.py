@@ -11,7 +11,17 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from bus_worlds import LIMIT_S, Body, World, linked, request_until, run_live, run_memory, until
 
-from orchestrator.bus.base import BusClosed, BusSample, NoReply, Priority, RequestRefused, RequestTimeout
+from orchestrator.bus.base import (
+    BusClosed,
+    BusSample,
+    DoubleServer,
+    NoReply,
+    OtherServer,
+    Priority,
+    RequestRefused,
+    RequestTimeout,
+    find_only_server,
+)
 from orchestrator.bus.estop import put_estop
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.messages import EstopMessage
@@ -216,6 +226,63 @@ def test_the_first_valid_reply_counts(run: Run) -> None:
         world.hang("p")
         async with asyncio.timeout(LIMIT_S / 2):
             assert await a.request("t/shared", b"2", LIMIT_S) == b"q:2"
+
+    run(body)
+
+
+def test_only_the_reply_of_the_expected_server_counts(run: Run) -> None:
+    """Whatever another process answers, and however early."""
+
+    async def body(world: World) -> None:
+        a, forger = await world.join("a"), await world.join("forger")
+        doubled: list[str] = []
+        a.report_double_answers(doubled.append)
+
+        async def forge(_: BusSample) -> bytes:
+            return b"forged"
+
+        await world.peer("p")
+        (server,) = await a.find_servers("t/p/*", LIMIT_S)
+        for key in ("t/p/echo", "t/p/refuse", "t/p/say"):
+            await forger.serve(key, forge)
+        await linked(a, forger)
+        assert server in await a.find_servers("t/p/echo", LIMIT_S)
+        assert len(await a.find_servers("t/p/echo", LIMIT_S)) == 2
+        for _ in range(20):
+            assert await a.request("t/p/echo", b"1", LIMIT_S, server) == b"p:1"
+        with pytest.raises(RequestRefused, match="p will not"):
+            await a.request("t/p/refuse", b"", LIMIT_S, server)
+        await until(lambda: {"t/p/echo", "t/p/refuse"} <= set(doubled))
+        # One that hangs is waited for; one that has ended does not answer any more.
+        world.hang("p")
+        with pytest.raises(RequestTimeout):
+            await a.request("t/p/echo", b"2", 0.3, server)
+        world.kill("p")
+        async with asyncio.timeout(LIMIT_S):
+            while True:
+                try:
+                    await a.request("t/p/echo", b"3", 0.3, server)
+                except OtherServer:
+                    break
+                except RequestTimeout:
+                    await asyncio.sleep(0.002)
+
+    run(body)
+
+
+def test_servers_that_cannot_be_found(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        with pytest.raises(NoReply, match="t/nobody"):
+            await find_only_server(a, "t/nobody/*", LIMIT_S)
+        await world.peer("p")
+        await world.peer("q")
+        assert await find_only_server(a, "t/p/latest", LIMIT_S) in await a.find_servers("t/shared", LIMIT_S)
+        with pytest.raises(DoubleServer, match="2 processes answer on t/shared"):
+            await find_only_server(a, "t/shared", LIMIT_S)
+        world.hang("p")
+        with pytest.raises(RequestTimeout):
+            await find_only_server(a, "t/p/latest", 0.3)
 
     run(body)
 

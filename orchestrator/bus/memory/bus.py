@@ -79,6 +79,7 @@ class MemoryNet:
         self._lost_sides: dict[str, int] = {}
         self._cuts = 0
         self._blocked_ways: set[tuple[str | None, str]] = set()
+        self._joined = 0
         self._lossy: dict[str, float] = {}
         self.presence = PresenceBoard(self)
         self.requests = RequestBoard(self)
@@ -193,6 +194,11 @@ class MemoryNet:
             self.schedule_call(self.clock.now_ns() + RECONNECT_NS, reconnect)
 
     # Used by the parts of the medium
+
+    def draw_server(self) -> str:
+        """A name for the connection of a process, never used before."""
+        self._joined += 1
+        return f"server-{self._joined}"
 
     def schedule_call(self, at_ns: int, call: Callable[[], None]) -> None:
         """Schedule a call of the medium in its own context, whatever the caller's context."""
@@ -314,6 +320,7 @@ class MemoryBus:
     def __init__(self, net: MemoryNet, name: str, queue_limit: int, max_message_bytes: int) -> None:
         self.net = net
         self.name = name
+        self.server = net.draw_server()
         self.max_message_bytes = max_message_bytes
         self.alive = True
         self.hung = False
@@ -345,18 +352,26 @@ class MemoryBus:
         self.net.requests.add_server(served)
         return served
 
-    async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        replies = await self._collect_replies(check_key(key), payload, timeout_s, first_only=True)
-        return next(iter(replies.values()))
+    async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
+        on_double_answer = self._on_double_answer
+        outcome = RequestOutcome(
+            check_key(key), timeout_s, first_only=True, expected=server, on_double_answer=on_double_answer
+        )
+        await self._collect_replies(outcome, payload, timeout_s)
+        return next(iter(outcome.replies.values()))
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
-        return await self._collect_replies(check_expression(expression), payload, timeout_s, first_only=False)
+        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
+        await self._collect_replies(outcome, payload, timeout_s)
+        return outcome.replies
 
-    async def _collect_replies(
-        self, key: str, payload: bytes, timeout_s: float, *, first_only: bool
-    ) -> dict[str, bytes]:
+    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
+        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
+        await self._collect_replies(outcome, b"", timeout_s)
+        return outcome.require_servers()
+
+    async def _collect_replies(self, outcome: RequestOutcome, payload: bytes, timeout_s: float) -> None:
         self._check_open()
-        outcome = RequestOutcome(key, timeout_s, first_only=first_only, on_double_answer=self._on_double_answer)
         clock = self.net.clock
         timer = clock.call_at_ns(clock.now_ns() + round(timeout_s * NS_PER_S), outcome.end_by_timeout)
         number = self._asked
@@ -364,7 +379,7 @@ class MemoryBus:
         self._asking[number] = outcome
         self.send_call(Priority.EVENT, partial(self.net.requests.send_request, self, payload, outcome))
         try:
-            return await outcome.settled
+            await outcome.settled
         finally:
             timer.cancel()
             del self._asking[number]

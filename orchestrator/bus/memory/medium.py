@@ -75,10 +75,12 @@ class BusProcess(Protocol):
     """One process on the medium, as the parts of the medium see it.
 
     given_up: the other processes count it as gone, because it has been silent for a lease.
-    incoming: what waits for it while it is hung. max_message_bytes: it leaves out larger messages.
+    incoming: what waits for it while it is hung. max_message_bytes: it leaves out larger messages. server: its name in
+    replies.
     """
 
     name: str
+    server: str
     max_message_bytes: int
     alive: bool
     hung: bool

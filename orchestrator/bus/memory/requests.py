@@ -120,7 +120,7 @@ class RequestBoard:
             return
         if len(question.payload) > served.bus.max_message_bytes:
             text = f"too large: a request has at most {served.bus.max_message_bytes} bytes here"
-            self._queue_reply(served, question, partial(question.outcome.add_refusal, text))
+            self._queue_reply(served, question, partial(question.outcome.add_refusal, served.bus.server, text))
             return
         context = served.context.copy()
         task = asyncio.get_running_loop().create_task(self._run_handler(served, question), context=context)
@@ -133,14 +133,14 @@ class RequestBoard:
         try:
             payload = await served.handler(BusSample(key, question.payload))
         except RequestRefused as refusal:
-            answer = None if is_wild(asked) else partial(question.outcome.add_refusal, str(refusal))
+            answer = None if is_wild(asked) else partial(question.outcome.add_refusal, served.bus.server, str(refusal))
             self._queue_reply(served, question, answer)
         except Exception as error:
             text = f"{type(error).__name__} while answering {key}: {error}"
             asyncio.get_running_loop().call_exception_handler({"message": text, "exception": error})
-            self._queue_reply(served, question, partial(question.outcome.add_refusal, text))
+            self._queue_reply(served, question, partial(question.outcome.add_refusal, served.bus.server, text))
         else:
-            self._queue_reply(served, question, partial(question.outcome.add_reply, key, payload))
+            self._queue_reply(served, question, partial(question.outcome.add_reply, served.bus.server, key, payload))
 
     def cancel_answers(self, bus: BusProcess) -> None:
         """A process leaves: pending answers are cancelled."""

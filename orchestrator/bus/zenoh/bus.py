@@ -196,13 +196,15 @@ class ZenohBus:
         self._losses.count_loss(f"{size} bytes on {key} are left out; at most {most} are taken")
         return None
 
-    def _take_answer(self, answer: zenoh.Sample, outcome: RequestOutcome) -> tuple[int, Callable[[], None]]:
+    def _take_answer(
+        self, answer: zenoh.Sample, server: str, outcome: RequestOutcome
+    ) -> tuple[int, Callable[[], None]]:
         """The size of an answer, and the call that adds it to the outcome of its request."""
         key = str(answer.key_expr)
         payload = self._take_payload(answer.payload, key)
         if payload is None:
-            return 0, partial(outcome.add_refusal, f"the answer on {key} is too large for this process")
-        return len(payload), partial(outcome.add_reply, key, payload)
+            return 0, partial(outcome.add_refusal, server, f"the answer on {key} is too large for this process")
+        return len(payload), partial(outcome.add_reply, server, key, payload)
 
     def _refuse_query(self, query: zenoh.Query, text: str) -> None:
         def send_refusal() -> None:
@@ -238,28 +240,37 @@ class ZenohBus:
 
         self._sure_sender.queue_call(Priority.EVENT, send_reply)
 
-    async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        replies = await self._collect_replies(check_key(key), payload, timeout_s, first_only=True)
-        return next(iter(replies.values()))
+    async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
+        on_double_answer = self._on_double_answer
+        outcome = RequestOutcome(
+            check_key(key), timeout_s, first_only=True, expected=server, on_double_answer=on_double_answer
+        )
+        await self._collect_replies(outcome, payload, timeout_s)
+        return next(iter(outcome.replies.values()))
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
-        return await self._collect_replies(check_expression(expression), payload, timeout_s, first_only=False)
+        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
+        await self._collect_replies(outcome, payload, timeout_s)
+        return outcome.replies
 
-    async def _collect_replies(
-        self, key: str, payload: bytes, timeout_s: float, *, first_only: bool
-    ) -> dict[str, bytes]:
+    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
+        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
+        await self._collect_replies(outcome, b"", timeout_s)
+        return outcome.require_servers()
+
+    async def _collect_replies(self, outcome: RequestOutcome, payload: bytes, timeout_s: float) -> None:
         self._check_open()
         _require_sendable("request", payload)
-        outcome = RequestOutcome(key, timeout_s, first_only=first_only, on_double_answer=self._on_double_answer)
         disconnects = self._disconnects
         unsure = False
 
         def receive_reply(reply: zenoh.Reply) -> None:
-            size = 0
+            size, replier = 0, reply.replier_id
+            server = "" if replier is None else str(replier.zid)
             if reply.ok is not None:
-                size, answer = self._take_answer(reply.ok, outcome)
+                size, answer = self._take_answer(reply.ok, server, outcome)
             elif reply.err is not None and str(reply.err.encoding) == _REFUSED:
-                answer = partial(outcome.add_refusal, reply.err.payload.to_string())
+                answer = partial(outcome.add_refusal, server, reply.err.payload.to_string())
             else:
                 answer = wait_for_transport
             self._inbox.queue_call(Priority.EVENT, answer, size)
@@ -283,7 +294,7 @@ class ZenohBus:
             if outcome.is_over:
                 return
             self._sure.get(
-                key,
+                outcome.key,
                 _make_direct_callback(receive_reply, partial(self._inbox.queue_call, Priority.EVENT, end_request)),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
@@ -298,7 +309,7 @@ class ZenohBus:
         self._asking.append(outcome)
         self._sure_sender.queue_call(Priority.EVENT, start_query, len(payload))
         try:
-            return await outcome.settled
+            await outcome.settled
         finally:
             timer.cancel()
             self._asking.remove(outcome)

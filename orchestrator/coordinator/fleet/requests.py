@@ -11,9 +11,10 @@ from typing import TypedDict, TypeVar
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, BusError, NoReply, RequestRefused, RequestTimeout
+from orchestrator.bus.base import Bus, BusError, NoReply, OtherServer, RequestRefused, RequestTimeout
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.model.messages import BatchReply, BatchRequest, RefusalDetails, Reply, Request
 
@@ -42,14 +43,14 @@ class FencedFields(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class MemberRequests:
-    """Sends requests to controllers on the bus, with the epoch of this leadership. host: the adapter host of a
-    controller."""
+    """Sends requests to controllers on the bus, with the epoch of this leadership. Since the adoption of a controller
+    only the replies of the process that answered for it then count."""
 
     bus: Bus
     keys: FleetKeys
     leadership: Leadership
     new_id: Callable[[], str]
-    host: Callable[[str], str]
+    view: FleetView
 
     def request_fields(self, actor: str) -> FencedFields:
         """Fields that every fenced request has."""
@@ -95,9 +96,10 @@ class MemberRequests:
     ) -> dict[str, R]:
         """Send requests to several members at once; return the replies by member. answered: called with each member
         that has answered, and the ns that it took."""
-        hosts: dict[str, dict[str, Request]] = {}
+        servers: dict[tuple[str, str | None], dict[str, Request]] = {}
         for member, request in requests.items():
-            hosts.setdefault(self.host(member), {})[member] = request
+            server = (self._host_of(member), self.view.servers.get(member))
+            servers.setdefault(server, {})[member] = request
 
         async def ask(asked: Mapping[str, Request]) -> dict[str, tuple[R, int]]:
             if len(asked) > 1:
@@ -108,7 +110,7 @@ class MemberRequests:
             return {member: (said, _elapsed_ns(begun_s))}
 
         found: dict[str, tuple[R, int]] = {}
-        for each in await asyncio.gather(*map(ask, hosts.values())):
+        for each in await asyncio.gather(*map(ask, servers.values())):
             found |= each
         if answered is not None:
             for member, (_, took_ns) in found.items():
@@ -129,10 +131,11 @@ class MemberRequests:
         begun_s = asyncio.get_running_loop().time()
         texts = {member: request.to_json().decode() for member, request in requests.items()}
         asked = BatchRequest(requests=texts, answer_within_ns=round(HOST_TIMEOUT_SHARE * timeout_s * NS_PER_S))
-        key = self.keys.batch_command(self.host(next(iter(requests))), verb)
+        first = next(iter(requests))
+        key, server = self.keys.batch_command(self._host_of(first), verb), self.view.servers.get(first)
         said, failure = BatchReply(), None
         try:
-            said = BatchReply.model_validate_json(await self.bus.request(key, asked.to_json(), timeout_s))
+            said = BatchReply.model_validate_json(await self.bus.request(key, asked.to_json(), timeout_s, server))
         except (BusError, ValidationError) as error:
             failure = error
         took_ns = _elapsed_ns(begun_s)
@@ -154,8 +157,11 @@ class MemberRequests:
         return {member: (of(member), said.took_ns.get(member, took_ns) + both_ways_ns) for member in requests}
 
     async def _request_reply(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
-        payload = await self.bus.request(self.keys.command(member, verb), request.to_json(), timeout_s)
-        return reply.model_validate_json(payload)
+        key, server = self.keys.command(member, verb), self.view.servers.get(member)
+        return reply.model_validate_json(await self.bus.request(key, request.to_json(), timeout_s, server))
+
+    def _host_of(self, member: str) -> str:
+        return self.view.fleet.controllers[member].host
 
 
 def _elapsed_ns(begun_s: float) -> int:
@@ -165,6 +171,9 @@ def _elapsed_ns(begun_s: float) -> int:
 def _make_refusal(member: str, verb: str, error: BusError | ValidationError, timeout_s: float) -> RefusalDetails:
     code, remedy = "bad-request", ""
     match error:
+        case OtherServer():
+            code, text = "other-instance", f"{member} is answered by another process than the one that was adopted"
+            remedy = "its adapter host has restarted, or something else serves its keys; see its log"
         case NoReply():
             code, text = "absent", f"no adapter answers for {member}"
             remedy = "check that its adapter host is running"

@@ -7,7 +7,7 @@ from functools import partial
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample
+from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, find_only_server
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock
@@ -29,6 +29,8 @@ OTHER_NS = 40 * NS_PER_MS
 
 OVERTAKEN_NS = 30 * NS_PER_MS  # a state may arrive this much before an event that it counts
 
+QUERY_S = 1.0  # for an adapter to answer a query
+
 EventListener = Callable[[ControllerEvent], None]
 
 
@@ -48,6 +50,8 @@ class FleetView:
         self.neighbours = {name: on_line[config.link.endpoint] - 1 for name, config in fleet.controllers.items()}
         """Number of other controllers on the line of each controller."""
         self._silent_ns = {name: SILENT_NS + OTHER_NS * others for name, others in self.neighbours.items()}
+        self.servers: dict[str, str] = {}
+        """By controller: the process that answers for it since its adoption, and whose replies alone count."""
         self._infos: dict[str, ControllerInfo] = {}
         self._last_event: dict[str, tuple[str, int]] = {}
         self._awaited: dict[str, tuple[str, int]] = {}
@@ -61,7 +65,7 @@ class FleetView:
             await self._bus.subscribe(self._keys.state(), self._receive_state),
             await self._bus.subscribe(self._keys.event(), self._receive_event),
         ]
-        for payload in (await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)).values():
+        for payload in (await self._bus.request_all(self._keys.state(), b"", QUERY_S)).values():
             self._receive_state(BusSample("", payload))
 
     async def close(self) -> None:
@@ -94,6 +98,11 @@ class FleetView:
         anew = state is not None and instance is not None and state.instance != instance
         return "its adapter has restarted" if anew else None
 
+    async def bind_server(self, controller: str) -> None:
+        """Find the process that answers for the controller: from now on only its replies count. Raises `DoubleServer`,
+        and other `BusError`."""
+        self.servers[controller] = await find_only_server(self._bus, self._keys.state(controller), QUERY_S)
+
     async def query_state(self, controller: str, since_ns: int | None = None) -> ControllerState:
         """Query the current state; or return the last one that was queried, or received with a lease, not before
         `since_ns`. Raises `BusError`."""
@@ -101,7 +110,8 @@ class FleetView:
         if state is not None and since_ns is not None and asked_ns >= since_ns:
             return state
         asked_ns = self._clock.now_ns()
-        payload = await self._bus.request(self._keys.state(controller), b"", timeout_s=1.0)
+        server = self.servers.get(controller)
+        payload = await self._bus.request(self._keys.state(controller), b"", QUERY_S, server)
         state = ControllerState.model_validate_json(payload)
         self.note_answer(state, asked_ns)
         return state
@@ -116,7 +126,8 @@ class FleetView:
         known, state = self._infos.get(controller), self._states.get(controller)
         if known is not None and state is not None and known.instance == state.instance:
             return known
-        payload = await self._bus.request(self._keys.info(controller), b"", timeout_s=1.0)
+        server = self.servers.get(controller)
+        payload = await self._bus.request(self._keys.info(controller), b"", QUERY_S, server)
         info = self._infos[controller] = ControllerInfo.model_validate_json(payload)
         return info
 
@@ -190,9 +201,8 @@ class FleetView:
     async def _query_missed_events(self, controller: str, after: int) -> None:
         """Query the events that were missed; the one that revealed the gap is among them."""
         try:
-            payload = await self._bus.request(
-                self._keys.event(controller), EventsRequest(after=after).to_json(), timeout_s=1.0
-            )
+            request, server = EventsRequest(after=after), self.servers.get(controller)
+            payload = await self._bus.request(self._keys.event(controller), request.to_json(), QUERY_S, server)
             reply = EventsReply.model_validate_json(payload)
         except BusError as error:
             self._log.warning(f"events after {after} of {controller} are missing: {error}", controller=controller)

@@ -35,11 +35,15 @@ class Stage:
 
     async def start(self) -> Tutti:
         self.coordinator = self.net.join_process("coordinator")
+        await self.coordinator.serve(self.keys.leader_answer("c"), self._lead)
         await self.coordinator.serve(self.keys.service("acquire-axes"), self._take)
         await self.coordinator.serve(self.keys.service("release-axes"), self._release)
         for name in ("gantry", "stage"):
             await self.net.join_process(name).serve(self.keys.command(name, "jog"), self._jog(name))
         return Tutti(self.net.join_process("client"), "lab", "somebody", self._new_id)
+
+    async def _lead(self, _: BusSample) -> bytes:
+        return b"{}"
 
     def of(self, controller: str) -> list[JogRequest]:
         return [request for name, request in self.jogs if name == controller]
