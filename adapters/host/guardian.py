@@ -1,8 +1,8 @@
 """The guardian: `python -m adapters.host.guardian` with the arguments of the adapter host that it starts and watches.
 
 When its child is dead or hung, it kills the child, stops the child's controllers over links of its own, and starts the
-child again. It imports and does as little as possible, because it must not hang itself. The child's `ready` goes to the
-child's own stdout.
+child again. It also keeps the e-stop latch for the child, which receives no e-stop while it restarts. It does as little
+as possible, because it must not hang itself. The child's `ready` goes to the child's own stdout.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from adapters.host.host_process import BAD_INPUT, InvalidInput, host_parser, loa
 from adapters.link.last_stop import send_last_stop
 from adapters.link.open import make_link_opener
 from orchestrator.bus.log import LogSink, ProcessLog
+from orchestrator.bus.zenoh.kept_latch import keep_latch
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.clock.parent import die_with_parent
@@ -209,24 +210,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--parent", type=int, help="end, with the host, when this parent process ends")
     chosen = parser.parse_args(arguments)
     try:
-        _, controllers = load_host(chosen.fleet, chosen.host)
+        fleet, controllers = load_host(chosen.fleet, chosen.host)
         sink = open_sink(chosen.log)
         if chosen.parent is not None:
             die_with_parent(chosen.parent)
         set_realtime_priority(RealtimePriority.GUARDIAN, children=False)
-        asyncio.run(_run_guardian(chosen, controllers, sink))
+        asyncio.run(_run_guardian(chosen, fleet.fleet, controllers, sink))
     except InvalidInput as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT
     return 0
 
 
-async def _run_guardian(chosen: argparse.Namespace, controllers: dict[str, Controller], sink: LogSink) -> None:
+async def _run_guardian(
+    chosen: argparse.Namespace, fleet: str, controllers: dict[str, Controller], sink: LogSink
+) -> None:
     log = ProcessLog("guardian", chosen.host, LiveClock(), sink)
     guardian = HostGuardian(_child_arguments(chosen), controllers, chosen.hung_ms * NS_PER_MS, log)
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, guardian.request_end)
+    # It watches its child whether the router is there or not.
+    latch = chosen.state / f"guardian-{chosen.host}.estop"
+    keeping = asyncio.create_task(keep_latch(chosen.connect, fleet, f"guardian-{chosen.host}", latch))
+    keeping.add_done_callback(lambda ended: _report_end(ended, log))
     await guardian.run()
+    keeping.cancel()
+    await asyncio.wait([keeping])
+
+
+def _report_end(keeping: "asyncio.Task[None]", log: ProcessLog) -> None:
+    if not keeping.cancelled() and (error := keeping.exception()) is not None:
+        log.info(f"the guardian does not keep the e-stop latch: {error!r}", level="error")
 
 
 def _child_arguments(chosen: argparse.Namespace) -> list[str]:

@@ -1,7 +1,7 @@
 """The e-stop latch of a process that drives no controller: kept, stored, and handed to adapter hosts that start.
 
-An adapter host that is restarting receives no e-stop. Every coordinator, leading or standing by, keeps the latch until
-it is reset; an adapter compares before it can be adopted.
+An adapter host that is restarting receives no e-stop. Every coordinator, leading or standing by, every guardian and the
+router's process keep the latch until it is reset; an adapter compares before it can be adopted.
 """
 
 from collections.abc import Callable
@@ -100,7 +100,7 @@ class FileLatchStore:
             return None
         except (OSError, ValueError) as error:
             reason = f"{self._path} cannot be read ({type(error).__name__}); reset the e-stop to continue"
-            return EstopLatch(event="unreadable-store", actor="coordinator", reason=reason, utc="")
+            return EstopLatch(event="unreadable-store", actor=self._path.name, reason=reason, utc="")
 
     def save(self, latch: EstopLatch | None) -> None:
         self._files.replace(self._path, add_checksum(KeptEstop(estop=latch).to_json()))

@@ -9,6 +9,8 @@ MAX_MESSAGE_BYTES = 64_000_000  # of a message in a client or the router; the re
 MAX_COORDINATOR_MESSAGE_BYTES = 16_000_000  # a job of 10,000 steps fits several times
 MAX_HOST_MESSAGE_BYTES = 4_000_000  # the profiles of a step for all controllers of an adapter host fit several times
 
+MAX_KEEPER_MESSAGE_BYTES = 100_000  # in a process that only keeps the e-stop latch
+
 MAX_STATES_QUEUED = 1000  # droppable samples that wait in a process, outwards or inwards; then the oldest are lost
 MAX_CALLS_QUEUED = 20_000  # events, requests and replies that wait; then new ones are lost, and counted
 MAX_BYTES_QUEUED = 128_000_000  # of all that wait; then only e-stops are queued

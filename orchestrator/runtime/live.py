@@ -25,7 +25,7 @@ from orchestrator.model.private_files import open_for_append, open_private_file,
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
 from orchestrator.runtime.simulated import make_simulator_options
-from orchestrator.runtime.state_folder import ADAPTERS, JOURNAL, StateLock, UpFailed
+from orchestrator.runtime.state_folder import ADAPTERS, JOURNAL, ROUTER_LATCH, StateLock, UpFailed
 from sim.link.arguments import NEXT
 
 READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
@@ -190,7 +190,8 @@ class LiveFleet:
         endpoint = f"tcp/127.0.0.1:{self.port}"
         module = "orchestrator.bus.zenoh.router"
         try:
-            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid())])
+            kept = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
+            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid()), *kept])
         except UpFailed:
             if self.children["router"].exit_code != EXIT_PORT_IN_USE:
                 raise

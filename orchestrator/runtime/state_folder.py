@@ -13,6 +13,7 @@ from orchestrator.model.private_files import UnsafePath, make_private_folder, op
 
 LOCK = "lock"
 JOURNAL = "journal.sqlite3"
+ROUTER_LATCH = "estop-router.json"
 ADAPTERS = "adapters"  # the folder of what adapters keep
 _FOLDERS = (ADAPTERS, "log", "ports", "truth", "world")
 

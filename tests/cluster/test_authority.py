@@ -15,7 +15,8 @@ from adapters.controller.participant import StepParticipant
 from adapters.controller.store import FileStore
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from orchestrator.bus.base import BusSample, Priority
-from orchestrator.bus.latch import FileLatchStore
+from orchestrator.bus.estop import put_estop
+from orchestrator.bus.latch import FileLatchStore, LatchKeeper
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -219,6 +220,36 @@ def test_an_estop_while_the_only_host_restarts_is_latched_when_it_is_back() -> N
         assert all(state.estop is None for state in states.values())
 
     run_fleet(main)
+
+
+def test_an_estop_that_only_the_router_received_is_latched_when_the_fleet_is_back(tmp_path: Path) -> None:
+    """Coordinator and adapter host are down, and only its process is on the bus."""
+
+    async def main(clock: VirtualClock) -> None:
+        fleet = VirtualFleet(demo_fleet(), clock, 1, guardian=False)
+        router = fleet.net.join_process("router")
+        await LatchKeeper(router, fleet.keys, clock.utc, FileLatchStore(tmp_path / "estop.json")).start("router")
+        await fleet.start()
+        client = fleet.make_client()
+        fleet.kill("host/local")
+        fleet.kill("coordinator/first")
+        await asyncio.sleep(0.1)
+        put_estop(client.bus, fleet.fleet.fleet, "e1", "client", "a test")
+        await asyncio.sleep(0.1)
+        fleet.start_host("local")
+        fleet.start_coordinator("second")
+        states = await fleet.wait_until(lambda states: all(each.epoch == 2 for each in states.values()))
+        assert all(state.estop is not None and state.estop.event == "e1" for state in states.values())
+        await client.start_queue()
+        waiting = await client.submit(PREPARE)
+        await asyncio.sleep(5.0)
+        assert not any(unit.commanded_motions for unit in fleet.controllers.values())
+        assert not any((await client.reset()).values())
+        await client.start_queue()
+        assert (await client.wait_for_job(waiting)).state == "done"
+        assert FileLatchStore(tmp_path / "estop.json").load() is None
+
+    run_virtual(main)
 
 
 def test_a_coordinator_that_starts_has_the_latch_of_the_one_before() -> None:

@@ -1,9 +1,11 @@
 """The guardian: a dead or hung adapter host costs its controllers a stop, and gets a successor."""
 
+import asyncio
 import json
 import os
 import signal
 import socket
+import subprocess
 import threading
 import time
 from pathlib import Path
@@ -13,8 +15,14 @@ import pytest
 from children import LIMIT_S, Children, ready, wait_until
 from fake_make import DRIVER_STOP, GUARDIAN_STOP
 
+from orchestrator.bus.base import Bus, Priority
+from orchestrator.bus.estop import put_estop
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.files import load_fleet
+from orchestrator.model.messages import EstopReset, KeptEstop
+from orchestrator.model.state import ControllerState
 
 DEMO = Path(__file__).parents[2] / "deploy" / "examples" / "demo.fleet.yaml"
 
@@ -72,7 +80,9 @@ class Site:
         folder = children.folder
         with socket.create_server(("127.0.0.1", 0)) as free:
             endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        ready(children.start("orchestrator.bus.zenoh.router", endpoint, str(os.getpid())))
+        self.endpoint = endpoint
+        self._children = children
+        self.router = self.start_router()
         fleet = folder / "fleet.json"
         fleet.write_text(json.dumps({"schema": "tutti.fleet/1", "fleet": "f", "controllers": controllers}))
         self._log = folder / "log.jsonl"
@@ -82,6 +92,12 @@ class Site:
         ready(self.guardian)
         self._names = list(controllers)
         self.online(1)
+
+    def start_router(self) -> "subprocess.Popen[str]":
+        kept = ("f", str(self._children.folder / "estop-router.json"))
+        router = self._children.start("orchestrator.bus.zenoh.router", self.endpoint, str(os.getpid()), *kept)
+        ready(router)
+        return router
 
     def entries(self) -> list[Entry]:
         """The log so far; a line may be half written."""
@@ -217,3 +233,55 @@ def test_a_missing_router_is_code_3(children: Children) -> None:
     assert process.returncode == 3
     assert "no router answered" in said
     assert time.monotonic() - begun_s < LIMIT_S
+
+
+async def wait_for_latches(bus: Bus, actor: str | None, *keepers: str) -> None:
+    """Wait until exactly these keepers answer, all with the e-stop of `actor`, or all with none."""
+    keys = FleetKeys("f")
+    wanted = {keys.kept_estop(name): actor for name in keepers}
+    async with asyncio.timeout(LIMIT_S):
+        while True:
+            found = await bus.request_all(keys.kept_estop(), b"", LIMIT_S)
+            kept = {key: KeptEstop.model_validate_json(payload).estop for key, payload in found.items()}
+            if {key: latch and latch.actor for key, latch in kept.items()} == wanted:
+                return
+            await asyncio.sleep(0.02)
+
+
+def test_an_estop_is_kept_by_the_guardian_and_by_the_router(
+    children: Children, controllers: list[FakeController]
+) -> None:
+    """While no coordinator runs and the adapter host is dead; also over the end of the keepers."""
+    site = Site(children, fakes(*(each.port for each in controllers)))
+
+    async def send_estop() -> None:
+        bus, keys = await open_bus(site.endpoint), FleetKeys("f")
+        try:
+            await wait_for_latches(bus, None, "router", "guardian-local")
+            os.kill(site.pids()[-1], signal.SIGKILL)
+            put_estop(bus, "f", "e1", "tester", "nothing receives it but the keepers")
+            await wait_for_latches(bus, "tester", "router", "guardian-local")
+            async with asyncio.timeout(LIMIT_S):
+                while len(states := await bus.request_all(keys.state(), b"", LIMIT_S)) < 2:
+                    await asyncio.sleep(0.02)
+            latches = [ControllerState.model_validate_json(payload).estop for payload in states.values()]
+            assert [latch and latch.actor for latch in latches] == ["tester", "tester"]
+        finally:
+            await bus.close()
+
+    async def restart_keepers() -> None:
+        for process in (site.guardian, site.router):
+            process.kill()
+            process.wait()
+        site.start_router()
+        bus = await open_bus(site.endpoint)
+        try:
+            await wait_for_latches(bus, "tester", "router")
+            reset = EstopReset(event="e1", actor="tester")
+            bus.put(FleetKeys("f").estop_reset, reset.to_json(), Priority.EVENT)
+            await wait_for_latches(bus, None, "router")
+        finally:
+            await bus.close()
+
+    asyncio.run(send_estop())
+    asyncio.run(restart_keepers())

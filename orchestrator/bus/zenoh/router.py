@@ -1,12 +1,16 @@
-"""The router as a process of its own: `python -m orchestrator.bus.zenoh.router ENDPOINT PARENT_PID`.
+"""The router as a process of its own: `python -m orchestrator.bus.zenoh.router ENDPOINT PARENT_PID [FLEET FILE]`.
 
-Prints `ready` when it listens, and ends with SIGTERM, SIGINT or its parent. Exit code 4: the endpoint is in use.
+Prints `ready` when it listens, and ends with SIGTERM, SIGINT or its parent. For a fleet it also keeps the e-stop latch,
+in FILE: it runs on while everything else of a fleet restarts. Exit code 4: the endpoint is in use.
 """
 
+import asyncio
 import resource
 import signal
 import sys
+from pathlib import Path
 
+from orchestrator.bus.zenoh.kept_latch import keep_latch
 from orchestrator.bus.zenoh.sessions import RouterRefused, open_router
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
@@ -15,22 +19,41 @@ EXIT_ENDPOINT_IN_USE = 4
 MAX_FILES = 8192
 
 
-def run_router(endpoint: str, parent_pid: int) -> int:
+def run_router(endpoint: str, parent_pid: int, latch: tuple[str, Path] | None = None) -> int:
+    """Route until the end of the process; return its exit code. latch: the fleet whose e-stop latch is kept, and its
+    file."""
     _allow_connections()
-    ends = {signal.SIGTERM, signal.SIGINT}
-    # Blocked before Zenoh starts its threads, so that only `sigwait` receives them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)
     die_with_parent(parent_pid)
     set_realtime_priority(RealtimePriority.BUS)
     try:
-        with open_router(endpoint):
-            sys.stdout.write("ready\n")
-            sys.stdout.flush()
-            signal.sigwait(ends)
+        asyncio.run(_route(endpoint, latch))
     except RouterRefused as error:
         sys.stderr.write(f"{error}\n")
         return EXIT_ENDPOINT_IN_USE
     return 0
+
+
+async def _route(endpoint: str, latch: tuple[str, Path] | None) -> None:
+    ended = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, ended.set)
+    with open_router(endpoint):
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        keeping: list[asyncio.Task[None]] = []
+        if latch is not None:
+            keeping = [asyncio.create_task(keep_latch(endpoint, latch[0], "router", latch[1]))]
+            keeping[0].add_done_callback(_report_end)
+        await ended.wait()
+        for task in keeping:
+            task.cancel()
+        await asyncio.gather(*keeping, return_exceptions=True)
+
+
+def _report_end(keeping: "asyncio.Task[None]") -> None:
+    """A latch that is not kept any more does not end the router."""
+    if not keeping.cancelled() and (error := keeping.exception()) is not None:
+        sys.stderr.write(f"the router does not keep the e-stop latch: {error!r}\n")
 
 
 def _allow_connections() -> None:
@@ -41,4 +64,5 @@ def _allow_connections() -> None:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run_router(sys.argv[1], int(sys.argv[2])))
+    kept = (sys.argv[3], Path(sys.argv[4])) if sys.argv[3:] else None
+    raise SystemExit(run_router(sys.argv[1], int(sys.argv[2]), kept))
