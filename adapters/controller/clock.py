@@ -1,5 +1,8 @@
 """A controller's clock mapping as it is published on the bus and recorded in a job's report."""
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
@@ -37,11 +40,30 @@ def learned_crystal(rate: CrystalRate, now_ns: int) -> LearnedCrystal:
     )
 
 
-def learned_starts(latency: StartLatency, now_ns: int) -> list[LearnedStart]:
-    """Return the bus form of the starts that widen the bounds of a start, with what is left of each."""
-    return [
-        LearnedStart(
-            outside_ns=each.outside_ns, age_ns=now_ns - each.at_ns, remaining_ns=round(each.remaining_ns(now_ns))
+@dataclass(frozen=True, slots=True)
+class PastStep:
+    """A step that was moved, from T0 to its end, host time."""
+
+    job: str
+    step: int
+    t0_ns: int
+    ended_ns: int
+
+
+def learned_starts(latency: StartLatency, past_steps: Iterable[PastStep], now_ns: int) -> list[LearnedStart]:
+    """Return the bus form of the starts that widen the bounds of a start, with what is left of each and its step."""
+    # A start is learned at the end of its step, before another one begins.
+    steps = list(past_steps)
+    found: list[LearnedStart] = []
+    for each in latency.unusual:
+        step = next((step for step in steps if step.t0_ns <= each.at_ns <= step.ended_ns), None)
+        found.append(
+            LearnedStart(
+                outside_ns=each.outside_ns,
+                age_ns=now_ns - each.at_ns,
+                remaining_ns=round(each.remaining_ns(now_ns)),
+                job="" if step is None else step.job,
+                step=None if step is None else step.step,
+            )
         )
-        for each in latency.unusual
-    ]
+    return found

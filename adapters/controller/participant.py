@@ -6,16 +6,18 @@ increment `interruptions`, and a transition that finds the counter changed after
 """
 
 import asyncio
+from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol
 
 from adapters.contract import Driver, HostInterval, SettingDifference
-from adapters.controller.clock import clock_mapping
+from adapters.controller.clock import PastStep, clock_mapping
 from adapters.controller.settling import SettlingResult
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
+from orchestrator.clock.latency import MAX_STARTS
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.interval import find_other_duration
@@ -125,6 +127,8 @@ class StepParticipant:
         self._interruptions = 0
         self._followed_steps = 0
         self._requested_ns = -QUIET_AFTER_REQUEST_NS
+        self.past_steps: deque[PastStep] = deque(maxlen=MAX_STARTS)
+        """The last steps: as many as starts are learned from."""
         self.armed_step: ArmedStep | None = None
         self.stop_pending = False
         """A released step has failed, and its stop could not be sent yet."""
@@ -424,6 +428,7 @@ class StepParticipant:
             text = f"started, {late_ns / 1e6:.1f} ms later than this host guarantees" if late_ns else "started"
             self._emit("started", text, moving, _without_axes(evidence, unseen))
             outcome = await self._driver.wait_for_end()
+            self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
             # The coordinator plans the next step from the state: at the end event it must be the state after the move.
             settled = await self._settle(armed_step.axes if outcome.state == "done" else ())
             if self.armed_step is not moving:

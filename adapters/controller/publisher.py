@@ -1,6 +1,6 @@
 """A controller as it is published on the bus: its state, its events, its information, its clock."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from adapters.contract import ControllerReading
-from adapters.controller.clock import clock_mapping, learned_crystal, learned_starts
+from adapters.controller.clock import PastStep, clock_mapping, learned_crystal, learned_starts
 from adapters.controller.context import ControllerContext
 from adapters.controller.events import EventRing
 from adapters.controller.fencing import EpochFence
@@ -43,11 +43,13 @@ class StepActivity:
 
     armed_step: returns the step that is loaded.
     following: returns whether a step is not over yet.
+    past_steps: returns the last steps that were moved.
     holders: returns the lease holders by axis.
     """
 
     armed_step: Callable[[], ArmedStep | None]
     following: Callable[[], bool]
+    past_steps: Callable[[], Sequence[PastStep]]
     holders: Callable[[], dict[str, str]]
 
 
@@ -70,6 +72,7 @@ class StatePublisher:
         self._status = status
         self._armed_step = activity.armed_step
         self._following = activity.following
+        self._past_steps = activity.past_steps
         self._holders = activity.holders
         self._events = EventRing(context.instance)
         self._state_seq = 0
@@ -93,7 +96,7 @@ class StatePublisher:
             start_classes=list(self._driver.capabilities.start_classes),
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, self._clock.now_ns()),
             crystal=None if crystal is None else learned_crystal(crystal, self._clock.now_ns()),
-            unusual_starts=[] if latency is None else learned_starts(latency, self._clock.now_ns()),
+            unusual_starts=[] if latency is None else learned_starts(latency, self._past_steps(), self._clock.now_ns()),
             widened_ns=0 if latency is None else latency.learned_early_ns + latency.learned_late_ns,
         ).to_json()
 

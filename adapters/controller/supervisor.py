@@ -89,6 +89,7 @@ class ControllerSupervisor:
             StepActivity(
                 armed_step=lambda: self._participant.armed_step,
                 following=lambda: self._participant.is_following,
+                past_steps=lambda: self._participant.past_steps,
                 holders=lambda: self._leases.holders,
             ),
         )

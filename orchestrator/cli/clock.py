@@ -1,9 +1,12 @@
 """`tutti clock …`: the estimates of the controllers' clocks."""
 
+from datetime import UTC, datetime, timedelta
+
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.completion import complete_controllers
+from orchestrator.model.queue import format_utc
 from orchestrator.model.state import ClockMapping, ClockReply, LearnedCrystal
 
 
@@ -39,7 +42,7 @@ def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
         learned: list[str] = []
         for name, reply in found.items():
             table.add_row(name, ", ".join(reply.start_classes), *_make_cells(reply.mapping, reply.crystal))
-            learned += _describe_learned(reply)
+            learned += describe_learned(reply, datetime.now(UTC))
         console.print(table)
         for line in learned:
             console.print(line, highlight=False)
@@ -94,15 +97,20 @@ def forget(controller: str, connect: str, fleet: str | None, *, as_json: bool) -
     with_fleet(connect, fleet, forget_starts)
 
 
-def _describe_learned(reply: ClockReply) -> list[str]:
-    """What was learned from unusual starts, when, and what is left of it."""
+def describe_learned(reply: ClockReply, now: datetime) -> list[str]:
+    """What was learned from unusual starts, from which and when, and what is left of it. now: UTC."""
     if not reply.unusual_starts:
         return []
-    lines = [
-        f"{reply.controller}: a start {abs(each.age_ns) / 1e9:.0f} s ago was {abs(each.outside_ns) / 1e6:.1f} ms "
-        f"{'later' if each.outside_ns > 0 else 'earlier'} than declared; {each.remaining_ns / 1e6:.1f} ms are left"
-        for each in reply.unusual_starts
-    ]
+    from orchestrator.monitor.times import format_time
+
+    lines: list[str] = []
+    for each in reply.unusual_starts:
+        at = format_time(format_utc(now - timedelta(microseconds=each.age_ns / 1000)))
+        step = f" of job {each.job}, step {each.step}," if each.step is not None else ""
+        lines.append(
+            f"{reply.controller}: the start{step} learned at {at}, was {abs(each.outside_ns) / 1e6:.1f} ms "
+            f"{'later' if each.outside_ns > 0 else 'earlier'} than declared; {each.remaining_ns / 1e6:.1f} ms are left"
+        )
     return [*lines, f"{reply.controller}: these starts widen the bounds of a start by {reply.widened_ns / 1e6:.1f} ms"]
 
 

@@ -251,11 +251,14 @@ class LearnedStart(Model):
     """A start outside the declared bounds, which widens them for a while.
 
     outside_ns: by how much it was certainly late; negative: early. age_ns: since then. remaining_ns: what is left.
+    job, step: of the start, the index of the step from 0; empty and None if the adapter does not know it any more.
     """
 
     outside_ns: Int53
     age_ns: Int53
     remaining_ns: Int53
+    job: str = Field(default="", max_length=64)
+    step: Int53 | None = None
 
 
 class ClockReply(Model):

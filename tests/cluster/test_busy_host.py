@@ -2,11 +2,13 @@
 
 import asyncio
 from dataclasses import replace
+from datetime import UTC, datetime
 from random import Random
 
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
+from orchestrator.cli.clock import describe_learned
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.latency import FORGET_NS
@@ -53,6 +55,15 @@ def test_no_job_is_refused_after_the_load_has_gone() -> None:
             assert "unusual starts of the last minutes widen it: stage by" in each.reason, each.reason
         learned = (await query_clocks(fleet.make_client()))["stage"]
         assert learned.widened_ns > 5 * NS_PER_MS and len(learned.unusual_starts) >= 2
+        steps = {(each.job, each.step) for each in learned.unusual_starts}
+        assert len(steps) == len(learned.unusual_starts)
+        assert steps <= {(each.job_id, 0) for each in loaded}
+        shown = describe_learned(learned, datetime(2026, 11, 26, tzinfo=UTC))
+        first = learned.unusual_starts[0]
+        assert f"the start of job {first.job}, step 0, learned at 2026-11-2" in shown[0], shown
+        # A job that allows the wider bound is done.
+        allowed = job("[{do: move, to: {gantry.x: 10, stage.u: 10}}]", max_start_skew="80 ms")
+        assert (await outcome(fleet, allowed)).state == "done"
         # The bound shrinks by itself, without a start that would show that all is well again.
         await asyncio.sleep(FORGET_NS / NS_PER_S)
         reports = [await moved(fleet, number) for number in range(5)]

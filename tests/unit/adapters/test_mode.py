@@ -63,7 +63,11 @@ def test_a_stopped_controller_is_at_rest_only_after_a_poll_confirms_it(
         instance="i",
     )
     presenter = StatePublisher(
-        cast(ControllerContext, seat), absent, absent, condition, StepActivity(lambda: None, lambda: following, dict)
+        cast(ControllerContext, seat),
+        absent,
+        absent,
+        condition,
+        StepActivity(lambda: None, lambda: following, tuple, dict),
     )
     assert presenter.current_mode() == mode
 
@@ -87,7 +91,11 @@ def test_a_jogged_controller_is_at_rest_only_after_a_poll_confirms_it() -> None:
             controller="c", config=CONFIG, driver=driver, bus=absent, keys=absent, clock=clock, instance="i"
         )
         presenter = StatePublisher(
-            cast(ControllerContext, seat), absent, absent, condition, StepActivity(lambda: None, lambda: False, dict)
+            cast(ControllerContext, seat),
+            absent,
+            absent,
+            condition,
+            StepActivity(lambda: None, lambda: False, tuple, dict),
         )
         condition.referenced["x"] = True
         condition.reading = ControllerReading(
