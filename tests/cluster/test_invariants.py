@@ -7,6 +7,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import pytest
+from cluster.test_busy_host import delayed_starts
+from cluster.worlds import PREPARE, demo_fleet, outcome, run_fleet
 
 from adapters.controller import participant
 from adapters.controller.jogging import JogControl
@@ -25,9 +27,11 @@ from orchestrator.coordinator.jobs.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue_gate import QueueGate
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.motion import report as motion_report
 from orchestrator.coordinator.motion import step
 from orchestrator.coordinator.motion.start import StartSequence
 from orchestrator.model.messages import ArmRequest, ProposeRequest
+from orchestrator.runtime.virtual import VirtualFleet
 
 Patch = pytest.MonkeyPatch
 
@@ -228,3 +232,32 @@ def test_the_campaign_notices(mutation: Mutation, monkeypatch: Patch) -> None:
         if any(each.startswith(f"invariant {mutation.invariant}:") for each in said):
             return
     pytest.fail(f"nobody noticed in {SEEDS} seeds; said was only {said}")
+
+
+def states_promises_only(patch: Patch) -> None:
+    """The verdict on starts is that of the promises, whatever the controllers' evidence is."""
+    patch.setattr(motion_report, "worse_verdict", lambda _, promised: promised)
+
+
+def find_false_green() -> list[str]:
+    """Run one job whose start reaches a controller 12 ms late, which the promises do not cover; 10 ms are allowed. A
+    green verdict is false by the simulators' truth."""
+    found: list[str] = []
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        ((step,),) = [report.steps for report in await delayed_starts(fleet, 1)]
+        starts = [unit.commanded_motions[-1].start_ns for unit in fleet.controllers.values()]
+        skew_ns, budget = max(starts) - min(starts), step.budget
+        assert budget is not None and skew_ns > budget.allowed_ns
+        if step.verdict == "green":
+            found.append(f"{skew_ns} ns is green, {budget.allowed_ns} ns is allowed")
+
+    run_fleet(main, demo_fleet())
+    return found
+
+
+def test_a_verdict_that_states_only_the_promise_is_noticed(monkeypatch: Patch) -> None:
+    assert find_false_green() == []
+    states_promises_only(monkeypatch)
+    assert find_false_green()
