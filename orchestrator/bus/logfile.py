@@ -3,10 +3,11 @@
 import fcntl
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from orchestrator.bus.log import LogSink
-from orchestrator.model.private_files import open_for_append
+from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 
 MAX_LOG_BYTES = 10_000_000  # of one file, before it is rotated
 KEPT_LOGS = 3  # rotated files that are kept: PATH.1 is the newest
@@ -78,7 +79,12 @@ def rotate_files(path: Path) -> None:
 
     Raises `OSError`.
     """
-    names = [path, *(path.with_name(f"{path.name}.{number}") for number in range(1, KEPT_LOGS + 1))]
+    _shift_files(path)
+    path.replace(path.with_name(f"{path.name}.1"))
+
+
+def _shift_files(path: Path) -> None:
+    names = [path.with_name(f"{path.name}.{number}") for number in range(1, KEPT_LOGS + 1)]
     for older, newer in zip(reversed(names[1:]), reversed(names[:-1]), strict=True):
         if newer.exists():
             newer.replace(older)
@@ -88,6 +94,25 @@ def rotate_if_large(path: Path) -> None:
     """Rotate a file that is appended to without a `LogFile`, before it is opened. Raises `OSError`."""
     if path.exists() and path.stat().st_size >= MAX_LOG_BYTES:
         rotate_files(path)
+
+
+def rotate_open_file(path: Path, max_bytes: int = MAX_LOG_BYTES) -> None:
+    """Rotate a file that another process keeps open and appends to: its newest bytes are copied, and it is emptied.
+
+    What is written between the two is lost, and on a full disk all of it. Does nothing if the file is not too large.
+    Raises `UnsafePath`, `OSError`.
+    """
+    with suppress(FileNotFoundError), os.fdopen(open_private_file(path, os.O_RDWR), "r+b") as file:
+        size = file.seek(0, os.SEEK_END)
+        if size < max_bytes:
+            return
+        file.seek(size - max_bytes)
+        with suppress(OSError):
+            copy = path.with_name(f"{path.name}.copy")
+            replace_private_file(copy, file.read(max_bytes))
+            _shift_files(path)
+            copy.replace(path.with_name(f"{path.name}.1"))
+        file.truncate(0)
 
 
 def make_file_sink(path: Path) -> LogSink:

@@ -177,8 +177,9 @@ def _start_detached(file: Path, folder: Path, options: Sequence[str], *, as_json
     """Start `tutti up` in a session of its own, and return when it is up, or exit with its error."""
     from orchestrator.bus.logfile import rotate_if_large
     from orchestrator.model.private_files import open_for_append
+    from orchestrator.runtime.state_folder import UP_LOG
 
-    log = folder / "log" / "up.log"
+    log = folder / "log" / UP_LOG
     rotate_if_large(log)
     code = "from orchestrator.cli.main import main; main(prog_name='tutti')"
     command = [sys.executable, "-P", "-c", code, "up", str(file), "--json", "--state", str(folder), *options]

@@ -13,23 +13,24 @@ import signal
 import socket
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
 from adapters.controller.store import FileStore
-from orchestrator.bus.logfile import rotate_if_large
+from orchestrator.bus.logfile import rotate_if_large, rotate_open_file
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
 from orchestrator.runtime.simulated import make_simulator_options
-from orchestrator.runtime.state_folder import ADAPTERS, JOURNAL, ROUTER_LATCH, StateLock, UpFailed
+from orchestrator.runtime.state_folder import ADAPTERS, JOURNAL, ROUTER_LATCH, UP_LOG, StateLock, UpFailed
 from sim.link.arguments import NEXT
 
 READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_TIMEOUT_S = 8.0
+ROTATE_S = 10.0
 RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 # These exit codes are final: a restart would give the same (bad input, port or leadership taken, journal unusable).
 FINAL_EXIT_CODES = frozenset({2, 4, 5})
@@ -107,12 +108,14 @@ class LiveFleet:
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
+    _rotation: "asyncio.Task[None] | None" = None
 
     async def start(self) -> None:
         """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
         self.failed = asyncio.get_running_loop().create_future()
         try:
             self._lock = StateLock(self.state)
+            self._rotation = asyncio.create_task(self._rotate_logs())
             await self._start_router()
             self._lock.describe_fleet(self.fleet.fleet, self.connect)
             if self.simulated:
@@ -147,6 +150,8 @@ class LiveFleet:
         order = ["coordinator", "host", "sim", "router"]
         for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
             await self._end_child(child)
+        if self._rotation is not None:
+            self._rotation.cancel()
         if self._lock is not None:
             self._lock.release()
 
@@ -264,6 +269,16 @@ class LiveFleet:
         if had_journal(self.state) and not self.new_journal:
             command.append(EXISTING_JOURNAL)
         return [*command, "--take-over"] if self.take_over else command
+
+    async def _rotate_logs(self) -> None:
+        """Limit the files that children, and a detached `tutti up`, have open as their standard error."""
+        folder = self.state / "log"
+        while True:
+            await asyncio.sleep(ROTATE_S)
+            for path in (*folder.glob("*.err"), folder / UP_LOG):
+                # A full disk must not end the fleet.
+                with suppress(OSError):
+                    rotate_open_file(path)
 
     # Children
 

@@ -14,6 +14,7 @@ from orchestrator.model.private_files import UnsafePath, make_private_folder, op
 LOCK = "lock"
 JOURNAL = "journal.sqlite3"
 ROUTER_LATCH = "estop-router.json"
+UP_LOG = "up.log"  # in the folder `log`: what a detached `tutti up` says
 ADAPTERS = "adapters"  # the folder of what adapters keep
 _FOLDERS = (ADAPTERS, "log", "ports", "truth", "world")
 

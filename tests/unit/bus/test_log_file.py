@@ -2,13 +2,15 @@
 
 import errno
 import json
+import os
 import shutil
 from pathlib import Path
 
 import pytest
 
 from orchestrator.bus import logfile
-from orchestrator.bus.logfile import KEPT_LOGS, LogFile
+from orchestrator.bus.logfile import KEPT_LOGS, LogFile, rotate_open_file
+from orchestrator.model.private_files import open_for_append
 
 
 def lines_of(path: Path) -> list[str]:
@@ -62,3 +64,29 @@ def test_a_deleted_folder_is_created_again(tmp_path: Path) -> None:
     log.append_line("third")
     assert not (tmp_path / "other").exists()
     log.close()
+
+
+def test_a_file_that_another_process_keeps_open_is_copied_and_emptied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "host.err"
+    rotate_open_file(path, max_bytes=100)  # there is none
+    with os.fdopen(open_for_append(path), "ab", buffering=0) as child:
+        for number in range(34):
+            child.write(f"line {number:04}\n".encode())
+            rotate_open_file(path, max_bytes=100)
+        kept = [path, *(path.with_name(f"{path.name}.{number}") for number in range(1, KEPT_LOGS + 1))]
+        assert sorted(tmp_path.iterdir()) == kept
+        assert [line for each in reversed(kept) for line in lines_of(each)] == [f"line {n:04}" for n in range(34)]
+        assert {each.stat().st_mode & 0o777 for each in kept} == {0o600}
+        # A full disk: there is no copy, and the file is emptied all the same.
+        child.write(b"x" * 200)
+
+        def refuse_copy(_: Path, contents: bytes) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(logfile, "replace_private_file", refuse_copy)
+        rotate_open_file(path, max_bytes=100)
+        assert path.stat().st_size == 0
+        child.write(b"next\n")
+        assert path.read_bytes() == b"next\n"

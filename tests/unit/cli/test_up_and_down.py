@@ -1,5 +1,6 @@
 """`tutti up` names what is not reached; `tutti down` finds the fleet that it ends, and nothing else."""
 
+import asyncio
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,12 +8,17 @@ from typing import Any, cast
 
 import pytest
 from click.testing import CliRunner
+from cluster.worlds import demo_fleet
 from unit.cli.command_world import open_world
 
+from orchestrator.bus.logfile import MAX_LOG_BYTES
 from orchestrator.cli.main import main
 from orchestrator.cli.up import _start_and_reach
+from orchestrator.model.private_files import open_for_append
+from orchestrator.runtime import live
 from orchestrator.runtime.live import LiveFleet
 from orchestrator.runtime.state_folder import (
+    UP_LOG,
     StateLock,
     UpFailed,
     find_running_fleet,
@@ -100,3 +106,24 @@ def test_down_ends_only_what_it_can_name(tmp_path: Path, monkeypatch: pytest.Mon
     assert sent == []
     for lock in locks.values():
         lock.release()
+
+
+def test_what_children_write_to_standard_error_is_limited_while_they_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "ROTATE_S", 0.0)
+    fleet = LiveFleet(demo_fleet(), tmp_path, lambda _: None)
+    logs = [tmp_path / "log" / name for name in ("router.err", UP_LOG)]
+    for log in logs:
+        os.close(open_for_append(log))
+        os.truncate(log, MAX_LOG_BYTES)
+
+    async def rotate_until_small() -> None:
+        rotating = asyncio.create_task(fleet._rotate_logs())
+        async with asyncio.timeout(30.0):
+            while any(log.stat().st_size for log in logs):
+                await asyncio.sleep(0.001)
+        rotating.cancel()
+
+    asyncio.run(rotate_until_small())
+    assert all(log.with_name(f"{log.name}.1").stat().st_size == MAX_LOG_BYTES for log in logs)
