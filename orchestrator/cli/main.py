@@ -41,9 +41,10 @@ fleet, coordinator, controller; 130 interrupted. With --json an error is one
 object on standard output: {"code", "text", "remedy"}.
 
 \b
-Example:
-tutti up deploy/examples/demo.fleet.yaml --sim
-tutti submit deploy/examples/demo.job.yaml --wait
+Examples:
+tutti demo
+tutti fleet init --make smc4000 --make smc30:3 -o lab.fleet.yaml
+tutti up lab.fleet.yaml --sim
 """
 
 

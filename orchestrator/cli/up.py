@@ -33,7 +33,7 @@ NO_REALTIME_WARNING = (
 @click.command(
     epilog="""\b
 Examples:
-  tutti up deploy/examples/demo.fleet.yaml --sim
+  tutti up lab.fleet.yaml --sim
   tutti up lab.fleet.yaml --detach --wait && tutti submit scan.job.yaml
   tutti up lab.fleet.yaml --connect tcp/192.168.1.5:7447
 
