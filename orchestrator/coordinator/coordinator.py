@@ -82,7 +82,6 @@ class Coordinator:
         intake = JobIntake(services, self.scheduler, environment.new_id)
         self._requests = UserRequests(services, intake, self.scheduler, self._manual, maintenance)
         self._adopting: set[str] = set()
-        self._adopted: dict[str, str] = {}
         self._declared: list[BusDeclaration] = []
         self._contradictions: set[tuple[int, str]] = set()
         self._double_answers: set[str] = set()
@@ -132,7 +131,7 @@ class Coordinator:
 
     def _receive_state(self, state: ControllerState) -> None:
         controller = state.controller
-        ours = self._adopted.get(controller) == state.instance and state.epoch == self.leadership.epoch
+        ours = self._view.adopted.get(controller) == state.instance and state.epoch == self.leadership.epoch
         if ours or controller in self._adopting or self.leadership.over or not self.leadership.epoch:
             return
         self._adopting.add(controller)
@@ -148,7 +147,8 @@ class Coordinator:
             if reply.refused is not None and reply.refused.code == COMPARING:
                 pass  # its next state brings it here again
             elif reply.refused is None:
-                self._adopted[controller] = instance
+                self._view.adopted[controller] = instance
+                self.scheduler.wake_up()
                 self._log.info("adopted", controller=controller, epoch=self.leadership.epoch)
                 await self._enable_at_start(controller)
             else:

@@ -403,6 +403,13 @@ def test_a_controller_with_two_adapters_is_not_adopted() -> None:
         alarms = [line for line in fleet.lines if f"two processes answer on {fleet.keys.state('gantry')}" in line]
         assert len(alarms) == 1
         assert fleet.adapter_hosts["local"]._leaders._adopters.keys() == {"stage"}
+        # A job for it waits, with the reason.
+        await fleet.make_client().start_queue()
+        waiting = await fleet.make_client().submit(job("[{do: enable, axes: [gantry]}]"))
+        await asyncio.sleep(1.0)
+        (entry,) = (await fleet.make_client().list_jobs()).jobs
+        assert (entry.id, entry.state) == (waiting, "queued")
+        assert "gantry is not adopted by this coordinator yet" in entry.reason
         # What the other process answers keeps no client from the states of the adapters.
         assert "stage" in await fleet.make_client().status()
 

@@ -181,7 +181,7 @@ def adopts_once(patch: Patch) -> None:
     honest = Coordinator._adopt_controller
 
     async def forgetful(self: Coordinator, controller: str, instance: str) -> None:
-        if controller not in self._adopted:
+        if controller not in self._view.adopted:
             await honest(self, controller, instance)
 
     patch.setattr(Coordinator, "_adopt_controller", forgetful)

@@ -52,6 +52,8 @@ class FleetView:
         self._silent_ns = {name: SILENT_NS + OTHER_NS * others for name, others in self.neighbours.items()}
         self.servers: dict[str, str] = {}
         """By controller: the process that answers for it since its adoption, and whose replies alone count."""
+        self.adopted: dict[str, str] = {}
+        """By controller: the instance of its adapter that this coordinator has adopted."""
         self._infos: dict[str, ControllerInfo] = {}
         self._last_event: dict[str, tuple[str, int]] = {}
         self._awaited: dict[str, tuple[str, int]] = {}

@@ -110,10 +110,11 @@ class WorldConditions:
         if state.mode == "offline":
             return Obstacle("offline", f"{controller} is offline{_first_fault(state)}", "check power and cable")
         epoch = self._leadership.epoch
-        if moves and state.epoch != epoch:
-            # In a moment, as a rule: after a change of the leader, or a restart of the adapter.
-            text = f"{controller} is not adopted: it is of epoch {state.epoch}, the coordinator of {epoch}"
-            return Obstacle("not-adopted", text, EPOCH_REMEDY if abs(state.epoch - epoch) > MAX_EPOCH_STEP else "")
+        if self._view.adopted.get(controller) != state.instance or state.epoch != epoch:
+            # For a moment, as a rule: after a change of the leader, or a restart of the adapter.
+            far = abs(state.epoch - epoch) > MAX_EPOCH_STEP
+            remedy = EPOCH_REMEDY if far else "wait; if it stays so, the coordinator's log says why"
+            return Obstacle("not-adopted", f"{controller} is not adopted by this coordinator yet", remedy)
         if moves and state.faults:
             first = state.faults[0]
             return Obstacle("fault", f"{controller}: {first.text}", first.remedy)
