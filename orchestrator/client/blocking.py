@@ -427,7 +427,8 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._iterate(self._wrapped.events(controller))
 
     def status(self, timeout_s: float = ANSWER_S) -> FleetStates:
-        """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`."""
+        """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`; what
+        cannot be read is left out."""
         return self._run(self._wrapped.status(timeout_s))
 
     def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
