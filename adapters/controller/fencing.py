@@ -25,6 +25,7 @@ class EpochFence:
         self._remembered = remembered
         self._adopted = False
         self._compared = False
+        self._reset_event = ""
         self._adopting = asyncio.Lock()
 
     @property
@@ -119,7 +120,14 @@ class EpochFence:
     async def reset_latch(self) -> bool:
         """Reset the latch. Return False if none was latched. Raises `OSError`; then it stays: after a restart it would
         be back."""
-        if self.estop_latch is None:
+        latch = self.estop_latch
+        if latch is None:
             return False
         await self._remembered.store_values(estop=None)
+        self._reset_event = latch.event
         return True
+
+    def misses_estop(self, event: str) -> bool:
+        """Whether the e-stop `event` is neither latched here nor the one that was reset last: a process that keeps it
+        for others receives the reset a moment later."""
+        return self.estop_latch is None and event != self._reset_event

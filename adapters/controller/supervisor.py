@@ -462,6 +462,10 @@ class ControllerSupervisor:
         """Whether any axis moves, as far as is known."""
         return self._publisher.current_mode() in ("moving", "jogging", "homing", "stopping")
 
+    def misses_estop(self, event: str) -> bool:
+        """Whether this controller has neither latched the e-stop `event`, nor reset it last."""
+        return self._fence.misses_estop(event)
+
     async def apply_estop(self, latch: EstopLatch) -> None:
         """Latch and stop as fast as the controller can; then switch outputs and motors to their safe states."""
         fresh = self._fence.latch_estop(latch)

@@ -3,6 +3,7 @@
 import asyncio
 import re
 from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
@@ -30,8 +31,9 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
 from orchestrator.model.fleet import Controller, Fleet, SerialLink
-from orchestrator.model.messages import LeaderHeartbeat, TimeReply
+from orchestrator.model.messages import KeptEstop, LeaderHeartbeat, TimeReply
 from orchestrator.model.problems import Problem
+from orchestrator.model.state import EstopLatch
 
 TIME_EXCHANGES = 8
 TIME_ANSWER_S = 1.0
@@ -150,6 +152,7 @@ class AdapterHost:
         self._scale: FleetScale | None = None
         self._leaders = LeaderWatch(environment.clock)
         self._congested = False
+        self._fetching_estop = False
         self._declared: list[BusDeclaration] = []
         self._owner = TaskOwner(self._report_defect)
         self._broken = False
@@ -261,7 +264,9 @@ class AdapterHost:
     # The e-stop
 
     def _handle_estop(self, sample: BusSample) -> None:
-        latch = read_estop(sample.payload, self._environment.clock.utc())
+        self._apply_estop(read_estop(sample.payload, self._environment.clock.utc()))
+
+    def _apply_estop(self, latch: EstopLatch) -> None:
         # Moving controllers first: a controller at rest can wait the millisecond that the stops of 16 others take.
         for unit in sorted(self.supervisors.values(), key=lambda unit: not unit.is_moving):
             self._spawn_task(unit.apply_estop(latch))
@@ -274,7 +279,25 @@ class AdapterHost:
         except ValidationError as error:
             self._log.warning(f"unreadable leader message: {error.errors()[0]['msg']}")
             return
-        self._leaders.receive_heartbeat(heartbeat)
+        event = heartbeat.estop if self._leaders.receive_heartbeat(heartbeat) else ""
+        if event and not self._fetching_estop and any(unit.misses_estop(event) for unit in self.supervisors.values()):
+            self._fetching_estop = True
+            self._spawn_task(self._fetch_estop(event))
+
+    async def _fetch_estop(self, event: str) -> None:
+        """The coordinator keeps an e-stop that did not arrive here, because the bus was partly broken: fetch it, and
+        apply it. Without an answer the next heartbeat begins anew."""
+        keys = self._environment.keys
+        try:
+            kept = await self._environment.bus.request_all(keys.kept_estop(), b"", timeout_s=1.0)
+        finally:
+            self._fetching_estop = False
+        for key in sorted(kept):
+            with suppress(ValidationError):
+                latch = KeptEstop.model_validate_json(kept[key]).estop
+                if latch is not None and latch.event == event:
+                    self._apply_estop(latch)
+                    return
 
     def _follow_leader(self, controller: str, leader: LeaderHeartbeat) -> None:
         """A coordinator has adopted `controller`: its heartbeat counts, and its fleet time is used."""

@@ -57,6 +57,10 @@ class LatchKeeper:
             await self._bus.serve(self._keys.kept_estop(name), self._answer),
         ]
 
+    def find_event(self) -> str:
+        """The event of the kept e-stop; empty: none."""
+        return "" if self.latch is None else self.latch.event
+
     async def close(self) -> None:
         """Leave the bus. The stored latch stays."""
         for declared in self._declared:

@@ -104,7 +104,10 @@ HEARTBEAT_NS = 100_000_000  # period of the leader's heartbeat
 
 
 class LeaderHeartbeat(Model):
-    """The leader's heartbeat, with its fleet time: fleet_ns = host_ns - origin_host_ns on the leader's kernel."""
+    """The leader's heartbeat, with its fleet time: fleet_ns = host_ns - origin_host_ns on the leader's kernel.
+
+    estop: the event of the e-stop that the leader keeps, for an adapter host that did not receive it; empty: none.
+    """
 
     schema_: Literal["tutti.leader/1"] = Field(default="tutti.leader/1", alias="schema")
     fleet: str
@@ -115,6 +118,7 @@ class LeaderHeartbeat(Model):
     kernel_id: str
     origin_host_ns: HostNs
     utc: str
+    estop: Label = ""
 
 
 class TimeReply(Model):

@@ -29,6 +29,7 @@ from orchestrator.model.messages import (
     AdoptedReply,
     AdoptRequest,
     CommitRequest,
+    EstopMessage,
     LeaderHeartbeat,
     RefusalDetails,
     Reply,
@@ -461,5 +462,33 @@ def test_an_epoch_is_repaired_at_rest_only() -> None:
         payload = await client.bus.request(fleet.keys.command("gantry", "accept-epoch"), request.to_json(), 1.0)
         refused = Reply.model_validate_json(payload).refused
         assert refused is not None and refused.code in ("busy", "moving")
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("silent_s", [0.05, 0.3, 1.2])
+def test_an_estop_that_a_host_did_not_receive_is_latched_when_it_receives_again(silent_s: float) -> None:
+    """The bus forwards nothing to the host while the e-stop is sent; the axes that move stop, and nothing moves again
+    without a reset, which holds although the coordinator receives it a moment later."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.make_client()
+        await client.submit(LONG)
+        await fleet.wait_until(lambda states: all(state.mode == "moving" for state in states.values()))
+        host = fleet.find_process(f"host/{fleet.fleet.controllers['gantry'].host}").name
+        fleet.net.block_way(None, host)
+        await asyncio.sleep(0.01)
+        client.bus.put(fleet.keys.estop, EstopMessage(event="e1", actor="anna").to_json(), Priority.ESTOP)
+        await asyncio.sleep(silent_s)
+        fleet.net.open_way(None, host)
+        await asyncio.sleep(1.5)
+        states = await client.status()
+        assert all(state.estop is not None and state.estop.event == "e1" for state in states.values())
+        assert all(unit.at_rest() for unit in fleet.controllers.values())
+        assert not any((await client.reset()).values())
+        await asyncio.sleep(1.0)
+        assert all(state.estop is None for state in (await client.status()).values())
+        assert (await outcome(fleet, PREPARE)).state == "done"
 
     run_fleet(main)

@@ -227,7 +227,7 @@ def test_a_homing_whose_request_or_answer_is_lost_is_done_once_and_soon(lost: st
         await asyncio.sleep(0.4)
         fleet.net.open_way(*way)
         report = await client.wait_for_job(homing)
-        assert report.state == "done"
+        assert report.state == "done", report.reason
         assert fleet.clock.now_ns() - begun_ns < 10 * NS_PER_S
         homed = [json.loads(line) for line in fleet.lines if '"homed"' in line]
         assert len(homed) == 1

@@ -17,6 +17,7 @@ from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import LeaseState
 
 ANSWER_S = 2.0
+TRIES = 2  # within it
 TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
@@ -251,7 +252,12 @@ class LeaseRegistry:
             )
             for controller, names in group_by_controller(held.axes).items()
         }
-        replies = await self._fleet.requests.request_all("lease", requests, LeaseReply, ANSWER_S)
+        replies: dict[str, LeaseReply] = {}
+        for _ in range(TRIES):
+            # A request that was lost in a gap of the bus is sent again; it keeps its id, so it counts once.
+            open_requests = {name: request for name, request in requests.items() if _is_unanswered(replies.get(name))}
+            if open_requests:
+                replies |= await self._fleet.requests.request_all("lease", open_requests, LeaseReply, ANSWER_S / TRIES)
         for reply in replies.values():
             if reply.refused is not None:
                 raise reply.refused.as_step_error()
@@ -299,3 +305,7 @@ class LeaseRegistry:
 
     def _make_free_state(self, controller: str) -> LeaseState:
         return LeaseState(controller=controller, holder=None, actor="", epoch=self._fleet.requests.leadership.epoch)
+
+
+def _is_unanswered(reply: LeaseReply | None) -> bool:
+    return reply is None or (reply.refused is not None and reply.refused.code == "no-answer")

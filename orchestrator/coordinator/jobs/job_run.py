@@ -242,6 +242,9 @@ class JobRun:
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
                     reason = f"step {index} ({step.do}): {report.reason}"
+                    if self._interrupt is not None:
+                        # Its stop has reached the step before the step was cancelled.
+                        state, reason, actor = self._interrupt.state, self._interrupt.reason, self._interrupt.actor
                     break
         except asyncio.CancelledError:
             interrupt = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")

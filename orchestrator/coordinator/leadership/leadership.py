@@ -61,6 +61,8 @@ class Leadership:
         self.over = False
         self.on_lost: Callable[[str], None] = lambda _: None
         self.on_contradicted: Callable[[LeaderHeartbeat], None] = lambda _: None
+        self.kept_estop: Callable[[], str] = lambda: ""
+        """Returns the event of the e-stop that this process keeps; empty: none."""
         self._asking: asyncio.Task[None] | None = None
         self._ask_again_ns = 0
         self._last_heartbeat: LeaderHeartbeat | None = None
@@ -125,6 +127,7 @@ class Leadership:
             kernel_id=self._clock.kernel_id,
             origin_host_ns=self.scale.origin_host_ns,
             utc=self._clock.utc(),
+            estop=self.kept_estop(),
         )
 
     async def _send_heartbeats(self) -> None:
