@@ -17,7 +17,7 @@ from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import LeaseState
 
 ANSWER_S = 2.0
-TRIES = 2  # within it
+TRIES = 2  # within it, to acquire a lease; a renewal is followed by the next one anyhow
 TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
@@ -186,7 +186,7 @@ class LeaseRegistry:
         if before is None or set(mine) != set(before.axes):
             try:
                 if not idle:
-                    await self._send_lease(held, TTL_MS)
+                    await self._send_lease(held, TTL_MS, tries=TRIES)
             except Refusal:
                 await self.release(holder)
                 raise
@@ -236,9 +236,11 @@ class LeaseRegistry:
             whole += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
         return tuple(whole)
 
-    async def _send_lease(self, held: LeaseHold, ttl_ms: int, reason: str = "") -> None:
-        """Send a lease to the adapters. Raises `Refusal` for the first that refuses."""
+    async def _send_lease(self, held: LeaseHold, ttl_ms: int, reason: str = "", tries: int = 1) -> None:
+        """Send a lease to the adapters. Raises `Refusal` for the first that refuses.
 
+        tries: a request that is lost in a gap of the bus is sent again; it keeps its id, so it counts once.
+        """
         asked_ns = self._told_ns[held.holder] = self._fleet.clock.now_ns()
         requests = {
             controller: LeaseRequest(
@@ -253,11 +255,10 @@ class LeaseRegistry:
             for controller, names in group_by_controller(held.axes).items()
         }
         replies: dict[str, LeaseReply] = {}
-        for _ in range(TRIES):
-            # A request that was lost in a gap of the bus is sent again; it keeps its id, so it counts once.
+        for _ in range(tries):
             open_requests = {name: request for name, request in requests.items() if _is_unanswered(replies.get(name))}
             if open_requests:
-                replies |= await self._fleet.requests.request_all("lease", open_requests, LeaseReply, ANSWER_S / TRIES)
+                replies |= await self._fleet.requests.request_all("lease", open_requests, LeaseReply, ANSWER_S / tries)
         for reply in replies.values():
             if reply.refused is not None:
                 raise reply.refused.as_step_error()
