@@ -3,7 +3,6 @@
 import asyncio
 import threading
 from collections.abc import AsyncGenerator, Coroutine, Iterator
-from contextlib import suppress
 from typing import Any, Generic, Protocol, TypeVar
 
 T = TypeVar("T")
@@ -53,10 +52,10 @@ class LoopThread:
             raise
 
     def close(self) -> None:
+        # In its own thread: the thread that closes it may be inside another loop.
+        self.run_coroutine(self._loop.shutdown_asyncgens())
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
-        with suppress(RuntimeError):
-            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
         self._loop.close()
 
 

@@ -21,6 +21,8 @@ class Refusal(TuttiError):
         self.text = text
         self.remedy = remedy
         self.controller = controller
+        if remedy:
+            self.add_note(remedy)  # a script that does not catch it shows what to do
 
 
 class ControllerFault(TuttiError):

@@ -1,5 +1,6 @@
 """Scripts of users against a running fleet: an interrupted one stops what it has begun, and says so."""
 
+import asyncio
 import signal
 import subprocess
 import sys
@@ -8,6 +9,8 @@ from pathlib import Path
 import pytest
 from children import LIMIT_S, wait_until
 from fleet import EXAMPLES, READY, RunningFleet
+
+from tutti import BlockingTutti, Dwell, Job, Tutti
 
 pytestmark = pytest.mark.live
 
@@ -59,3 +62,33 @@ def test_the_examples_say_what_is_wrong_with_their_input(shared: RunningFleet, t
             check=False,
         )
         assert done.returncode == 1 and text in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_notebook_moves_axes_although_its_own_loop_runs(shared: RunningFleet) -> None:
+    """A cell of a notebook runs inside an event loop."""
+    shared.run(READY)
+
+    async def cell() -> float:
+        with BlockingTutti(shared.endpoint) as tutti:
+            tutti.move({"gantry.x": 3})
+            seen = [now["gantry.x"] for now, _ in zip(tutti.positions(["gantry.x"], hz=50), range(3), strict=False)]
+            assert len(seen) == 3
+            with pytest.raises(RuntimeError, match="callback"):
+                job = tutti.submit(Job("one", [Dwell.model_validate({"duration": "10 ms"})]))
+                tutti.wait_for_job(job.id, lambda _: tutti.stop_queue())
+            return tutti.position("gantry.x")
+
+    assert asyncio.run(cell()) == pytest.approx(3, abs=0.01)
+
+
+def test_a_connection_belongs_to_the_event_loop_that_opened_it(shared: RunningFleet) -> None:
+    tutti = Tutti(shared.endpoint)
+    first = asyncio.new_event_loop()
+    try:
+        first.run_until_complete(tutti.open())
+        with pytest.raises(RuntimeError, match="another event loop"):
+            asyncio.run(tutti.status())
+        assert len(first.run_until_complete(tutti.status())) == 2
+    finally:
+        first.run_until_complete(tutti.close())
+        first.close()

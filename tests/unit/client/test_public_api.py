@@ -83,3 +83,9 @@ def test_the_json_schema_of_a_job_file_still_requires_them() -> None:
     schema = Job.model_json_schema(by_alias=True)
     assert schema["required"] == ["schema", "name", "steps"]
     assert all("do" in schema["$defs"][step]["required"] for step in ("Home", "Move", "Dwell", "WaitInput"))
+
+
+def test_a_script_that_does_not_catch_a_refusal_shows_what_to_do() -> None:
+    code = "from tutti import Refusal; raise Refusal('busy', 'gantry.x is in use', 'wait for its end')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.stderr.splitlines()[-2:] == ["orchestrator.model.errors.Refusal: gantry.x is in use", "wait for its end"]
