@@ -131,7 +131,7 @@ def test_stages_of_one_controller_with_different_pulses() -> None:
 
 @pytest.mark.parametrize("make", ["smc4000", "galil"])
 def test_a_simulator_finds_the_reference_of_motors_by_either_name(make: str) -> None:
-    """A and X are one motor: its simulated home switch was that of the other name only."""
+    """A and X are one motor: its simulated home switch, and its true motions, were those of the other name only."""
     fleet = load_fleet(EXAMPLES / f"{make}.fleet.yaml")
     fleet = changed(fleet, **{make: {"axes": {"x": {"motors": ["A"]}}}})
 
@@ -140,5 +140,7 @@ def test_a_simulator_finds_the_reference_of_motors_by_either_name(make: str) -> 
             virtual, job(f"[{{do: enable, axes: [{make}]}}, {{do: home}}, {{do: move, to: {{{make}.x: 5}}}}]")
         )
         assert report.state == "done", report.reason
+        # The truth has the names of the fleet file.
+        assert "A" in {motion.axis for motion in virtual.controllers[make].commanded_motions}
 
     run_fleet(main, fleet)

@@ -34,6 +34,8 @@ class FamilyOptions(BaseModel):
     """Per axis: an index pulse at every multiple of this."""
     travel: dict[str, tuple[int, int]] = Field(default_factory=dict[str, tuple[int, int]])
     """Per axis: positions of the reverse and the forward limit switch."""
+    names: dict[str, str] = Field(default_factory=dict[str, str])
+    """Per axis: the other name (A for X) under which the record of true motions has it, that of the fleet file."""
     question_crlf: bool = False
     """D1: a refusal ends with CR LF."""
     control_end: Literal["optional", "separate", "required"] = "optional"

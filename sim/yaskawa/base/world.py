@@ -17,6 +17,8 @@ class PhysicalEnvironment:
     home_edge: dict[str, int] = field(default_factory=dict[str, int])
     index_every: dict[str, int] = field(default_factory=dict[str, int])
     travel: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
+    names: dict[str, str] = field(default_factory=dict[str, str])
+    """Of axes, in the record of true motions, where these are not the machine's own."""
 
     def home_level(self, axis: str, place: float) -> bool:
         """Return the home input with the axis at a physical position; high by default."""

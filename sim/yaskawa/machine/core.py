@@ -47,6 +47,7 @@ class ControllerCore:
             home_edge=dict(options.home_edge),
             index_every=dict(options.index_every),
             travel=dict(options.travel),
+            names=dict(options.names),
         )
         self.question_crlf = options.question_crlf
         self.powered = True

@@ -66,7 +66,7 @@ class MotionControl:
         self._all = tuple(self.axes.values())
         self.systems = {name: CoordinateSystem(name, figures.vector) for name in figures.systems}
         self.limits = TravelLimits(environment)
-        self.record = MotionRecord(timebase, self.real, lambda: self.cam.master)
+        self.record = MotionRecord(timebase, self.real, lambda: self.cam.master, environment.names)
         self.cam = ElectronicCam(figures.cam_points)
         self.homing = HomingStages(self, figures.home_speed)
         self.independent = IndependentMotion(self, self.homing)

@@ -1,6 +1,6 @@
 """Ground truth: the record of all commanded motions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from sim.core.controller import CommandedMotion
 from sim.yaskawa.base.timebase import NEVER_NS, ServoTimebase
@@ -8,11 +8,17 @@ from sim.yaskawa.motion.axis import ServoAxis
 
 
 class MotionRecord:
-    """Commanded motions of the axes and of their followers. Instants are samples."""
+    """Commanded motions of the axes and of their followers. Instants are samples. names: by which they are recorded,
+    where these are not the machine's own."""
 
     def __init__(
-        self, timebase: ServoTimebase, axes: tuple[ServoAxis, ...], cam_master: Callable[[], str | None]
+        self,
+        timebase: ServoTimebase,
+        axes: tuple[ServoAxis, ...],
+        cam_master: Callable[[], str | None],
+        names: Mapping[str, str],
     ) -> None:
+        self._names = names
         self._timebase = timebase
         self._axes = axes
         self._cam_master = cam_master
@@ -23,7 +29,8 @@ class MotionRecord:
         for follower in (axis, *self.geared_followers(axis)):
             if follower.motion is None:
                 start_ns = self._timebase.true_ns(at)
-                follower.motion = CommandedMotion(follower.name, start_ns, follower.command_at(at))
+                name = self._names.get(follower.name, follower.name)
+                follower.motion = CommandedMotion(name, start_ns, follower.command_at(at))
                 self.motions.append(follower.motion)
 
     def resume_samples(self) -> None:

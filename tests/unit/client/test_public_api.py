@@ -88,4 +88,7 @@ def test_the_json_schema_of_a_job_file_still_requires_them() -> None:
 def test_a_script_that_does_not_catch_a_refusal_shows_what_to_do() -> None:
     code = "from tutti import Refusal; raise Refusal('busy', 'gantry.x is in use', 'wait for its end')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
-    assert done.stderr.splitlines()[-2:] == ["orchestrator.model.errors.Refusal: gantry.x is in use", "wait for its end"]
+    assert done.stderr.splitlines()[-2:] == [
+        "orchestrator.model.errors.Refusal: gantry.x is in use",
+        "wait for its end",
+    ]
