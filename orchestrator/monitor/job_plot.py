@@ -52,7 +52,8 @@ def plot_recordings(recordings: Sequence[StepRecording], title: str, path: Path 
         difference.set_ylabel(f"polled - planned, {unit}")
         for each in (above, difference):
             each.grid(alpha=0.3)
-    rows[0][0].legend(loc="best", frameon=False)
+    # Above the plot: inside, there is no place that every move leaves free.
+    rows[0][0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     # A long arming phase would leave no room for the move.
     end_s = max((each.t0_fleet_ns - first_ns) * 1e-9 + _longest_s(each) for each in recordings)
     margin_s = MARGIN_SHARE * end_s if len(recordings) == 1 else JOB_MARGIN_SHARE * end_s
