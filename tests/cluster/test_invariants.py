@@ -220,18 +220,19 @@ MUTATIONS = (
     Mutation("13", names_no_command, FaultCell("motion", "estop", "shrc203")),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000")),
 )
-SEEDS = 12  # a fault does not find its precondition in every one
+# A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.
+SEEDS = (1, 4, 9, 0, 2, 3, 5, 6, 7, 8, 10, 11)
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda each: f"{each.invariant}: {each.breaks.__name__}")
 def test_the_campaign_notices(mutation: Mutation, monkeypatch: Patch) -> None:
     mutation.breaks(monkeypatch)
     said: list[str] = []
-    for seed in range(SEEDS):
+    for seed in SEEDS:
         said += run_scenario(seed, [mutation.cell]).violations
         if any(each.startswith(f"invariant {mutation.invariant}:") for each in said):
             return
-    pytest.fail(f"nobody noticed in {SEEDS} seeds; said was only {said}")
+    pytest.fail(f"nobody noticed in {len(SEEDS)} seeds; said was only {said}")
 
 
 def states_promises_only(patch: Patch) -> None:
