@@ -4,6 +4,7 @@ An adapter host that is restarting receives no e-stop. Every coordinator, leadin
 router's process keep the latch until it is reset; an adapter compares before it can be adopted.
 """
 
+import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,9 @@ from pydantic import ValidationError
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.model.checksums import add_checksum, take_checksum
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.messages import EstopMessage, EstopReset, KeptEstop
 from orchestrator.model.private_files import ON_DISK, FileAccess
 from orchestrator.model.state import EstopLatch
@@ -39,13 +42,17 @@ class LatchStore(Protocol):
 
 
 class LatchKeeper:
-    """Keeps the first e-stop since the last reset."""
+    """Keeps the first e-stop since the last reset. execute: saves it; a slow disk must not delay the process."""
 
-    def __init__(self, bus: Bus, keys: FleetKeys, utc: Callable[[], str], store: LatchStore) -> None:
+    def __init__(
+        self, bus: Bus, keys: FleetKeys, utc: Callable[[], str], store: LatchStore, execute: Executor = run_inline
+    ) -> None:
         self._bus = bus
         self._keys = keys
         self._utc = utc
         self._store = store
+        self._execute = execute
+        self._saves: set[asyncio.Task[None]] = set()
         self._declared: list[BusDeclaration] = []
         self.latch: EstopLatch | None = store.load()
 
@@ -66,6 +73,7 @@ class LatchKeeper:
         for declared in self._declared:
             await declared.undeclare()
         self._declared.clear()
+        await asyncio.gather(*self._saves)
 
     def _receive_estop(self, sample: BusSample) -> None:
         if self.latch is None:
@@ -80,9 +88,15 @@ class LatchKeeper:
 
     def _change(self, latch: EstopLatch | None) -> None:
         self.latch = latch
+        # In the order of the changes, which is that of the calls.
+        task = asyncio.get_running_loop().create_task(self._save(latch))
+        self._saves.add(task)
+        task.add_done_callback(self._saves.discard)
+
+    async def _save(self, latch: EstopLatch | None) -> None:
         # A full disk takes nothing from what this process knows.
-        with suppress(OSError):
-            self._store.save(latch)
+        with suppress(OSError, TuttiError):
+            await self._execute(self._store.save, latch)
 
     async def _answer(self, _: BusSample) -> bytes:
         return KeptEstop(estop=self.latch).to_json()

@@ -48,7 +48,7 @@ class Coordinator:
         bus, keys, clock = environment.bus, environment.keys, environment.clock
         tasks = self._owner = TaskOwner(self._report_defect)
         self.leadership = Leadership(fleet.fleet, environment, tasks)
-        self._latch_keeper = LatchKeeper(bus, keys, clock.utc, environment.latches)
+        self._latch_keeper = LatchKeeper(bus, keys, clock.utc, environment.latches, environment.execute)
         self.leadership.kept_estop = self._latch_keeper.find_event
         self._log = ProcessLog("coordinator", self.leadership.coordinator[:8], clock, environment.sink, (bus, keys))
         self._log.fleet_ns = lambda: self.leadership.fleet_now_ns() if self.leadership.epoch else None
