@@ -99,7 +99,7 @@ def test_a_jog_command_that_is_disturbed_on_the_link_moves_nothing_for_long(make
     run_fleet(main, fleet)
 
 
-@pytest.mark.parametrize("deaf_s", [0.6, 1.1, 1.6, 2.0])
+@pytest.mark.parametrize("deaf_s", [0.6, 1.6, *(pytest.param(s, marks=pytest.mark.nightly) for s in (1.1, 2.0))])
 @pytest.mark.parametrize("make", MAKES)
 def test_an_axis_that_was_jogged_when_its_line_broke_is_stopped_as_soon_as_it_answers(make: str, deaf_s: float) -> None:
     """The line comes back after the pending stop was written, while the controller is being connected."""

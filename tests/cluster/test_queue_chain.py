@@ -14,7 +14,7 @@ UNITS = ("feeder", "turner", "outlet")
 PREPARE = job("[{do: enable, axes: [line, turner, gantry]}, {do: home}]")
 
 
-@pytest.mark.parametrize("hold_ms", [0, 16])
+@pytest.mark.parametrize("hold_ms", [16, pytest.param(0, marks=pytest.mark.nightly)])
 def test_jobs_on_controllers_of_one_chain_do_not_disturb_each_other(hold_ms: int) -> None:
     chain = load_fleet(EXAMPLES / "chain.fleet.yaml")
     plain = changed(chain).to_plain()

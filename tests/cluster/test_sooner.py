@@ -158,7 +158,7 @@ def test_a_member_that_gets_go_too_late_is_rearmed_if_no_member_has_started(
 
 
 @pytest.mark.parametrize("make", [make_smc4000, make_smc2000])
-@pytest.mark.parametrize("period_us", [250, 2000, 5000])
+@pytest.mark.parametrize("period_us", [250, 5000, pytest.param(2000, marks=pytest.mark.nightly)])
 def test_a_step_starts_as_promised_with_another_servo_period(
     period_us: int, make: Callable[[int], dict[str, Any]]
 ) -> None:

@@ -136,6 +136,7 @@ def test_submit_says_that_the_job_continues(shared: RunningFleet) -> None:
         terminal.close()
 
 
+@pytest.mark.nightly
 def test_jobs_that_wait_for_an_estop_are_not_lost(shared: RunningFleet) -> None:
     shared.ready()
     assert shared.tutti("estop", "--reason", "test").returncode == 0
@@ -149,6 +150,7 @@ def test_jobs_that_wait_for_an_estop_are_not_lost(shared: RunningFleet) -> None:
     assert [shared.wait(each).state for each in jobs] == ["done"] * 3
 
 
+@pytest.mark.nightly
 def test_after_a_restart_the_queue_waits_for_an_operator(tmp_path: Path) -> None:
     fleet = RunningFleet(tmp_path)
     try:

@@ -18,7 +18,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import StartOptions
 
 
-@pytest.mark.parametrize("first", range(0, 40, 10))
+@pytest.mark.parametrize("first", [0, *(pytest.param(n, marks=pytest.mark.nightly) for n in range(10, 40, 10))])
 def test_replies_are_not_mixed_under_any_overlap(first: int):
     """Each controller stands at a position of its own and stores a number of its own; all are queried at random."""
 

@@ -189,7 +189,10 @@ def test_nothing_starts_after_a_disarm_or_a_connection_and_the_axes_are_free(bef
 
 @pytest.mark.parametrize("halts", [True, False])
 @pytest.mark.parametrize("abort", [False, True])
-@pytest.mark.parametrize("after_ms", [-200, -60, -38, -15, -5, 0, 3, 150, 600, 1040, 1100])
+@pytest.mark.parametrize(
+    "after_ms",
+    [-60, -15, 0, 3, 600, 1100, *(pytest.param(n, marks=pytest.mark.nightly) for n in (-200, -38, -5, 150, 1040))],
+)
 def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int, abort: bool, halts: bool):
     async def main(world: World) -> None:
         await world.ready()

@@ -168,7 +168,19 @@ def test_nothing_starts_after_a_disarm_and_the_axes_are_free(before_ms: int, way
 
 @pytest.mark.parametrize("halts", [True, False])
 @pytest.mark.parametrize("abort", [False, True])
-@pytest.mark.parametrize("after_ms", [-300, -60, -38, -30, -2, 0, 1, 2, 3, 150, 600, 1040, 1100])
+@pytest.mark.parametrize(
+    "after_ms",
+    [
+        -60,
+        -30,
+        -2,
+        0,
+        2,
+        600,
+        1100,
+        *(pytest.param(n, marks=pytest.mark.nightly) for n in (-300, -38, 1, 3, 150, 1040)),
+    ],
+)
 def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int, abort: bool, halts: bool):
     async def main(world: World) -> None:
         await world.ready()
