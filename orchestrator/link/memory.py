@@ -118,6 +118,8 @@ class MemoryWire:
         opened: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
 
         def connect_far() -> None:
+            if opened.done():
+                return  # given up while the controller's process hung
             try:
                 link.connect_far()
             except Exception as error:

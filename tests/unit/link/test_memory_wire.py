@@ -1,11 +1,14 @@
 """A wire in memory: which lines were longer on their way than promised, and a port that is opened again at once."""
 
+import asyncio
 from collections.abc import Callable
 from contextvars import copy_context
 from dataclasses import replace
 
+import pytest
+
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
-from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.clock.virtual import VirtualClock, VirtualProcess, run_virtual
 from orchestrator.link.memory import DEFAULT_JITTER_NS, LAN, PIECE_CHARACTERS, FarConnection, MemoryWire, serial_wire
 from orchestrator.link.supply import PowerSupply
 
@@ -65,6 +68,24 @@ def test_a_port_can_be_opened_as_soon_as_it_is_closed() -> None:
         wire = MemoryWire(clock, LAN, Echo(clock), "serial", "unit", copy_context())
         for _ in range(20):
             await (await wire.open_link()).close()
+
+    run_virtual(main)
+
+
+def test_a_link_that_was_given_up_while_the_controller_hung_is_not_opened() -> None:
+    async def main(clock: VirtualClock) -> None:
+        controller = VirtualProcess(clock.loop, "controller")
+        echo = Echo(clock)
+        wire = MemoryWire(clock, LAN, echo, "tcp", "unit", controller.run_inside(copy_context))
+        controller.freeze()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(1.0):
+                await wire.open_link()
+        controller.resume()
+        await sleep_ns(clock, NS_PER_S)
+        assert not echo.taken
+        await wire.open_link()
+        assert echo.taken
 
     run_virtual(main)
 
