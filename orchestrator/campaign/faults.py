@@ -9,7 +9,6 @@ from typing import Literal
 from orchestrator.bus.base import Priority
 from orchestrator.campaign import disk_faults
 from orchestrator.campaign.bus_faults import BusFaults
-from orchestrator.campaign.fleets import PERMIT
 from orchestrator.campaign.jobs import find_link_members
 from orchestrator.campaign.link_faults import LinkFaults
 from orchestrator.campaign.repairs import Repair, do_nothing
@@ -122,7 +121,6 @@ class FaultInjector:
         self._draw = draw
         self._whole_fleet = fleet.fleet
         self._coordinators = 1
-        self._repair: Repair = do_nothing
         self._links = LinkFaults(fleet, clock, draw)
         self._buses = BusFaults(fleet, clock, draw)
 
@@ -140,10 +138,10 @@ class FaultInjector:
         # Other controllers on a link wait while a controller that is off is polled.
         return [member] if fault.reach == "unit" else find_link_members(self._whole_fleet, member)
 
-    async def inject_fault(self, fault: FaultKind, member: str) -> None:
-        """Inject the fault now."""
+    async def inject_fault(self, fault: FaultKind, member: str) -> Repair:
+        """Inject the fault now; return its repair, for `repair_fault`."""
         blow = {"fleet": self._inject_fleet_fault, "host": self._inject_host_fault, "line": self._links.inject_fault}
-        self._repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
+        repair = blow.get(fault.reach, self._inject_controller_fault)(fault.name, member)
         if fault.name == "second-master":
             await self._change_one_thing(member)
         if fault.name == "operator-resets-early":
@@ -154,6 +152,7 @@ class FaultInjector:
             client = self._fleet.make_client("stopper")
             await client.stop()
             await client.close()
+        return repair
 
     async def _change_one_thing(self, member: str) -> None:
         """Change one thing of a controller as a second master does: over a connection of its own."""
@@ -173,9 +172,9 @@ class FaultInjector:
         await sleep_ns(self._clock, SECOND_MASTER_NS)
         await link.close()
 
-    async def repair_fault(self) -> None:
-        """Repair the fault as an operator does."""
-        self._repair()
+    async def repair_fault(self, repair: Repair) -> None:
+        """Repair a fault as an operator does."""
+        repair()
         hung = [name for name in self.former_leaders if self._fleet.find_process(f"coordinator/{name}").frozen]
         if hung:
             await sleep_ns(self._clock, OVERLAP_NS)
@@ -191,9 +190,9 @@ class FaultInjector:
                 bus = fleet.net.join_process(f"campaign-{event}")
                 bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
             case "permit-lost":
-                door, number = self._find_permit_input()
-                fleet.act_on_controller(door, lambda each: each.set_input(number, level=False))  # it is active when low
-                return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=True))
+                door, number, lost = self._find_permit_input()
+                fleet.act_on_controller(door, lambda each: each.set_input(number, level=lost))
+                return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=not lost))
             case "fleet-restarted":
                 return self._kill_all_processes()
             case "coordinator-killed":
@@ -305,10 +304,12 @@ class FaultInjector:
         self.leader_name = f"leader{self._coordinators}"
         self._fleet.start_coordinator(self.leader_name, take_over=take_over)
 
-    def _find_permit_input(self) -> tuple[str, int]:
-        """Return the input of the fleet's permit."""
-        controller, _, name = self._whole_fleet.permits[PERMIT].input.partition(".")
-        return controller, self._whole_fleet.controllers[controller].inputs[name].number
+    def _find_permit_input(self) -> tuple[str, int, bool]:
+        """Return the input of the fleet's first permit: controller, number, and its level without the permit."""
+        permit = next(iter(self._whole_fleet.permits.values()))
+        controller, _, name = permit.input.partition(".")
+        wired = self._whole_fleet.controllers[controller].inputs[name]
+        return controller, wired.number, (not permit.value) == (wired.active == "high")
 
     def _schedule_call(self, after_ns: int, call: Callable[[], None]) -> None:
         """Schedule a call outside of every process."""

@@ -1,7 +1,8 @@
 """The invariants of the design (section 7), checked against the ground truth of the simulated controllers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
+from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
@@ -77,22 +78,27 @@ class InvariantChecker:
                         "5", f"{label} is reported as referenced, but its position is off by {off:g} counts"
                     )
 
-    def _loses_position(self, phase: CampaignPhase) -> bool:
+    def note_fault(self, fault: FaultKind, member: str, affected: Iterable[str]) -> None:
+        """Note a fault that was injected: some evidence cannot be right then. affected: controllers."""
+        if fault.outside_model:
+            self._untrusted |= set(affected)
+        if fault.name == "crystal":
+            self._changed_crystals.add(member)
+        if self._loses_position(fault, member):
+            self._position_lost.add(member)
+
+    def _loses_position(self, fault: FaultKind, member: str) -> bool:
         """Return whether the member's position can no longer be determined: it was stalled, or the limit switch that
         was pressed is its reference."""
-        make = self._whole_fleet.controllers[phase.member].adapter
-        return phase.fault.name == "stall" or (phase.fault.name == "limit" and make == "smc30")
+        make = self._whole_fleet.controllers[member].adapter
+        return fault.name == "stall" or (fault.name == "limit" and make == "smc30")
 
     # After a phase
 
     def check_phase(self, phase: CampaignPhase) -> None:
         """Check all motions of a phase against the recorded decisions, and the final states of its jobs."""
-        if phase.fault_ns is not None and phase.fault.outside_model:
-            self._untrusted |= set(phase.affected)
-        if phase.fault_ns is not None and phase.fault.name == "crystal":
-            self._changed_crystals.add(phase.member)
-        if phase.fault_ns is not None and self._loses_position(phase):
-            self._position_lost.add(phase.member)
+        if phase.fault_ns is not None:
+            self.note_fault(phase.fault, phase.member, phase.affected)
         steps = self._records.find_steps(phase)
         reports = {job_id: self._fleet.journal.load_report(job_id) for job_id in phase.jobs}
         self._check_promises(phase)
@@ -121,11 +127,13 @@ class InvariantChecker:
                 )
             if each.accepted:
                 highest[each.member] = max(highest.get(each.member, 0), each.fields["epoch"])
+        promises: dict[tuple[str, int], list[RecordedRequest]] = {}
+        for each in asked:
+            if each.verb in ("arm", "commit"):
+                promises.setdefault(each.step_id, []).append(each)
         for go in (each for each in asked if each.verb == "go"):
-            before = [each for each in asked if each.sent_ns < go.sent_ns and each.verb in ("arm", "commit")]
-            of_step = [
-                each for each in before if each.step_id == go.step_id and each.fields["epoch"] == go.fields["epoch"]
-            ]
+            before = [each for each in promises.get(go.step_id, ()) if each.sent_ns < go.sent_ns]
+            of_step = [each for each in before if each.fields["epoch"] == go.fields["epoch"]]
             # The members of the last arming: arming again with a longer lead time starts over.
             members = {each.member for each in of_step if each.verb == "arm"}
             for member in sorted(members):

@@ -135,10 +135,11 @@ class MotionChecker:
         self, phase: CampaignPhase, name: str, label: str, motion: CommandedMotion, step: StepRecord | None
     ) -> bool:
         """Check invariant 3 of a jog; return whether the motion was one."""
-        jog = next((each for each in phase.jogs if (each.controller, each.motor) == (name, motion.axis)), None)
+        mine = (each for each in phase.jogs if (each.controller, each.motor) == (name, motion.axis))
+        jog = next((each for each in mine if each.from_ns <= motion.start_ns <= each.renewed_ns + JOG_END_NS), None)
         # A new leader gave the axis to a job immediately.
         by_job = jog is not None and step is not None and step.from_ns > jog.from_ns
-        if jog is None or by_job or not jog.from_ns <= motion.start_ns <= jog.renewed_ns + JOG_END_NS:
+        if jog is None or by_job:
             return False
         if name in phase.unstoppable or motion.end_ns is None:
             return True

@@ -51,16 +51,20 @@ class RecordedRequest:
 
 class BusRecorder:
     """Records every request of every coordinator of a fleet. `on_request` is called when a request is sent, and when it
-    is answered."""
+    is answered.
+
+    first_arms_ns: when the first arm request of each step was sent, host ns."""
 
     def __init__(self, clock: Clock, on_request: Callable[[RecordedRequest], None]) -> None:
         self.requests: list[RecordedRequest] = []
+        self.first_arms_ns: dict[tuple[str, int], int] = {}
+        self._by_verb: dict[str, list[RecordedRequest]] = {}
         self._clock = clock
         self._on_request = on_request
 
     def find_requests(self, verb: str) -> Iterator[RecordedRequest]:
         """Return all requests of one verb, in order."""
-        return (each for each in self.requests if each.verb == verb)
+        return iter(self._by_verb.get(verb, ()))
 
     def wrap_bus(self, bus: MemoryBus) -> "RecordedBus":
         """Wrap the `bus` of a coordinator."""
@@ -80,6 +84,9 @@ class BusRecorder:
             fields["axes"] = list(axes)
         asked = RecordedRequest(verb, member, fields, self._clock.now_ns())
         self.requests.append(asked)
+        self._by_verb.setdefault(verb, []).append(asked)
+        if verb == "arm":
+            self.first_arms_ns.setdefault(asked.step_id, asked.sent_ns)
         self._on_request(asked)
         return asked
 

@@ -1,6 +1,6 @@
 """What a phase of a run consisted of: its steps by the recorded requests, and the true motions that belong to them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from orchestrator.campaign.faults import FaultKind
@@ -124,8 +124,7 @@ class PhaseRecords:
     def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int) -> int:
         """Return the earliest instant at which a motion may belong to the step: near its T0, and after the first arm
         request. Host ns."""
-        armed_ns = min(arm.sent_ns for arm in self._recorder.find_requests("arm") if arm.step_id == step)
-        return max(t0_ns - STEP_WINDOW_NS, armed_ns)
+        return max(t0_ns - STEP_WINDOW_NS, self._recorder.first_arms_ns[step])
 
     def completed_steps(self, report: JobReport | None) -> list[tuple[int, int | None]]:
         """Return index and T0 (host ns) of the completed steps of a job."""
@@ -160,20 +159,28 @@ class PhaseRecords:
     def find_motions(
         self, phase: CampaignPhase, name: str, motor: str, step: tuple[str, int], t0_host_ns: int
     ) -> list[CommandedMotion]:
-        """Return the motions of an axis in the step that begins at T0, up to the next step or homing. Slow motions
+        """Return the motions of an axis in the step that begins at T0, up to the next step, homing or jog. Slow motions
         consist of several pieces."""
-        t0s = [
-            each.fields["t0_fleet_ns"] + self.origin_ns()
-            for each in self._recorder.find_requests("go")
-            if each.member == name
-        ]
-        t0s += [each.sent_ns + STEP_WINDOW_NS for each in self._recorder.find_requests("home") if each.member == name]
-        until_ns = min((each for each in t0s if each > t0_host_ns + STEP_WINDOW_NS), default=None)
+        later = self._find_later_begins(phase, name, motor, step, t0_host_ns)
+        until_ns = min(later, default=None)
         from_ns = self.earliest_motion_ns(step, t0_host_ns)
         return [
             each
             for each in self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]
-            if each.axis == motor
-            and each.start_ns >= from_ns
-            and (until_ns is None or each.start_ns < until_ns - STEP_WINDOW_NS)
+            if each.axis == motor and each.start_ns >= from_ns and (until_ns is None or each.start_ns < until_ns)
         ]
+
+    def _find_later_begins(
+        self, phase: CampaignPhase, name: str, motor: str, step: tuple[str, int], t0_host_ns: int
+    ) -> Iterator[int]:
+        """Find the instants from which motions of a motor belong to something after a step: steps, homings, jogs."""
+        for go in self._recorder.find_requests("go"):
+            t0_ns = go.fields["t0_fleet_ns"] + self.origin_ns()
+            # Another part of the same step, after a feed hold, is armed anew.
+            if go.member == name and go.step_id == step and t0_ns > t0_host_ns + STEP_WINDOW_NS:
+                yield t0_ns - STEP_WINDOW_NS
+            elif go.member == name and go.step_id != step and t0_ns > t0_host_ns:
+                yield self.earliest_motion_ns(go.step_id, t0_ns)
+        homes = (each.sent_ns for each in self._recorder.find_requests("home") if each.member == name)
+        jogs = (each.from_ns for each in phase.jogs if (each.controller, each.motor) == (name, motor))
+        yield from (begin_ns for begin_ns in (*homes, *jogs) if begin_ns > t0_host_ns)

@@ -285,14 +285,14 @@ class _Scenario:
         self._seed_run.hit.append(hit)
         self._seed_run.affected += [hit._replace(make=make) for make in makes]
         self._log_event(f"{cell.fault} of {phase.member} at {stage}")
-        await self._injector.inject_fault(phase.fault, phase.member)
+        repair = await self._injector.inject_fault(phase.fault, phase.member)
         await self._act_as_operator(phase, step[0])
         await sleep_ns(self._clock, max(0, now_ns + REPAIR_DELAY_NS - self._clock.now_ns()))
         await self._check_latches(cell.fault)
         if cell.fault == "host-other-file":
             await self._try_other_file(phase)
         phase.repair_ns = self._clock.now_ns()
-        await self._injector.repair_fault()
+        await self._injector.repair_fault(repair)
         self._log_event("mended")
 
     async def _act_as_operator(self, phase: CampaignPhase, job_id: str) -> None:
