@@ -309,7 +309,13 @@ class SimulationSettings(Model):
     crystal."""
 
     options: dict[str, Any] = Field(default={}, description="The simulator's own options.")
-    decode_us: int = Field(default=500, ge=0, le=10_000_000, description="Time that the firmware takes for a command.")
+    decode_us: int | None = Field(
+        default=None,
+        ge=0,
+        le=10_000_000,
+        description="Time that the firmware takes for a command. None: 500 µs, or, with its spread, what the options "
+        "of the adapter state, where those exclude that.",
+    )
     spread_us: int = Field(default=0, ge=0, le=10_000_000, description="Random extra time, up to this.")
     offset_s: float = Field(default=0.0, ge=0, le=1e9, description="The controller's clock at the start.")
     drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)

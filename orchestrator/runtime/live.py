@@ -24,7 +24,7 @@ from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, 
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
-from orchestrator.runtime.simulated import make_simulator_options
+from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.state_folder import ADAPTERS, JOURNAL, ROUTER_LATCH, UP_LOG, StateLock, UpFailed
 from sim.link.arguments import NEXT
 
@@ -236,7 +236,7 @@ class LiveFleet:
             "name": name,
             "address": link.address if isinstance(link, SerialLink | CanBusLink) else None,
             "options": make_simulator_options(config),
-            "timing": {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000},
+            "timing": find_timing(config)._asdict(),
             "oscillator": {
                 "offset_ns": round(simulate.offset_s * 1e9),
                 "drift_ppm": simulate.drift_ppm,

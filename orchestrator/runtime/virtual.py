@@ -35,7 +35,7 @@ from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, WireConnection, group_by_link
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.bridge import network_wire
-from orchestrator.runtime.simulated import make_simulator_options
+from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.virtual_disk import VirtualDisk
 from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
@@ -180,7 +180,7 @@ class VirtualFleet:
             address=link.address if isinstance(link, SerialLink | CanBusLink) else None,
             options=make_simulator_options(config),
             oscillator=Oscillator(round(simulate.offset_s * NS_PER_S), simulate.drift_ppm, simulate.wander_ppm, seed),
-            timing=FirmwareTiming(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
+            timing=FirmwareTiming(*find_timing(config)),
             seed=seed,
         )
 
