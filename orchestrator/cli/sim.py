@@ -8,15 +8,16 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, json_option, print_json
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.sim_campaign import campaign
+from orchestrator.cli.sim_serve import serve
 from orchestrator.cli.sim_world import limit, power, push, set_analog, set_input, stall
 
 
 @click.group(epilog="Example: tutti sim input gantry.door active")
 def sim() -> None:
-    """Simulated controllers: check them against test vectors, and change the environment of running ones."""
+    """Simulated controllers: serve them, check them against test vectors, change the environment of running ones."""
 
 
-for command in (set_input, set_analog, limit, power, push, stall, campaign):
+for command in (set_input, set_analog, limit, power, push, stall, serve, campaign):
     sim.add_command(command)
 
 

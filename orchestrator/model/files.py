@@ -22,7 +22,8 @@ MAX_PROBLEMS = 50  # that are listed; what follows is usually the same again
 
 @dataclass(frozen=True, slots=True)
 class FileProblem:
-    """One mistake in a file. line: counts from 1. field: the path of keys, e.g. `steps[2].to`."""
+    """One mistake in a file. line: counts from 1; 0 in what a program has made. field: the path of keys, e.g.
+    `steps[2].to`."""
 
     file: str
     line: int
@@ -30,7 +31,7 @@ class FileProblem:
     text: str
 
     def __str__(self) -> str:
-        where = f"{self.file}:{self.line}"
+        where = f"{self.file}:{self.line}" if self.line else self.file
         return f"{where}: {self.field}: {self.text}" if self.field else f"{where}: {self.text}"
 
 

@@ -1,10 +1,12 @@
 """Fleet files that have passed every check that needs no hardware."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from adapters.host.host import apply_make_defaults, find_controller_problems
-from orchestrator.model.files import FileError, parse_file, read_file
+from orchestrator.model.files import FileError, FileProblem, parse_file, read_file
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.problems import Problem
 from orchestrator.runtime.simulated import find_simulation_problems
 
 
@@ -14,9 +16,19 @@ def load_checked_fleet(file: Path) -> Fleet:
     Raises `FileError` with every problem.
     """
     source = read_file(file)
-    fleet = apply_make_defaults(parse_file(source, Fleet))
+    return _complete_fleet(parse_file(source, Fleet), lambda each: source.problem(each.place, each.text))
+
+
+def check_fleet(fleet: Fleet) -> Fleet:
+    """The same for a fleet that a program has made. Raises `FileError` with every problem."""
+    name = f"fleet {fleet.fleet}"
+    return _complete_fleet(fleet, lambda each: FileProblem(name, 0, ".".join(map(str, each.place)), each.text))
+
+
+def _complete_fleet(fleet: Fleet, locate: Callable[[Problem], FileProblem]) -> Fleet:
+    fleet = apply_make_defaults(fleet)
     problems = [
-        source.problem(each.place, each.text)
+        locate(each)
         for name, config in fleet.controllers.items()
         for each in [*find_controller_problems(name, config), *find_simulation_problems(name, config)]
     ]

@@ -91,6 +91,7 @@ class LiveFleet:
     connect: an existing router; without it one is started on `port`.
     simulated: every link is replaced by that of a simulated controller.
     truth: simulators record their real motions in `state`/truth.
+    first_port: of the simulated controllers on Ethernet; the next ones count up. 0: free ones.
     standby: a second coordinator takes over when the first one dies or hangs.
     new_journal: a journal is begun although the fleet had one, which is missing.
     """
@@ -105,6 +106,7 @@ class LiveFleet:
     truth: bool = False
     standby: bool = False
     new_journal: bool = False
+    first_port: int = 0
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
@@ -131,6 +133,18 @@ class LiveFleet:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def start_simulators(self) -> None:
+        """Start only the simulated controllers, for other drivers than those of Tutti. Raises `UpFailed`; then no
+        process is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            self._lock = StateLock(self.state)
+            await self._start_simulators()
+            replace_private_file(self.state / "fleet.json", self.fleet.to_json())
         except BaseException:
             await self.close()
             raise
@@ -219,7 +233,7 @@ class LiveFleet:
         else:
             listen = [
                 "--listen",
-                f"{config.link.kind}:127.0.0.1:{find_free_port()}",
+                f"{config.link.kind}:127.0.0.1:{self._choose_port()}",
                 "--baud",
                 str(bridge_baud(config)),
             ]
@@ -227,6 +241,13 @@ class LiveFleet:
         for each in names:
             arguments += ["--unit", json.dumps(self._make_simulated_controller(each))]
         return arguments
+
+    def _choose_port(self) -> int:
+        """Return the port of the next simulated controller on Ethernet."""
+        if not self.first_port:
+            return find_free_port()
+        self.first_port += 1
+        return self.first_port - 1
 
     def _make_simulated_controller(self, name: str) -> dict[str, object]:
         """Return the value of `--unit` for a controller."""

@@ -54,8 +54,8 @@ class StateLock:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            remedy = f"end that one (`tutti down --state {folder}`), or choose another folder: --state"
-            raise UpFailed(f"another `tutti up` uses {folder}; {remedy}") from None
+            remedy = f"end that one (`tutti down --state {folder}`, Ctrl-C), or choose another folder: --state"
+            raise UpFailed(f"another `tutti up` uses {folder}, or a `tutti sim serve`; {remedy}") from None
         self._file.truncate(0)
 
     def describe_fleet(self, fleet: str, connect: str) -> None:

@@ -9,6 +9,7 @@ change the physical environment; those on standard input concern its first contr
 import argparse
 import asyncio
 import contextlib
+import errno
 import json
 import os
 import selectors
@@ -176,6 +177,8 @@ async def _serve_endpoint(chosen: argparse.Namespace, controller: LineEndpoint, 
             return await listen_tcp(controller, place.host, place.port)
         return await listen_bridge(controller, clock, place, chosen.baud, chosen.frame)
     except (PortRefused, OSError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE and not isinstance(place, PtyAddress):
+            raise CannotStart(f"port {place.port} of {place.host} is in use; choose another one") from None
         raise CannotStart(f"--listen: {error}") from None
 
 
