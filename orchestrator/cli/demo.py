@@ -12,8 +12,6 @@ from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, json_option, print_json, utc_option
 from orchestrator.cli.base.errors import exit_with_error, run_main
 
-READY_TIMEOUT_S = 30.0  # for the adoption of all controllers; takes a second on an idle machine
-POLL_S = 0.05
 JOB_TIMEOUT_S = 120.0  # for the job, which takes six seconds
 
 
@@ -102,28 +100,18 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, *, quie
     time is 0."""
     from orchestrator.cli.follow import follow_job
     from orchestrator.client import Tutti
-    from orchestrator.model.messages import LeaderHeartbeat
-    from orchestrator.model.state import ControllerState
+    from orchestrator.runtime.readiness import find_origin_host_ns, wait_until_adopted
     from orchestrator.runtime.state_folder import UpFailed
 
     async with Tutti(connect, fleet, actor="demo") as tutti:
-        states: dict[str, ControllerState] = {}
-        try:
-            async with asyncio.timeout(READY_TIMEOUT_S):
-                while len(states) < controllers or not all(s.epoch and s.mode == "idle" for s in states.values()):
-                    states = await tutti.status()
-                    await asyncio.sleep(POLL_S)
-        except TimeoutError:
-            shown = ", ".join(f"{name} is {state.mode}" for name, state in states.items()) or "no controller answers"
-            raise UpFailed(f"not all controllers are ready after {READY_TIMEOUT_S:g} s: {shown}") from None
+        await wait_until_adopted(tutti, controllers)
         job_id = await tutti.submit(job)
         try:
             async with asyncio.timeout(JOB_TIMEOUT_S):
                 report = await follow_job(tutti, job_id, quiet=quiet)
         except TimeoutError:
             raise UpFailed(f"job {job_id} has not ended after {JOB_TIMEOUT_S:g} s; see the logs with --keep") from None
-        async with tutti.subscribe_samples(tutti.keys.leader) as heartbeats:
-            return report, LeaderHeartbeat.model_validate_json((await heartbeats.get()).payload).origin_host_ns
+        return report, await find_origin_host_ns(tutti)
 
 
 def make_summary(report: Any) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 import asyncio
 import threading
-from collections.abc import AsyncGenerator, Coroutine, Iterator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, Protocol, TypeVar
 
 T = TypeVar("T")
@@ -57,6 +58,14 @@ class LoopThread:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
+
+
+def call_outside_loops(function: Callable[[], R]) -> R:
+    """Call `function` where no event loop runs: in this thread, or, if one runs in it, as in a notebook, in another."""
+    if asyncio._get_running_loop() is None:  # noqa: SLF001 # pyright: ignore[reportPrivateUsage]
+        return function()
+    with ThreadPoolExecutor(1, thread_name_prefix="tutti") as other:
+        return other.submit(function).result()
 
 
 class BlockingObject(Generic[T]):

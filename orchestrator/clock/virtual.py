@@ -127,6 +127,11 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self._errors: list[BaseException] = []
         self._tasks: list[asyncio.Task[Any]] = []
 
+    @property
+    def failure(self) -> BaseException | None:
+        """The first error that nothing has received; it has stopped the run."""
+        return self._errors[0] if self._errors else None
+
     # Time
 
     def time(self) -> float:
@@ -170,8 +175,15 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
     def run_until_complete(self, future: Any) -> Any:
         task: asyncio.Future[Any] = asyncio.ensure_future(future, loop=self)
-        task.add_done_callback(lambda _: self.stop())
-        self.run_forever()
+
+        def stop_loop(_: object) -> None:
+            self.stop()
+
+        task.add_done_callback(stop_loop)
+        try:
+            self.run_forever()
+        finally:  # after an interrupt the same task may be run again
+            task.remove_done_callback(stop_loop)
         if self._errors:
             raise self._errors[0]
         return task.result()
