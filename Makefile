@@ -19,7 +19,7 @@ help:
 	@echo "make test             set up, run all tests (about 5 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
-	@echo "make test-wheel       the demo from an installed wheel, in an environment of its own"
+	@echo "make test-wheel       the demo, and a user's tests, from an installed wheel in an environment of its own"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
 	@echo "make test-thirdparty  simulated controllers and fleets against clients from PyPI"
 	@echo "make check            linters, type checks, import contracts"
@@ -82,6 +82,7 @@ test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp
 	$(DEV)/bin/python $(PIP) wheel . --no-deps --no-build-isolation -w build/wheel
 	$(WHEEL)/bin/python $(PIP) install --no-deps --force-reinstall build/wheel/*.whl
 	$(DEV)/bin/python tools/wheel_demo.py $(WHEEL)/bin/tutti
+	$(DEV)/bin/python tools/wheel_project.py $(WHEEL)/bin/python
 
 test-nightly: $(DEV)/.stamp test-thirdparty
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
