@@ -5,6 +5,7 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any, get_args
 
 import click
@@ -12,6 +13,7 @@ from click.testing import CliRunner
 from pydantic import BaseModel
 
 import tutti
+import tutti.testing
 from orchestrator.cli.main import main as command
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
@@ -106,36 +108,36 @@ def command_page() -> str:
 
 def python_page() -> str:
     """The page of the Python interface: every public name of `tutti`, its signature and its docstring."""
-    parts = ["# Python interface\n", (inspect.getdoc(tutti) or "").partition("\n")[0] + " Generated from the code.\n"]
-    for name in tutti.__all__:
-        found = getattr(tutti, name)
-        parts.append(f"## {name}\n")
+    return "\n".join(["# Python interface\n", *_describe_module(tutti)])
+
+
+def testing_page() -> str:
+    """The page of `tutti.testing`."""
+    return "\n".join(["# Python interface for tests\n", *_describe_module(tutti.testing)])
+
+
+def _describe_module(module: ModuleType) -> Iterator[str]:
+    yield (inspect.getdoc(module) or "").partition("\n")[0] + " Generated from the code.\n"
+    for name in module.__all__:
+        found = getattr(module, name)
+        yield f"## {name}\n"
         if name == "Step":
-            parts.append(f"One of {', '.join(each.__name__ for each in get_args(get_args(found)[0]))}.\n")
+            yield f"One of {', '.join(each.__name__ for each in get_args(get_args(found)[0]))}.\n"
             continue
-        parts += _describe_object(name, found)
+        yield from _describe_object(name, found)
         waiting = name.removeprefix("Blocking") if name.startswith("Blocking") else ""
         if waiting:
             same = {"Job": "SubmittedJob"}.get(waiting, waiting)
-            parts.append(
-                f"It has every method of [{same}](#{same.lower()}), with the same arguments, without `async`.\n"
-            )
-        elif inspect.isclass(found) and found.__module__.startswith("orchestrator.client"):
-            for part, value in inspect.getmembers(
-                found, lambda each: inspect.isroutine(each) or isinstance(each, property)
-            ):
-                if not part.startswith("_") and part not in dir(BaseModel) and _is_ours(value):
-                    parts.append(f"### {name}.{part}\n")
-                    parts += _describe_object(part, value)
-    return "\n".join(parts)
+            yield f"It has every method of [{same}](#{same.lower()}), with the same arguments, without `async`.\n"
+        elif inspect.isclass(found) and found.__module__.startswith(("orchestrator.client", "orchestrator.testing")):
+            yield from _describe_members(name, found)
 
 
-def _is_documented(value: object) -> bool:
-    return inspect.isroutine(value) or isinstance(value, property)
-
-
-def _is_documented(value: object) -> bool:
-    return inspect.isroutine(value) or isinstance(value, property)
+def _describe_members(name: str, found: type) -> Iterator[str]:
+    for part, value in inspect.getmembers(found, lambda each: inspect.isroutine(each) or isinstance(each, property)):
+        if not part.startswith("_") and part not in dir(BaseModel) and _is_ours(value):
+            yield f"### {name}.{part}\n"
+            yield from _describe_object(part, value)
 
 
 def _is_ours(value: Any) -> bool:
@@ -159,6 +161,7 @@ def _describe_object(name: str, found: Any) -> Iterator[str]:
 
 def _shorten_types(signature: str) -> str:
     """Types without their modules, and without what validates them."""
+    signature = re.sub(r"<function .*? at 0x[0-9a-f]+>", "…", signature)
     plain = re.sub(r"typing\.|pathlib\.|\b(?:[a-z_]+\.)+(?=[A-Z])", "", signature)
     return plain if len(plain) < 400 else re.sub(r"\(.*\)", "(…)", plain, flags=re.DOTALL)
 
@@ -170,6 +173,7 @@ def pages() -> dict[str, str]:
         "job-file.md": file_page("job", Job.model_json_schema(), "Job"),
         "command-line.md": command_page(),
         "python.md": python_page(),
+        "testing.md": testing_page(),
     }
 
 

@@ -24,6 +24,7 @@ PAGES = (
     "how-to/write-a-job.md",
     "how-to/work-with-the-queue.md",
     "how-to/use-python.md",
+    "how-to/test-your-jobs.md",
 )
 
 
