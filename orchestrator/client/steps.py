@@ -110,11 +110,11 @@ class StepRequests(JobRequests):
     async def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> JobResult:
         """Wait until the input `controller.input` is active (`on=False`: passive). Raises `Refusal`, and `JobFailed`
         after `timeout_s`."""
-        return await self.run(WaitInput.model_validate({"input": name, "value": on, "timeout": f"{timeout_s:.9f} s"}))
+        return await self.run(WaitInput(input=name, value=on, timeout=f"{timeout_s:.9f} s"))
 
     async def dwell(self, seconds: float) -> JobResult:
         """Wait, as a step of the fleet's own. Raises `Refusal`, `JobFailed`."""
-        return await self.run(Dwell.model_validate({"duration": f"{seconds:.9f} s"}))
+        return await self.run(Dwell(duration=f"{seconds:.9f} s"))
 
     async def _stop_interrupted(self, submitting: "asyncio.Future[QueueEntry]") -> None:
         """Stop the job of an interrupted call, and say so. Its session ends anyhow, which stops it within a second."""

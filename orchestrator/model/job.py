@@ -1,7 +1,7 @@
 """The job file: a list of steps for the whole fleet."""
 
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
@@ -62,6 +62,17 @@ class Move(StepBase):
     max_end_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
     max_path_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
 
+    if TYPE_CHECKING:  # numbers and text, as in a file, for editors and type checkers
+
+        def __init__(
+            self,
+            *,
+            to: Mapping[str, float | str] = ...,
+            by: Mapping[str, float | str] = ...,
+            speed: float | str = 1.0,
+            **more: Any,
+        ) -> None: ...
+
     @model_validator(mode="after")
     def _targets(self) -> "Move":
         if not self.to and not self.by:
@@ -99,12 +110,20 @@ class SetPosition(StepBase):
     do: Literal["set-position"] = "set-position"
     axes: dict[str, Quantity | None] = Field(min_length=1, description="User positions by axis.")
 
+    if TYPE_CHECKING:
+
+        def __init__(self, *, axes: Mapping[str, float | str | None], name: str | None = None) -> None: ...
+
 
 class Dwell(StepBase):
     """Wait."""
 
     do: Literal["dwell"] = "dwell"
     duration: Duration
+
+    if TYPE_CHECKING:
+
+        def __init__(self, *, duration: str, name: str | None = None) -> None: ...
 
 
 class SetOutput(StepBase):
@@ -122,6 +141,10 @@ class WaitInput(StepBase):
     input: str = Field(description="controller.input")
     value: bool = Field(default=True, description="true: active")
     timeout: Duration
+
+    if TYPE_CHECKING:
+
+        def __init__(self, *, input: str, timeout: str, value: bool = True, name: str | None = None) -> None: ...
 
 
 Step = Annotated[

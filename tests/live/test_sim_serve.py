@@ -38,7 +38,8 @@ def serving(*arguments: str) -> "Iterator[tuple[subprocess.Popen[str], dict[str,
     finally:
         process.kill()
         process.wait()
-        process.stdout and process.stdout.close()
+        if process.stdout is not None:
+            process.stdout.close()
 
 
 def exchange(device: str, sent: bytes, end: bytes) -> bytes:

@@ -57,7 +57,7 @@ def test_the_blocking_interface_has_every_method_with_its_signature_and_docstrin
 
 
 def test_a_job_is_made_without_ceremony() -> None:
-    steps = [Home(), Move(to={"gantry.x": 120, "stage.u": "6 mm"}), Dwell(duration="1.5 s")]  # pyright: ignore[reportArgumentType]
+    steps = [Home(), Move(to={"gantry.x": 120, "stage.u": "6 mm"}), Dwell(duration="1.5 s")]
     job = Job("scan", steps, max_start_skew="5 ms")
     assert job == Job(name="scan", steps=steps, max_start_skew="5 ms")
     assert Job.model_validate_json(job.to_json()) == job
