@@ -15,8 +15,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from adapters.host.host import stops_by_line
 from adapters.host.host_process import BAD_INPUT, InvalidInput, host_parser, load_host, open_sink
+from adapters.host.makes import stops_by_line
 from adapters.link.last_stop import send_last_stop
 from adapters.link.open import make_link_opener
 from orchestrator.bus.log import LogSink, ProcessLog

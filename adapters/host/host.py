@@ -1,23 +1,21 @@
 """An adapter host: the controller supervisors of one machine, and the messages for all of them (leadership, e-stop)."""
 
 import asyncio
-import re
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.metadata import entry_points
-from typing import Any, cast
+from typing import Any
 
 from pydantic import ValidationError
 
-from adapters.contract import ConfigError, DriverSetup, Make, TimedWriter, validate_options
+from adapters.contract import DriverSetup, TimedWriter
 from adapters.controller.context import ControllerContext
 from adapters.controller.log import ControllerLog
 from adapters.controller.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
+from adapters.host.makes import find_make_or_substitute
 from adapters.toolkit.firing import apply_writer_delay
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, RequestHandler, find_only_server
 from orchestrator.bus.keys import FleetKeys
@@ -30,92 +28,14 @@ from orchestrator.clock.fleet import FleetScale, TimeExchange, estimate_scale, e
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
-from orchestrator.model.fleet import Controller, Fleet, SerialLink
+from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.messages import KeptEstop, LeaderHeartbeat, TimeReply
-from orchestrator.model.problems import Problem
 from orchestrator.model.state import EstopLatch
 
 TIME_EXCHANGES = 8
 TIME_ANSWER_S = 1.0
 REPLY_SEND_NS = 20 * NS_PER_MS  # for the reply to `configure` to be sent before its supervisor is closed
 BACKLOG_LIMIT = 200  # samples; some seconds of states and events
-
-
-@cache
-def find_make(name: str) -> Make:
-    """Return the make that the entry points of `tutti.adapters` provide for `name`; `ValueError` lists the known
-    ones."""
-    for entry in entry_points(group="tutti.adapters"):
-        if entry.name == name:
-            return cast(Make, entry.load())
-    raise ValueError(f"no adapter {name[:80]!r}; known adapters: {', '.join(known_makes())}")
-
-
-def known_makes() -> list[str]:
-    """Return the names of all makes that can be driven."""
-    return sorted(entry.name for entry in entry_points(group="tutti.adapters"))
-
-
-def apply_make_defaults(fleet: Fleet) -> Fleet:
-    """Return the fleet with the serial settings that its file leaves to the makes, e.g. odd parity for an SMC30."""
-    controllers: dict[str, Controller] = {}
-    known = known_makes()
-    for name, config in fleet.controllers.items():
-        controllers[name] = config
-        if isinstance(config.link, SerialLink) and config.adapter in known:
-            given = config.link.model_fields_set
-            missing = {k: v for k, v in find_make(config.adapter).serial_defaults.items() if k not in given}
-            if missing:
-                controllers[name] = config.model_copy(update={"link": config.link.model_copy(update=missing)})
-    return fleet.model_copy(update={"controllers": controllers})
-
-
-def find_controller_problems(name: str, config: Controller) -> list[Problem]:
-    """Return every mistake in a controller's part of the fleet file by the rules of its make, with its place."""
-    own: tuple[str, ...] = ("controllers", name)
-    try:
-        make = find_make(config.adapter)
-    except ValueError as error:
-        return [Problem((*own, "adapter"), str(error), config.adapter)]
-    texts: list[str] = []
-    try:
-        validate_options(make.options_model, config)
-    except ConfigError as error:
-        texts += error.texts
-        wrong = {text.split(":")[0].split(".")[1] for text in error.texts}
-        # Without them, so that the rest of the controller is checked too.
-        kept = {name: value for name, value in config.options.items() if name not in wrong}
-        config = config.model_copy(update={"options": kept})
-    try:
-        make.check_config(config)
-    except ConfigError as error:
-        texts += error.texts
-    except ValueError as error:  # of a make outside this project
-        texts.append(str(error))
-    return [_locate_problem(own, text) for text in dict.fromkeys(texts)]
-
-
-_FIELD = re.compile(r"([a-z_][\w.-]*): ")
-
-
-def _locate_problem(own: tuple[str, ...], text: str) -> Problem:
-    """The place of a mistake whose text begins with its field."""
-    found = _FIELD.match(text)
-    return Problem(own, text) if found is None else Problem((*own, *found[1].split(".")), text[found.end() :])
-
-
-def stops_by_line(controllers: Mapping[str, Controller]) -> list[tuple[list[str], bytes]]:
-    """Return, for each line, the names of its controllers and the bytes that stop all of them: a line is opened
-    once."""
-    lines: dict[str, tuple[list[str], list[bytes]]] = {}
-    for name, config in controllers.items():
-        names, stops = lines.setdefault(config.link.endpoint, ([], []))
-        names.append(name)
-        stop = find_make(config.adapter).stop_bytes(config)
-        # A stop that reaches all controllers of a line is sent once.
-        if stop not in stops:
-            stops.append(stop)
-    return [(names, b"".join(stops)) for names, stops in lines.values()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +91,7 @@ class AdapterHost:
         if config.shares_port:
             line = self._lines.setdefault(config.link.endpoint, line)
         self._starts += 1
-        make = find_make(config.adapter)
+        make = find_make_or_substitute(config.adapter)
         open_plain = around.open_link(controller, config)
 
         async def open_link() -> Link:

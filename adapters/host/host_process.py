@@ -22,7 +22,8 @@ from uuid import uuid4
 
 from adapters.controller.store import FileStore
 from adapters.host.firing_process import ProcessTimedWriter
-from adapters.host.host import AdapterHost, HostEnvironment, apply_make_defaults, find_controller_problems
+from adapters.host.host import AdapterHost, HostEnvironment
+from adapters.host.makes import apply_make_defaults, find_controller_problems
 from adapters.link.open import make_link_opener
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.limits import MAX_HOST_MESSAGE_BYTES
@@ -75,9 +76,10 @@ def load_host(path: Path, host: str) -> tuple[Fleet, dict[str, Controller]]:
         source = read_file(path)
         fleet = apply_make_defaults(parse_file(source, Fleet))
         mine = {name: config for name, config in fleet.controllers.items() if config.host == host}
-        problems = [each for name, config in mine.items() for each in find_controller_problems(name, config)]
+        checked = [find_controller_problems(name, config, tolerant=True) for name, config in mine.items()]
+        problems = [source.problem(each.place, each.text) for found in checked for each in found]
         if problems:
-            raise FileError(source.problem(each.place, each.text) for each in problems)
+            raise FileError(problems)
     except FileError as error:
         raise InvalidInput(str(error)) from None
     if not mine:

@@ -15,7 +15,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from adapters.contract import Driver, DriverSetup, Lowered
-from adapters.host.host import find_make
+from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from orchestrator.bench.lowering_ppsmc import bench_ppsmc

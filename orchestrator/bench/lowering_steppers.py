@@ -12,7 +12,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from adapters.contract import Driver, DriverSetup
-from adapters.host.host import find_make
+from adapters.host.makes import find_make
 from adapters.shrc203.fleetaxes import axis_bounds
 from adapters.shrc203.trapezoid import fit_trapezoid
 from adapters.toolkit.firing import LoopTimedWriter

@@ -14,7 +14,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from adapters.contract import Driver, DriverSetup
-from adapters.host.host import find_make
+from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual

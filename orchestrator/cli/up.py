@@ -103,7 +103,7 @@ def up(
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
 
     async def run_fleet() -> None:
-        fleet = load_checked_fleet(file)
+        fleet = load_checked_fleet(file, tolerant=True)
         folder = state or default_state(fleet.fleet)
         live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
         end = asyncio.Event()
@@ -135,7 +135,7 @@ def up(
     if not detach:
         run_main(run_fleet())
         return
-    fleet = load_checked_fleet(file)
+    fleet = load_checked_fleet(file, tolerant=True)
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
     flags["--new-journal"] = new_journal

@@ -3,34 +3,40 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from adapters.host.host import apply_make_defaults, find_controller_problems
+from adapters.host.makes import apply_make_defaults, find_controller_problems
 from orchestrator.model.files import FileError, FileProblem, parse_file, read_file
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.problems import Problem
 from orchestrator.runtime.simulated import find_simulation_problems
 
 
-def load_checked_fleet(file: Path) -> Fleet:
+def load_checked_fleet(file: Path, *, tolerant: bool = False) -> Fleet:
     """Load the fleet in `file`, each controller's part checked by its make, and with the defaults of its make.
 
-    Raises `FileError` with every problem.
+    tolerant: accept controllers whose make is installed and cannot be used; they never connect. Raises `FileError` with every problem.
     """
     source = read_file(file)
-    return _complete_fleet(parse_file(source, Fleet), lambda each: source.problem(each.place, each.text))
+    fleet = parse_file(source, Fleet)
+    return _complete_fleet(fleet, lambda each: source.problem(each.place, each.text), tolerant=tolerant)
 
 
 def check_fleet(fleet: Fleet) -> Fleet:
     """The same for a fleet that a program has made. Raises `FileError` with every problem."""
     name = f"fleet {fleet.fleet}"
-    return _complete_fleet(fleet, lambda each: FileProblem(name, 0, ".".join(map(str, each.place)), each.text))
+    return _complete_fleet(
+        fleet, lambda each: FileProblem(name, 0, ".".join(map(str, each.place)), each.text), tolerant=False
+    )
 
 
-def _complete_fleet(fleet: Fleet, locate: Callable[[Problem], FileProblem]) -> Fleet:
+def _complete_fleet(fleet: Fleet, locate: Callable[[Problem], FileProblem], *, tolerant: bool) -> Fleet:
     fleet = apply_make_defaults(fleet)
     problems = [
         locate(each)
         for name, config in fleet.controllers.items()
-        for each in [*find_controller_problems(name, config), *find_simulation_problems(name, config)]
+        for each in [
+            *find_controller_problems(name, config, tolerant=tolerant),
+            *find_simulation_problems(name, config),
+        ]
     ]
     if problems:
         raise FileError(problems)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from adapters.contract import ExamplePlace
-from adapters.host.host import find_make
+from adapters.host.makes import find_make
 
 _HEAD = """\
 # {makes}.

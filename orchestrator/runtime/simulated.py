@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ValidationError
 
 from adapters.contract import validate_options
-from adapters.host.host import find_make
+from adapters.host.makes import find_make_or_substitute
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
@@ -19,7 +19,7 @@ DECODE_US = 500  # of a firmware of which nothing is stated
 def make_simulator_options(config: Controller) -> Mapping[str, Any]:
     """The options of the simulator for a controller that has passed its make's check: set up like the machine that
     the file describes. What `simulate.options` states has precedence."""
-    options = validate_options(find_make(config.adapter).options_model, config)
+    options = validate_options(find_make_or_substitute(config.adapter).options_model, config)
     expected = {name: getattr(options, name) for name in type(options).model_fields}
     derived = find_simulator(config.adapter).make_options(config, expected)
     return {**derived, **config.simulate.options}
@@ -37,7 +37,7 @@ def find_timing(config: Controller) -> SimulatedTiming:
     simulate = config.simulate
     if simulate.decode_us is not None:
         return SimulatedTiming(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US)
-    least_us, most_us = _find_decoding_us(validate_options(find_make(config.adapter).options_model, config))
+    least_us, most_us = _find_decoding_us(validate_options(find_make_or_substitute(config.adapter).options_model, config))
     if least_us <= DECODE_US <= most_us:
         return SimulatedTiming(DECODE_US * NS_PER_US, simulate.spread_us * NS_PER_US)
     return SimulatedTiming(least_us * NS_PER_US, (most_us - least_us) * NS_PER_US)

@@ -12,7 +12,8 @@ from random import Random
 from typing import Any, TypeVar
 
 from adapters.controller.store import FileStore
-from adapters.host.host import AdapterHost, HostEnvironment, stops_by_line
+from adapters.host.host import AdapterHost, HostEnvironment
+from adapters.host.makes import stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys

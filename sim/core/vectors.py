@@ -9,13 +9,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, cast
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.queue import EventQueue
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.plugins import PluginListing, list_plugins, load_plugin
 from sim.core.controller import PortConnection, Simulator, VectorBench
 
 QUIET_NS = 200_000_000  # a reply ends after this time without a byte
@@ -48,16 +48,22 @@ class VectorReport:
     failures: dict[str, list[VectorFailure]] = field(default_factory=dict[str, list[VectorFailure]])
 
 
+# What a plug-in must have. A simulator of another project need not derive from `Simulator`.
+_MEMBERS = ("model", "build_controller", "options_model", "make_options", "vector_bench")
+
+
 @cache
 def find_simulator(model: str) -> Simulator:
-    """Return the simulator that the entry points of `tutti.simulators` give for `model`; `ValueError` lists the known
-    ones."""
-    models = entry_points(group="tutti.simulators")
-    for entry in models:
-        if entry.name == model:
-            return cast(Simulator, entry.load())
-    names = ", ".join(sorted(entry.name for entry in models))
-    raise ValueError(f"no simulator for model {model!r}; known models: {names}")
+    """Return the simulator that the entry points of `tutti.simulators` give for `model`.
+
+    Raises `UnknownPlugin`, which lists the known ones, or `PluginError`; both are a `ValueError`.
+    """
+    return cast(Simulator, load_plugin("tutti.simulators", model, _MEMBERS))
+
+
+def list_simulators() -> list[PluginListing]:
+    """Return all installed simulators, with the reason where one cannot be used."""
+    return list_plugins("tutti.simulators", _MEMBERS)
 
 
 def read_vectors(path: Path) -> list[Vector]:

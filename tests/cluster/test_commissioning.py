@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from cluster.worlds import EXAMPLES, changed, job, outcome, run_fleet
 
-from adapters.host.host import apply_make_defaults, find_controller_problems
+from adapters.host.makes import apply_make_defaults, find_controller_problems
 from orchestrator.model.files import load_fleet, parse_file, read_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet

@@ -10,7 +10,7 @@ from typing import Any
 from drivers_together import Together
 
 from adapters.contract import Driver, DriverSetup, HostInterval, Lowered, MoveOutcome, TimedWriter
-from adapters.host.host import find_make
+from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual

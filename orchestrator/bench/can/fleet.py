@@ -12,7 +12,7 @@ from random import Random
 from typing import Any
 
 from adapters.contract import Driver, DriverSetup
-from adapters.host.host import find_make
+from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.figures import BenchFigure, make_figure
 from orchestrator.clock.base import NS_PER_US

@@ -6,7 +6,7 @@ from typing import cast
 import pytest
 
 from adapters.contract import TimedWriter
-from adapters.host.host import find_make
+from adapters.host.makes import find_make
 from adapters.toolkit.firing import ORDINARY_DELAY_US, FiringOptions, WriteOrder, apply_writer_delay, write_at_instant
 
 FIRER = cast(TimedWriter, SimpleNamespace(max_delay_us=ORDINARY_DELAY_US))

@@ -1,0 +1,117 @@
+"""Plug-ins: makes and simulators that installed packages provide by entry points, and the version of their contract.
+
+A plug-in that cannot be used, for whatever reason, is a `PluginError` that names its package, and what to do. Nothing
+is imported before it is used: a broken plug-in concerns only what uses it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
+
+from orchestrator.model.errors import TuttiError
+
+API_VERSION = 1
+"""Version of the contract for makes and simulators. A plug-in states the one that it was written for in its attribute
+`api_version`; without this attribute it is 1. It rises when a plug-in has to be changed."""
+
+PluginGroup = Literal["tutti.adapters", "tutti.simulators"]
+_KINDS = {"tutti.adapters": "adapter", "tutti.simulators": "simulator"}
+_KNOWN = {"tutti.adapters": "known adapters", "tutti.simulators": "known models"}
+
+
+class PluginError(TuttiError, ValueError):
+    """A plug-in that cannot be used. remedy: what a person can do."""
+
+    def __init__(self, text: str, remedy: str) -> None:
+        super().__init__(f"{text}; {remedy}")
+        self.text = text
+        self.remedy = remedy
+
+
+class UnknownPlugin(TuttiError, ValueError):
+    """No installed package provides this name."""
+
+
+@dataclass(frozen=True, slots=True)
+class PluginListing:
+    """A plug-in as it is installed.
+
+    package: name and version of its package. target: what its entry point refers to.
+    problem: why it cannot be used; empty if it can.
+    """
+
+    group: PluginGroup
+    name: str
+    package: str
+    target: str
+    problem: str = ""
+
+
+def plugin_names(group: PluginGroup) -> list[str]:
+    """Return the names of a group, without importing anything."""
+    return sorted({entry.name for entry in entry_points(group=group)})
+
+
+def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
+    """Return the object that is installed as `name`. members: the attributes that it must have.
+
+    Raises `UnknownPlugin` with the known names, `PluginError`.
+    """
+    kind = _KINDS[group]
+    found = [entry for entry in entry_points(group=group) if entry.name == name]
+    if not found:
+        raise UnknownPlugin(f"no {kind} {name[:80]!r}; {_KNOWN[group]}: {', '.join(plugin_names(group))}")
+    if len(found) > 1:
+        packages = " and ".join(sorted(_package_of(each) for each in found))
+        raise PluginError(
+            f"{len(found)} packages provide the {kind} {name}: {packages}",
+            "uninstall all but one of them",
+        )
+    (entry,) = found
+    place = f"the {kind} {name} of package {_package_of(entry)} (entry point {entry.value})"
+    try:
+        plugin: Any = entry.load()
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {error}".strip().partition("\n")[0][:300]
+        raise PluginError(
+            f"{place} cannot be imported: {reason}", "repair or uninstall this package; `tutti adapter ls` lists all"
+        ) from None
+    _require_version(plugin, place, _package_of(entry))
+    missing = [each for each in members if not hasattr(plugin, each)]
+    if missing:
+        raise PluginError(f"{place} has no {', '.join(missing)}", "see the contract in `tutti.adapter`")
+    return plugin
+
+
+def list_plugins(group: PluginGroup, members: Sequence[str]) -> list[PluginListing]:
+    """Return all plug-ins of a group, each imported to find out whether it can be used."""
+    found: list[PluginListing] = []
+    for entry in sorted(entry_points(group=group), key=lambda each: each.name):
+        problem = ""
+        try:
+            load_plugin(group, entry.name, members)
+        except PluginError as error:
+            problem = str(error)
+        found.append(PluginListing(group, entry.name, _package_of(entry), entry.value, problem))
+    return found
+
+
+def _require_version(plugin: Any, place: str, package: str) -> None:
+    """Raise `PluginError` for a plug-in that was written for another version of the contract."""
+    version = getattr(plugin, "api_version", 1)
+    if type(version) is not int:
+        raise PluginError(f"{place}: api_version is {version!r}", f"it must be a whole number, now {API_VERSION}")
+    if version != API_VERSION:
+        older = version < API_VERSION
+        raise PluginError(
+            f"{place} was written for version {version} of the contract (api_version); this Tutti has {API_VERSION}",
+            f"install a newer release of {package.partition(' ')[0]}"
+            if older
+            else f"install a newer Tutti, or an older release of {package.partition(' ')[0]}",
+        )
+
+
+def _package_of(entry: EntryPoint) -> str:
+    """Return name and version of the package that provides an entry point."""
+    return "unknown" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
