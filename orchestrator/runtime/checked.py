@@ -13,7 +13,9 @@ from orchestrator.runtime.simulated import find_simulation_problems
 def load_checked_fleet(file: Path, *, tolerant: bool = False) -> Fleet:
     """Load the fleet in `file`, each controller's part checked by its make, and with the defaults of its make.
 
-    tolerant: accept controllers whose make is installed and cannot be used; they never connect. Raises `FileError` with every problem.
+    tolerant: accept controllers whose make is installed and cannot be used; they never connect.
+
+    Raises `FileError` with every problem.
     """
     source = read_file(file)
     fleet = parse_file(source, Fleet)

@@ -2,7 +2,8 @@
 
 import pytest
 from adapter_worlds import CASES
-from wire_fuzz import run_conversation
+
+from orchestrator.conformance.wire_fuzz import run_conversation
 
 MAKES = ("smc4000", "smc2000", "shrc203", "smc30", "ppsmc", "cia402")
 CONVERSATIONS = 50  # of each make
@@ -18,7 +19,7 @@ def converse(make: str, seeds: range) -> None:
     for seed in seeds:
         name = names[seed % len(names)]
         try:
-            ended = run_conversation(name, seed)
+            ended = run_conversation(name, CASES[name], seed)
         except Exception as error:
             raise AssertionError(f"{name}, seed {seed}: {error!r}") from error
         kind = ended.partition(":")[0]

@@ -6,10 +6,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from random import Random
 
-from adapter_worlds import CASES, World, run
-
 from adapters.controller.readings import require_sound_reading
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.conformance.findings import require
+from orchestrator.conformance.worlds import Case, World, run_case
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.can import CanFrame, decode_frames, encode_frames
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -109,7 +109,8 @@ async def converse(world: World, mutator: ReplyMutator) -> str:
             await sleep_ns(world.clock, NS_PER_S // 20)
         await driver.check_settings(everything=True)
         mutator.is_active = True
-        profiles = await world.plan({axis: draw.choice((1500, -3000)) for axis in world.axes})
+        far = {axis: draw.choice((1.5, -3)) for axis in world.axes}
+        profiles = await world.plan({axis: world.short_targets(factor)[axis] for axis, factor in far.items()})
         await world.arm(profiles)
         await driver.verify_armed()
         released = True
@@ -120,7 +121,7 @@ async def converse(world: World, mutator: ReplyMutator) -> str:
     except EXPECTED as error:
         ended = f"{type(error).__name__}: {error}"
     mutator.is_active = False
-    assert released or len(world.motions) == before, f"moved without a release, after {ended}"
+    require(released or len(world.motions) == before, f"an axis moved without a release, after {ended}")
     with suppress(*EXPECTED):
         await driver.stop(abort=False)
     await world.leave()
@@ -128,8 +129,8 @@ async def converse(world: World, mutator: ReplyMutator) -> str:
     return ended
 
 
-def run_conversation(name: str, seed: int) -> str:
-    """Run one conversation of a case; return what ended it."""
+def run_conversation(name: str, case: Case, seed: int) -> str:
+    """Run one conversation of a case; return what ended it. name: of the case, for the draws."""
     ended: list[str] = []
 
     async def main(world: World) -> None:
@@ -137,7 +138,7 @@ def run_conversation(name: str, seed: int) -> str:
         mutator = ReplyMutator(
             draw,
             draw.choice((0.02, 0.1, 0.4)),
-            can=CASES[name].controller.link.kind == "can",
+            can=case.controller.link.kind == "can",
             only_at=draw.choice((None, draw.randrange(1, 60))),
         )
         for unit in world.units:
@@ -145,5 +146,5 @@ def run_conversation(name: str, seed: int) -> str:
         async with asyncio.timeout(LONGEST_S):
             ended.append(await converse(world, mutator))
 
-    run(name, main, seed)
+    run_case(case, main, seed)
     return ended[0]

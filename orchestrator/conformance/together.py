@@ -154,10 +154,10 @@ class Together(Driver):
         worst = next((each for each in found if each.state != "done"), found[0])
         return MoveOutcome(worst.state, {axis: at for each in found for axis, at in each.ended.items()}, worst.reason)
 
-    async def stop(self, abort: bool) -> None:
+    async def stop(self, *, abort: bool) -> None:
         await at_once(each.stop(abort=abort) for each in self._drivers)
 
-    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
         await at_once(one.set_enabled(own, on=on) for one, own in self._of(axes))
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
@@ -173,7 +173,7 @@ class Together(Driver):
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
         await at_once(one.load_soft_limits({axis: limits[axis] for axis in own}) for one, own in self._of(list(limits)))
 
-    async def set_output(self, number: int, on: bool) -> None:
+    async def set_output(self, number: int, *, on: bool) -> None:
         await self._drivers[0].set_output(number, on=on)
 
     async def clear_faults(self) -> None:
