@@ -1,7 +1,105 @@
-"""All checks of the contract."""
+"""The whole suite for one make, as `tutti adapter check` runs it."""
 
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+from orchestrator.conformance.examples import make_case
+from orchestrator.conformance.findings import ContractBroken, NotApplicable, require
 from orchestrator.conformance.losses import LOSS_CHECKS
+from orchestrator.conformance.power_cuts import COMMANDED, CUT_MOMENTS_NS, check_power_cuts
 from orchestrator.conformance.steps import STEP_CHECKS
 from orchestrator.conformance.stops import STOP_CHECKS
+from orchestrator.conformance.wire_fuzz import run_conversation
+from orchestrator.conformance.worlds import Case
+from sim.core.vectors import check_file, find_simulator
 
 CONTRACT_CHECKS = (*STEP_CHECKS, *STOP_CHECKS, *LOSS_CHECKS)
+CONVERSATIONS = 40
+LONG_CONVERSATIONS = 400
+
+
+@dataclass(frozen=True, slots=True)
+class MakeCheck:
+    """One check of a make. part: contract, power cuts, replies, vectors or campaign. name: what holds if it passes."""
+
+    part: str
+    name: str
+    call: Callable[[], None]
+
+    def run(self) -> None:
+        """Run it. Raises `ContractBroken`, `NotApplicable`, or what the plug-in raises."""
+        self.call()
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """The result of a check. text: what was found, or why it does not apply."""
+
+    part: str
+    name: str
+    state: str
+    text: str = ""
+
+
+def list_checks(make: str, *, everything: bool = False) -> list[MakeCheck]:
+    """Return all checks of an installed make. everything: also the variants that take minutes.
+
+    Raises `UnknownPlugin`, `PluginError`.
+    """
+    return list(_generate_checks(make, make_case(make), everything=everything))
+
+
+def run_check(check: MakeCheck) -> CheckResult:
+    """Run one check; every error is a result."""
+    try:
+        check.run()
+    except NotApplicable as reason:
+        return CheckResult(check.part, check.name, "not-applicable", str(reason))
+    except ContractBroken as broken:
+        return CheckResult(check.part, check.name, "broken", str(broken))
+    except Exception as error:
+        return CheckResult(check.part, check.name, "broken", f"{type(error).__name__}: {error}")
+    return CheckResult(check.part, check.name, "holds")
+
+
+def _generate_checks(make: str, case: Case, *, everything: bool) -> Iterator[MakeCheck]:
+    for check in CONTRACT_CHECKS:
+        if everything or not check.is_long:
+            yield MakeCheck("contract", check.name, partial(check.run, case))
+    moments_ns = CUT_MOMENTS_NS if everything else CUT_MOMENTS_NS[::4]
+    for act, command in COMMANDED.items():
+        name = f"nothing begins after a short power cut during a {act}"
+        yield MakeCheck("power cuts", name, partial(check_power_cuts, case, command, moments_ns))
+    number = LONG_CONVERSATIONS if everything else CONVERSATIONS
+    name = f"{number} conversations with wrong replies end in faults only"
+    yield MakeCheck("replies", name, partial(_check_conversations, make, case, number))
+    for file in vector_files(make):
+        yield MakeCheck("vectors", f"the simulator fulfils {file.name}", partial(_check_vectors, make, file))
+
+
+def vector_files(make: str) -> Sequence[Path]:
+    """Return the files of vectors that a make's simulator names (attribute `vector_files`)."""
+    return cast(Sequence[Path], getattr(cast(Any, find_simulator(make)), "vector_files", ()))
+
+
+def _check_conversations(make: str, case: Case, number: int) -> None:
+    for seed in range(number):
+        try:
+            run_conversation(make, case, seed)
+        except ContractBroken:
+            raise
+        except Exception as error:
+            raise ContractBroken(f"conversation {seed} ended with {type(error).__name__}: {error}") from error
+
+
+def _check_vectors(make: str, file: Path) -> None:
+    report = check_file(make, file)
+    text = f"{len(report.failures)} of {len(report.failures) + len(report.passed)} vectors fail"
+    for failures in list(report.failures.values())[:1]:
+        each = failures[0]
+        text += f"; {each.vector}: sent {each.sent!r}, expected {each.expected}, received {each.received}"
+    require(not report.failures, text)
+    require(report.passed, f"{file} has no vectors")
