@@ -1,10 +1,12 @@
 """Run `tutti demo` of an installation outside the checkout: `python tools/wheel_demo.py PATH/TO/bin/tutti`.
 
-Fails if the job is not done, or if anything of the checkout is used.
+Also builds, installs and checks the example make `acme` and a new one. Fails if the job is not done, if a check fails,
+or if anything of the checkout is used.
 """
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -37,12 +39,37 @@ def run_demo(tutti: Path) -> str:
             if done.returncode:
                 return f"{' '.join(command)}: {done.stderr}"
         demo = run(str(tutti), "demo", "--headless", "--json")
+        problem = check_makes(tutti, Path(elsewhere), environment)
+        if problem:
+            return problem
     try:
         report = json.loads(demo.stdout)
     except ValueError:
         return demo.stderr or demo.stdout
     # Whether the start skew is guaranteed depends on how busy this machine is.
     return "" if report.get("state") == "done" else demo.stdout
+
+
+def check_makes(tutti: Path, elsewhere: Path, environment: dict[str, str]) -> str:
+    """Return what is wrong with the makes outside the tree; empty if nothing is."""
+    site = elsewhere / "site"
+    around = {**environment, "PYTHONPATH": str(site)}
+    shutil.copytree(ROOT / "deploy" / "examples" / "adapter-acme", elsewhere / "adapter-acme")
+    install = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--target", str(site)]
+    python = str(tutti.with_name("python"))
+    for command in (
+        [str(tutti), "adapter", "new", "mc2000"],
+        [python, *install, "./adapter-acme", "./mc2000"],
+        [str(tutti), "adapter", "check", "tutti-acme"],
+        [str(tutti), "adapter", "check", "mc2000"],
+        [str(tutti), "adapter", "ls"],
+    ):
+        done = subprocess.run(
+            command, cwd=elsewhere, env=around, capture_output=True, text=True, timeout=LIMIT_S, check=False
+        )
+        if done.returncode:
+            return f"{' '.join(command)}: {done.stdout}{done.stderr}"
+    return ""
 
 
 if __name__ == "__main__":

@@ -1,39 +1,16 @@
 """The case of a make for the contract suite, from its own example of a fleet file."""
 
-from typing import Any
-
-import yaml
-
-from adapters.contract import ExamplePlace, validate_options
-from adapters.host.makes import apply_make_defaults, find_controller_problems, find_make
+from adapters.contract import validate_options
+from adapters.host.makes import find_make
+from orchestrator.clock.queue import EventQueue
 from orchestrator.conformance.worlds import Case
-from orchestrator.model.fleet import Fleet
-from orchestrator.model.plugins import PluginError
+from orchestrator.runtime.example_fleet import make_example_fleet_of
 from sim.core.vectors import find_simulator
 
 # Of the time that an axis takes at its highest speed.
 USUAL_S = 0.3
 BASE_S = 0.25
 SHORT_S = 0.0125
-
-
-def make_example_fleet_of(make: str) -> Fleet:
-    """Return a fleet with one controller, named `it`, as the make's example describes it.
-
-    Raises `PluginError` for an example that cannot be used.
-    """
-    text = find_make(make).fleet_example(ExamplePlace(0, 0))
-    try:
-        config: Any = yaml.safe_load(text)
-        plain = {"schema": "tutti.fleet/1", "fleet": "check", "controllers": {"it": config}}
-        fleet = apply_make_defaults(Fleet.model_validate(plain))
-    except (yaml.YAMLError, ValueError) as error:
-        raise PluginError(f"fleet_example of {make} is no part of a fleet file: {error}", "correct it") from None
-    problems = find_controller_problems("it", fleet.controllers["it"])
-    if problems:
-        text = "; ".join(each.text for each in problems)
-        raise PluginError(f"fleet_example of {make} does not pass check_config: {text}", "correct one of them")
-    return fleet
 
 
 def make_case(make: str) -> Case:
@@ -47,8 +24,8 @@ def make_case(make: str) -> Case:
     expected = {name: getattr(options, name) for name in type(options).model_fields}
     plain = config.to_plain()
     # The checks know one of each, by this name.
-    plain["inputs"] = {"line": each.to_plain() for each in list(config.inputs.values())[:1]}
-    plain["outputs"] = {"line": each.to_plain() for each in list(config.outputs.values())[:1]}
+    for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
+        plain[kind] = dict(zip(["line"], (each.to_plain() for each in points.values()), strict=False))
     speeds = [axis.limits.velocity * float(axis.scale) for axis in config.axes.values()]
     slowest = min(speeds)
     simulate = {**simulator.make_options(config, expected), **config.simulate.options}
@@ -66,7 +43,5 @@ def make_case(make: str) -> Case:
 def _find_port(kind: str, make: str) -> str:
     """Return the port of the simulated controller that a link leads to: that of the link's kind, or its first one,
     which is behind a bridge."""
-    from orchestrator.clock.queue import EventQueue
-
     ports = find_simulator(make).vector_bench(EventQueue(), {}).controller.port_names
     return kind if kind in ports else ports[0]

@@ -1,10 +1,14 @@
 """A whole fleet file from the examples of makes: commented, checked, and ready for `--sim`."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import yaml
 
 from adapters.contract import ExamplePlace
-from adapters.host.makes import find_make
+from adapters.host.makes import apply_make_defaults, find_controller_problems, find_make
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.plugins import PluginError
 
 _HEAD = """\
 # {makes}.
@@ -49,3 +53,22 @@ def make_example_fleet(makes: Sequence[MakeCount], fleet: str, file: str) -> str
 def _indent(text: str) -> str:
     """Return the lines of an example below `controllers: NAME:`."""
     return "".join(f"    {line}\n" if line else "\n" for line in text.strip().splitlines())
+
+
+def make_example_fleet_of(make: str) -> Fleet:
+    """Return a fleet with one controller, named `it`, as the make's example describes it.
+
+    Raises `PluginError` for an example that cannot be used.
+    """
+    text = find_make(make).fleet_example(ExamplePlace(0, 0))
+    try:
+        config: Any = yaml.safe_load(text)
+        plain = {"schema": "tutti.fleet/1", "fleet": "check", "controllers": {"it": config}}
+        fleet = apply_make_defaults(Fleet.model_validate(plain))
+    except (yaml.YAMLError, ValueError) as error:
+        raise PluginError(f"fleet_example of {make} is no part of a fleet file: {error}", "correct it") from None
+    problems = find_controller_problems("it", fleet.controllers["it"])
+    if problems:
+        text = "; ".join(each.text for each in problems)
+        raise PluginError(f"fleet_example of {make} does not pass check_config: {text}", "correct one of them")
+    return fleet

@@ -13,10 +13,13 @@ class ExamplesMissing(TuttiError):
 
 
 def find_example(name: str) -> Path:
-    """The example file `name`, e.g. `demo.fleet.yaml`. Raises `ExamplesMissing`."""
+    """The example `name`: a file, e.g. `demo.fleet.yaml`, or a folder. Raises `ExamplesMissing`."""
     if _CHECKOUT.is_dir():
         return _CHECKOUT / name
+    place = ("share", "tutti", "examples", name)
     for each in metadata.files("tutti") or []:
-        if each.parts[-4:] == ("share", "tutti", "examples", name):
+        if each.parts[-4:] == place:
             return Path(str(each.locate())).resolve()
+        if each.parts[-5:-1] == place:
+            return Path(str(each.locate())).resolve().parent
     raise ExamplesMissing(f"this installation of Tutti has no example {name}; install it again from its wheel")

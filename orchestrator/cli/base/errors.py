@@ -126,11 +126,14 @@ def _exit_with_known_error(error: Exception) -> None:
     from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable
     from orchestrator.model.errors import Refusal
     from orchestrator.model.files import FileError
+    from orchestrator.model.plugins import PluginError
     from orchestrator.runtime.state_folder import UpFailed
 
     match error:
         case FileError():
             exit_with_error(str(error), BAD_INPUT, code="bad-file")
+        case PluginError():
+            exit_with_error(error.text, FAILED, error.remedy, code="plug-in")
         case BadEndpoint():
             exit_with_error(str(error), BAD_INPUT, code="bad-endpoint")
         case RouterUnreachable() | RouterRefused():
