@@ -4,6 +4,7 @@ from adapters.contract import validate_options
 from adapters.host.makes import find_make
 from orchestrator.clock.queue import EventQueue
 from orchestrator.conformance.worlds import Case
+from orchestrator.model.fleet import Controller
 from orchestrator.runtime.example_fleet import make_example_fleet_of
 from sim.core.vectors import find_simulator
 
@@ -13,12 +14,13 @@ BASE_S = 0.25
 SHORT_S = 0.0125
 
 
-def make_case(make: str) -> Case:
-    """Return the case of a make: one controller of its example, and the simulator that fits it.
+def make_case(make: str, config: Controller | None = None) -> Case:
+    """Return the case of a make: one controller of its example, or `config`, and the simulator that fits it.
 
     Raises `UnknownPlugin`, `PluginError`.
     """
-    config = make_example_fleet_of(make).controllers["it"]
+    if config is None:
+        config = make_example_fleet_of(make).controllers["it"]
     simulator = find_simulator(make)
     options = validate_options(find_make(make).options_model, config)
     expected = {name: getattr(options, name) for name in type(options).model_fields}
@@ -37,6 +39,7 @@ def make_case(make: str) -> Case:
         base_counts=round(slowest * BASE_S),
         short_counts=max(10, round(slowest * SHORT_S)),
         jogs_together=False,
+        forgives_late_lines=True,
     )
 
 

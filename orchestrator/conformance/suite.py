@@ -44,12 +44,13 @@ class CheckResult:
     text: str = ""
 
 
-def list_checks(make: str, *, everything: bool = False) -> list[MakeCheck]:
-    """Return all checks of an installed make. everything: also the variants that take minutes.
+def list_checks(make: str, *, everything: bool = False, case: Case | None = None) -> list[MakeCheck]:
+    """Return all checks of an installed make. everything: also the variants that take minutes. case: the controller to
+    be checked; None: that of the make's example.
 
     Raises `UnknownPlugin`, `PluginError`.
     """
-    return list(_generate_checks(make, make_case(make), everything=everything))
+    return list(_generate_checks(make, case or make_case(make), everything=everything))
 
 
 def run_check(check: MakeCheck) -> CheckResult:

@@ -139,7 +139,8 @@ class LineController(ABC):
         def reply(text: str) -> None:
             self.send_text(port, text)
 
-        self._partial[port] += self.take_immediate(data, reply)
+        kept = self.take_immediate(data, reply)  # which may empty the buffers
+        self._partial[port] += kept
         while port in self._partial and self.is_on and self.may_parse():
             line, found, rest = self._partial[port].partition(self.firmware.terminator)
             if not found:

@@ -45,12 +45,14 @@ class LineStep:
 
     is_done: recognises the last line of the reply; None: the controller does not reply.
     until: then the status is read until it is one of these. timeout_s: of reply and status; None: the usual one.
+    expected: what is expected, for messages.
     """
 
     data: bytes = b""
     is_done: Callable[[str], bool] | None = None
     until: tuple[LineState, ...] = ()
     timeout_s: float | None = None
+    expected: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +68,15 @@ class LineTarget:
 
 @dataclass(frozen=True, slots=True)
 class LineSetting:
-    """A stored setting that must have a certain value. step: reads it. read: finds the value in a line of the reply;
-    None where the line has none. item: what it is, for messages."""
+    """A stored setting that must have a certain value, or at least it. step: reads it. read: finds the value in a line
+    of the reply; None where the line has none. item: what it is, for messages."""
 
     item: str
     step: LineStep
     read: Callable[[str], float | None]
     expected: float
     remedy: str
+    is_minimum: bool = False
 
 
 @dataclass(frozen=True, slots=True)

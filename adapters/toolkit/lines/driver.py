@@ -112,10 +112,17 @@ class LineDriver(ConnectedDriver[LineConnection]):
         if self._number and number == self._number:
             return
         self._restarted = self._restarted or self._number != 0
-        self._number = unit.number = number % _MOST_NUMBERS + 1
-        with suppress(Refusal):  # in an alarm; it is numbered when that is cleared
-            await unit.session.run_procedure(self._dialect.write_session(self._number))
+        unit.number = number % _MOST_NUMBERS + 1
+        try:
+            await unit.session.run_procedure(self._dialect.write_session(unit.number))
+        except Refusal:  # in an alarm: it is numbered when that is cleared
+            unit.must_number = True
         unit.has_lost_session = False
+        self._note_number(unit)
+
+    def _note_number(self, unit: LineUnit) -> None:
+        """Note the number that the controller holds now; 0 if it holds none."""
+        self._number = 0 if unit.must_number else unit.number
 
     async def configure(self) -> None:
         """Compare the stored settings."""
@@ -127,8 +134,11 @@ class LineDriver(ConnectedDriver[LineConnection]):
             values = [value for line in reply.lines if (value := setting.read(line)) is not None]
             if not values:
                 raise ControllerFault("garbage", f"{setting.item} cannot be read", "is it the right make?")
-            if abs(values[0] - setting.expected) > 1e-6 * max(1.0, abs(setting.expected)):
-                text = f"{setting.item} is {values[0]:g}, the fleet file requires {setting.expected:g}"
+            tolerance = 1e-6 * max(1.0, abs(setting.expected))
+            short = setting.expected - values[0]
+            if (short if setting.is_minimum else abs(short)) > tolerance:
+                least = "at least " * setting.is_minimum
+                text = f"{setting.item} is {values[0]:g}, required is {least}{setting.expected:g}"
                 raise ControllerFault("config-mismatch", text, setting.remedy)
 
     @property
@@ -210,6 +220,8 @@ class LineDriver(ConnectedDriver[LineConnection]):
             if self._dialect.traits.switches_motors:
                 motors = [self._config.axes[name].motors[0] for name in axes]
                 await unit.session.run_procedure(self._dialect.switch_motors(motors, on=on))
+                await unit.number_again()
+                self._note_number(unit)
         self._enabled.update(axes) if on else self._enabled.difference_update(axes)
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
@@ -276,24 +288,26 @@ class LineDriver(ConnectedDriver[LineConnection]):
             await unit.wait_until_tidy()
             state = await unit.read_state()
             motor = self._config.axes[axis].motors[0]
-            others = any(each.moving for name, each in state.status.axes.items() if name != motor)
-            if state.status.axes[motor].moving and state.status.state == "moving":
+            if state.status.state != "moving":
+                self._jogs.clear()
+            joint = self._dialect.traits.joint
+            if state.status.state == "moving" and joint and axis not in self._jogs:
+                raise Refusal("busy", "another axis moves; this controller jogs one at a time", "stop it first")
+            if state.status.state == "moving" and state.status.axes[motor].moving:
                 if self._jogs.get(axis) == move:
                     return
                 self.connection.unit.session.write_at_once(self._dialect.stop_jog(motor))
                 state = await self._wait_for_rest(motor)
-            elif others and self._dialect.traits.joint:
-                raise Refusal("busy", "another axis moves; this controller jogs one at a time", "stop it first")
             if axis not in self._enabled:
                 raise Refusal("not-enabled", f"axis {axis} is not enabled", f"enable {axis} first")
             if state.status.state in ("held", "alarm") or await unit.is_restarted(state):
                 raise Refusal("not-ready", f"the controller is {state.status.state}", "see `tutti status`")
             target = self._make_jog_target(axis, move, state.counts[axis])
-            (first, *others_steps) = self._dialect.begin_jog(target)
+            (first, *others) = self._dialect.begin_jog(target)
 
             async def send(check: Callable[[], None]) -> None:
                 await unit.session.run_once(first, check)
-                await unit.session.run_procedure(others_steps)
+                await unit.session.run_procedure(others)
 
             await send_or_brake(
                 send,
@@ -351,6 +365,7 @@ class LineDriver(ConnectedDriver[LineConnection]):
                 raise Refusal("moving", "faults cannot be cleared while an axis moves", "wait for its end, or stop it")
             if state.status.state == "alarm":
                 await unit.clear_alarm()
+                self._note_number(unit)
 
     async def send_raw(self, command: str) -> str:
         if not command.isascii() or not command.isprintable():

@@ -62,18 +62,16 @@ class LineMover:
             await unit.require_ready([each.name for each in lowered.moves])
             await self._require_start(lowered)
             unit.require_no_stop(since)
-            move = self.move = LineMove(lowered, t0_ns)
+            self.move = LineMove(lowered, t0_ns)
             try:
                 if lowered.targets:
                     await unit.session.run_procedure(self._dialect.load_move(lowered.targets))
                 unit.require_no_stop(since)
             except BaseException:
                 self.move = None
-                unit.is_loaded = False
                 if lowered.targets:
                     unit.begin_tidying()
                 raise
-        unit.is_loaded = bool(move.lowered.targets)
         return {"load": self._clock.now_ns() - began_ns}
 
     async def _require_start(self, lowered: LineLowered) -> None:
@@ -131,7 +129,7 @@ class LineMover:
                 return fired, None
             timeout_ns = self._options.answer_ms * NS_PER_MS + (len(step.data) + 50) * session.link.char_ns
             try:
-                return fired, await session.wait_for_reply(expected, timeout_ns, step.data)
+                return fired, await session.wait_for_reply(expected, timeout_ns, step)
             except ControllerFault:
                 return fired, None  # lost, but it may move
 
@@ -142,7 +140,6 @@ class LineMover:
             return
         await self.cancel_start(move)
         if move.lowered.targets:
-            self._unit.is_loaded = False
             self._unit.begin_tidying()
             await self._unit.wait_until_tidy()
 
@@ -296,7 +293,6 @@ class LineMover:
     def _finish_move(self, move: LineMove) -> None:
         if self.move is move:
             self.move = None
-            self._unit.is_loaded = False
 
     def _require_move(self) -> LineMove:
         if self.move is None:

@@ -123,10 +123,10 @@ class LineSession:
         self._expected = ExpectedReply(is_done, self._clock.now_ns())
         return self._expected
 
-    async def wait_for_reply(self, expected: ExpectedReply, timeout_ns: int, command: bytes) -> LineReply:
+    async def wait_for_reply(self, expected: ExpectedReply, timeout_ns: int, step: LineStep) -> LineReply:
         """Wait for an expected reply."""
         expected.answer.timer = self._clock.call_at_ns(
-            self._clock.now_ns() + timeout_ns, lambda: self._handle_timeout(expected, command)
+            self._clock.now_ns() + timeout_ns, lambda: self._handle_timeout(expected, step)
         )
         try:
             return await expected.answer.future
@@ -180,20 +180,20 @@ class LineSession:
             raise
         usual_ns = self._answer_ns + (len(step.data) + 100) * self.link.char_ns
         timeout_ns = usual_ns if step.timeout_s is None else round(step.timeout_s * NS_PER_S)
-        return await self.wait_for_reply(expected, timeout_ns, step.data)
+        return await self.wait_for_reply(expected, timeout_ns, step)
 
-    def _handle_timeout(self, expected: ExpectedReply, command: bytes) -> None:
+    def _handle_timeout(self, expected: ExpectedReply, step: LineStep) -> None:
         self._disturbed = True
         if expected.lines:
-            expected.answer.set_failure(self._garbage_fault(LineStep(command), expected.lines))
+            expected.answer.set_failure(self._garbage_fault(step, expected.lines))
             return
-        fault = ControllerFault("no-answer", f"no reply to {command!r} on {self.link.endpoint}", _CHECK)
+        fault = ControllerFault("no-answer", f"no reply to {step.data!r} on {self.link.endpoint}", _CHECK)
         expected.answer.set_failure(fault)
 
     def _garbage_fault(self, step: LineStep, lines: Sequence[str]) -> ControllerFault:
-        shown = "; ".join(lines)[:200]
+        shown = "; ".join(lines)[:200] + (f"; expected is {step.expected}" if step.expected else "")
         return ControllerFault(
-            "garbage", f"{self.link.endpoint}: the reply to {step.data!r} cannot be read: {shown!r}", _CHECK
+            "garbage", f"{self.link.endpoint}: the reply to {step.data!r} cannot be read: {shown}", _CHECK
         )
 
     def _require_open(self) -> None:
@@ -220,6 +220,8 @@ class LineSession:
             self.restarted = True
             self._log.warning("the controller says that it has restarted", line=text[:100])
             self.on_restart()
+        if meaning == "restarted" and self.is_resetting:
+            meaning = "reply"  # to the reset
         expected = self._expected
         if expected is None or meaning != "reply":
             return

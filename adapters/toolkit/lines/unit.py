@@ -53,12 +53,12 @@ class LineUnit:
         """Number of stops written: a command that waits for its turn must not start a motion after one."""
         self.commanding = asyncio.Lock()
         self.is_searching = False
-        self.is_loaded = False
         self.has_lost_session = False
         self._tools = tools
         self._tidying: asyncio.Task[None] | None = None
         self._untidy: ControllerFault | None = None
-        self._must_number = False
+        self.must_number = False
+        """The controller must get its session number as soon as it accepts it."""
         self._followers: set[asyncio.Task[None]] = set()
 
     async def read_state(self) -> LineUnitState:
@@ -89,7 +89,7 @@ class LineUnit:
         """Return whether the controller has lost the session number. It is read at rest only."""
         if self.session.restarted:
             return True
-        if state.status.state != "idle" or self.is_loaded or self._tidying is not None:
+        if state.status.state != "idle" or self.must_number or self._tidying is not None:
             return False
         self.has_lost_session = await self.read_number() != self.number
         return self.has_lost_session
@@ -198,7 +198,7 @@ class LineUnit:
         if before is not None and after.counts != before:
             self.has_lost_session = True
         elif after.status.state == "alarm":
-            self._must_number = True
+            self.must_number = True
         elif not session.restarted:
             await session.run_procedure(self.dialect.write_session(self.number))
 
@@ -208,9 +208,13 @@ class LineUnit:
         state = await self.read_state()
         if state.status.state == "alarm":
             raise Refusal("alarm", f"the controller still reports {state.status.alarm}", "see the controller")
-        if self._must_number:
+        await self.number_again()
+
+    async def number_again(self) -> None:
+        """Write the session number if it could not be written before."""
+        if self.must_number and (await self.read_state()).status.state != "alarm":
             await self.session.run_procedure(self.dialect.write_session(self.number))
-            self._must_number = False
+            self.must_number = False
 
     def cancel(self) -> None:
         """End what runs by itself."""

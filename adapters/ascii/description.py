@@ -1,0 +1,208 @@
+"""The description of a controller with text lines: a YAML file."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from adapters.ascii.patterns import LinePattern
+from adapters.toolkit.lines.dialect import LineState
+from orchestrator.model.errors import TuttiError
+from orchestrator.model.explain import list_problems
+
+PACKAGED = Path(__file__).with_name("descriptions")
+MOST_BYTES = 100_000
+SCHEMA = "tutti.ascii/1"
+
+
+class DescriptionError(TuttiError, ValueError):
+    """A description that cannot be used; the message names file, field and reason."""
+
+
+def _check_pattern(text: str) -> str:
+    LinePattern(text)
+    return text
+
+
+Pattern = Annotated[str, Field(min_length=1), AfterValidator(_check_pattern)]
+Text = Annotated[str, Field(max_length=500)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _require_groups(pattern: str, *names: str) -> None:
+    missing = [f"(?P<{name}>…)" for name in names if name not in LinePattern(pattern).groups]
+    if missing:
+        raise ValueError(f"the pattern {pattern!r} has no group {', '.join(missing)}")
+
+
+class StepText(_Part):
+    """One step of a procedure."""
+
+    send: Text = Field(default="", description="What is sent, with its end of line; {names} are filled in.")
+    last: Pattern | None = Field(default=None, description="The last line of the reply; left out: no reply.")
+    until: list[LineState] = Field(default=[], description="Then the status is read until it is one of these.")
+    timeout_s: float | None = Field(default=None, gt=0, le=3600)
+
+
+class QueryText(_Part):
+    """A query and its reply."""
+
+    send: Text
+    last: Pattern = Field(description="The last line of the reply.")
+    match: Pattern = Field(description="The line with the values.")
+
+
+class IdentityText(QueryText):
+    """Groups: model, firmware, serial; only one of them must exist."""
+
+    model: str = Field(default="", description="The model, if the reply does not name it.")
+
+    @model_validator(mode="after")
+    def _check_groups(self) -> "IdentityText":
+        if not self.model:
+            _require_groups(self.match, "model")
+        return self
+
+
+class StatusText(QueryText):
+    """Groups: `positions`, separated by commas, in the order of `motors`; `state`, or `flags` with a number of bits for
+    each motor; perhaps `free`, the free bytes of the receive buffer."""
+
+    states: dict[str, LineState] = Field(default={}, description="What each value of the group `state` means.")
+    moving_bit: int = Field(default=0, ge=0, description="Value of the bit of `flags` that means: it moves.")
+    forward_bit: int = Field(default=0, ge=0, description="Of the limit switch in forward direction.")
+    reverse_bit: int = Field(default=0, ge=0)
+    armed_bit: int = Field(default=0, ge=0, description="Of a loaded move.")
+    free_when_empty: int = Field(default=0, ge=0, description="Free bytes of an empty receive buffer.")
+
+    @model_validator(mode="after")
+    def _check_groups(self) -> "StatusText":
+        _require_groups(self.match, "positions", "state" if self.states else "flags")
+        if not self.states and not self.moving_bit:
+            raise ValueError("`states`, or `moving_bit`, must say how motion is recognised")
+        if self.free_when_empty:
+            _require_groups(self.match, "free")
+        return self
+
+
+class SessionText(QueryText):
+    """A volatile number, 0 after power-up, that nothing else uses. Group: number."""
+
+    write: Text
+    written: Pattern
+
+    @model_validator(mode="after")
+    def _check_groups(self) -> "SessionText":
+        _require_groups(self.match, "number")
+        return self
+
+
+class SettingText(QueryText):
+    """A stored setting that must have a value. Group: value. `{index}` in `match` is the number of the motor, from 0;
+    then it is compared for each axis."""
+
+    item: str
+    match: str
+    value: float | Literal["scale", "acceleration", "velocity_per_minute"]
+    is_minimum: bool = False
+    remedy: str
+
+
+class Description(_Part):
+    """Commands, reply patterns, units, status and timing of a controller."""
+
+    schema_: Literal["tutti.ascii/1"] = Field(alias="schema")
+    name: str
+    motors: list[str] = Field(min_length=1, max_length=32)
+    positions: Literal["units", "counts"] = Field(description="What it speaks in: units of the axis, or counts.")
+    decimals: int = Field(default=4, ge=0, le=9, description="Of positions that are sent.")
+    report_decimals: int = Field(default=4, ge=0, le=9, description="Of positions that are reported.")
+    velocity_factor: float = Field(default=1.0, gt=0, description="60 for speeds per minute.")
+    reply_ends: list[str] = Field(default=["\n"], min_length=1)
+    baud: int = Field(default=115_200, ge=300, le=4_000_000)
+    joint: bool = Field(default=False, description="Axes move along a straight line, with one speed on the path.")
+    fixed_acceleration: bool = False
+    armed_state: LineState = "idle"
+    answers_while_homing: bool = True
+    keeps_session: bool = Field(default=True, description="A stop does not clear the session number.")
+    spoiler: Text = Field(description="Ends a half-typed line, and does nothing else.")
+    stop: Text
+    stop_search: Text | None = Field(default=None, description="Left out: like `stop`.")
+    jog_stop: Text = Field(description="Stops one axis: {motor}.")
+    restarted: Pattern | None = None
+    ignored: Pattern | None = Field(default=None, description="Lines that belong to no command.")
+    refused: Pattern = Field(description="A refusal; its group `reason` is shown.")
+    identity: IdentityText
+    status: StatusText
+    session: SessionText
+    settings: list[SettingText] = []
+    target: Text = Field(description="One axis of a move: {motor}, {number}, {position}, {velocity}, {acceleration}.")
+    separator: str = ""
+    load: list[StepText] = Field(description="Load a move without starting it: {targets}, {path_velocity}.")
+    start: StepText
+    finish_stop: list[StepText]
+    home: list[StepText] = Field(description="{motors}; a step with {motor} or {number} is sent for each motor.")
+    jog: list[StepText]
+    enable: list[StepText] = Field(default=[], description="Sent when axes are enabled.")
+    clear_alarm: list[StepText] = []
+    reference: float = Field(default=0.0, description="Position that the controller has at the reference.")
+
+    @model_validator(mode="after")
+    def _check_texts(self) -> "Description":
+        allowed = {
+            "target": {"motor", "number", "position", "velocity", "acceleration"},
+            "load": {"targets", "path_velocity"},
+            "home": {"motors", "motor", "number"},
+            "jog": {"motor", "number", "position", "velocity", "acceleration"},
+            "jog_stop": {"motor", "number"},
+            "session.write": {"number"},
+        }
+        texts = {"target": [self.target], "jog_stop": [self.jog_stop], "session.write": [self.session.write]}
+        texts |= {name: [step.send for step in getattr(self, name)] for name in ("load", "home", "jog")}
+        for name, each in texts.items():
+            for text in each:
+                _check_names(name, text, allowed[name])
+        return self
+
+
+def _check_names(field: str, text: str, allowed: set[str]) -> None:
+    try:
+        text.format(**dict.fromkeys(allowed, "1"))
+    except (KeyError, IndexError, ValueError) as error:
+        names = ", ".join(f"{{{each}}}" for each in sorted(allowed))
+        raise ValueError(f"{field}: {text!r} has an unknown name {error}; known are {names}") from None
+
+
+def load_description(name: str) -> Description:
+    """Return the description of a packaged name or a path. Raises `DescriptionError`."""
+    packaged = PACKAGED / f"{name}.yaml"
+    path = packaged if "/" not in name and packaged.is_file() else Path(name)
+    try:
+        with path.open("rb") as file:
+            text = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        known = ", ".join(packaged_names())
+        raise DescriptionError(
+            f"description {name[:200]}: {error.strerror}; give the path of a file, or one of {known}"
+        ) from None
+    if len(text) > MOST_BYTES:
+        raise DescriptionError(f"description {name[:200]}: more than {MOST_BYTES} bytes")
+    try:
+        plain: Any = yaml.safe_load(text)
+        return Description.model_validate(plain)
+    except yaml.YAMLError as error:
+        raise DescriptionError(f"description {name[:200]}: {error}") from None
+    except ValidationError as error:
+        problems = "; ".join(
+            f"{'.'.join(map(str, each.place)) or 'file'}: {each.text}" for each in list_problems(error, Description)
+        )
+        raise DescriptionError(f"description {name[:200]}: {problems}") from None
+
+
+def packaged_names() -> list[str]:
+    """Return the names of the descriptions that come with Tutti."""
+    return sorted(each.stem for each in PACKAGED.glob("*.yaml"))

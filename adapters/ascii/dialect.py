@@ -1,0 +1,251 @@
+"""The language of a described controller."""
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import Literal
+
+from adapters.ascii.description import Description, QueryText, SettingText, StepText
+from adapters.ascii.patterns import LinePattern
+from adapters.contract import ControllerIdentity
+from adapters.toolkit.lines.dialect import (
+    LineAxisStatus,
+    LineMeaning,
+    LineSetting,
+    LineState,
+    LineStatus,
+    LineStep,
+    LineTarget,
+    LineTraits,
+)
+from orchestrator.model.fleet import Axis, Controller
+
+_Limit = Literal["none", "forward", "reverse", "both"]
+_LIMITS: dict[tuple[bool, bool], _Limit] = {
+    (True, True): "both",
+    (True, False): "forward",
+    (False, True): "reverse",
+    (False, False): "none",
+}
+
+
+class DescribedDialect:
+    """A `LineDialect` from a description, for the axes of a controller."""
+
+    def __init__(self, description: Description, config: Controller) -> None:
+        self._text = description
+        self._config = config
+        self._status = LinePattern(description.status.match)
+        self._session = LinePattern(description.session.match)
+        self._identity = LinePattern(description.identity.match)
+        self._refused = LinePattern(description.refused)
+        self._restarted = None if description.restarted is None else LinePattern(description.restarted)
+        self._ignored = None if description.ignored is None else LinePattern(description.ignored)
+
+    @property
+    def traits(self) -> LineTraits:
+        text = self._text
+        return LineTraits(
+            joint=text.joint,
+            fixed_acceleration=text.fixed_acceleration,
+            armed_state=text.armed_state,
+            answers_while_homing=text.answers_while_homing,
+            keeps_session=text.keeps_session,
+            switches_motors=bool(text.enable),
+            terminators=tuple(text.reply_ends),
+        )
+
+    @property
+    def spoiler(self) -> bytes:
+        return _encode(self._text.spoiler)
+
+    @property
+    def stop_bytes(self) -> bytes:
+        return _encode(self._text.stop)
+
+    @property
+    def stop_search_bytes(self) -> bytes:
+        return _encode(self._text.stop if self._text.stop_search is None else self._text.stop_search)
+
+    def classify_line(self, line: str) -> LineMeaning:
+        if self._restarted is not None and self._restarted.matches(line):
+            return "restarted"
+        return "ignored" if self._ignored is not None and self._ignored.matches(line) else "reply"
+
+    def find_refusal(self, line: str) -> str:
+        found = self._refused.match(line)
+        return "" if found is None else f"{line} ({self._text.name})"
+
+    # Queries
+
+    def ask_identity(self) -> LineStep:
+        return _make_query(self._text.identity)
+
+    def read_identity(self, lines: Sequence[str]) -> ControllerIdentity | None:
+        for line in lines:
+            found = self._identity.match(line)
+            if found is not None:
+                model = found.get("model", self._text.identity.model)
+                return ControllerIdentity(model, found.get("firmware", ""), found.get("serial", ""))
+        return None
+
+    def ask_status(self) -> LineStep:
+        return _make_query(self._text.status)
+
+    def read_status(self, lines: Sequence[str]) -> LineStatus | None:
+        found = self._status.match(lines[-1])
+        if found is None:
+            return None
+        text = self._text.status
+        try:
+            positions = [float(each) for each in found["positions"].split(",")]
+            flags = [int(each) for each in found["flags"].split(",")] if "flags" in found else []
+            free = int(found["free"]) if text.free_when_empty and "free" in found else None
+        except (ValueError, KeyError):
+            return None
+        motors = self._text.motors
+        if len(positions) < len(motors) or (not text.states and len(flags) < len(motors)):
+            return None
+        state: LineState
+        if text.states:
+            word = found.get("state", "")
+            if word not in text.states:
+                return None
+            state = text.states[word]
+        else:
+            state = "moving" if any(each & text.moving_bit for each in flags) else "idle"
+        axes: dict[str, LineAxisStatus] = {}
+        for number, motor in enumerate(motors):
+            bits = flags[number] if flags else 0
+            moving = bool(bits & text.moving_bit) if flags else state == "moving"
+            limit = _LIMITS[bool(bits & text.forward_bit), bool(bits & text.reverse_bit)]
+            axes[motor] = LineAxisStatus(positions[number], moving, limit)
+        loaded = None
+        if free is not None:
+            loaded = free < text.free_when_empty
+        elif text.armed_bit:
+            loaded = any(each & text.armed_bit for each in flags)
+        return LineStatus(state, axes, loaded, found.get("state", "") if state == "alarm" else "")
+
+    def ask_session(self) -> LineStep:
+        return _make_query(self._text.session)
+
+    def read_session(self, lines: Sequence[str]) -> int | None:
+        for line in lines:
+            found = self._session.match(line)
+            if found is not None:
+                return int(found["number"]) if found["number"].isdecimal() else None
+        return None
+
+    def write_session(self, number: int) -> Sequence[LineStep]:
+        text = self._text.session
+        return [_make_step(StepText(send=text.write.format(number=number), last=text.written))]
+
+    def settings(self) -> Sequence[LineSetting]:
+        found: list[LineSetting] = []
+        for text in self._text.settings:
+            if "{index}" not in text.match:
+                found.append(_make_setting(text, "", text.match, float(text.value)))
+                continue
+            for name, axis in self._config.axes.items():
+                index = self._text.motors.index(axis.motors[0])
+                match = text.match.replace("{index}", str(index))
+                found.append(_make_setting(text, f" of axis {name}", match, _setting_value(text, axis)))
+        return found
+
+    # Motion
+
+    def load_move(self, targets: Sequence[LineTarget]) -> Sequence[LineStep]:
+        text = self._text
+        written = text.separator.join(text.target.format(**self._values(each)) for each in targets)
+        distance = sqrt(sum(each.distance**2 for each in targets))
+        longest = max(targets, key=lambda each: abs(each.distance))
+        path = longest.velocity * distance / abs(longest.distance)
+        values = {"targets": written, "path_velocity": f"{path * text.velocity_factor:.6f}"}
+        return [_make_step(each, **values) for each in text.load]
+
+    def start_move(self) -> LineStep:
+        return _make_step(self._text.start)
+
+    def finish_stop(self) -> Sequence[LineStep]:
+        return [_make_step(each) for each in self._text.finish_stop]
+
+    def search_reference(self, motors: Sequence[str], timeout_s: float) -> Sequence[LineStep]:
+        steps: list[LineStep] = []
+        for text in self._text.home:
+            timed = text.model_copy(update={"timeout_s": timeout_s})
+            if "{motor}" in text.send or "{number}" in text.send:
+                steps += [_make_step(timed, motor=each, number=self._number(each), motors="") for each in motors]
+            else:
+                steps.append(_make_step(timed, motors="".join(motors)))
+        return steps
+
+    def begin_jog(self, target: LineTarget) -> Sequence[LineStep]:
+        return [_make_step(each, **self._values(target)) for each in self._text.jog]
+
+    def stop_jog(self, motor: str) -> bytes:
+        return _encode(self._text.jog_stop.format(motor=motor, number=self._number(motor)))
+
+    def switch_motors(self, motors: Sequence[str], *, on: bool) -> Sequence[LineStep]:
+        return [_make_step(each) for each in self._text.enable] if on else ()
+
+    def clear_alarm(self) -> Sequence[LineStep]:
+        return [_make_step(each) for each in self._text.clear_alarm]
+
+    def _number(self, motor: str) -> str:
+        return str(self._text.motors.index(motor) + 1)
+
+    def _values(self, target: LineTarget) -> dict[str, str]:
+        text = self._text
+        return {
+            "motor": target.motor,
+            "number": self._number(target.motor),
+            "position": f"{target.position:.{text.decimals}f}",
+            "velocity": f"{target.velocity * text.velocity_factor:.6f}",
+            "acceleration": f"{target.acceleration:.6f}",
+        }
+
+
+def _setting_value(text: SettingText, axis: Axis) -> float:
+    match text.value:
+        case "scale":
+            return float(axis.scale)
+        case "acceleration":
+            return axis.limits.acceleration
+        case "velocity_per_minute":
+            return axis.limits.velocity * 60
+        case _:
+            return float(text.value)
+
+
+def _make_setting(text: SettingText, where: str, match: str, expected: float) -> LineSetting:
+    pattern = LinePattern(match)
+
+    def read(line: str) -> float | None:
+        found = pattern.match(line)
+        try:
+            return None if found is None else float(found["value"])
+        except (ValueError, KeyError):
+            return None
+
+    return LineSetting(text.item + where, _make_query(text), read, expected, text.remedy, text.is_minimum)
+
+
+def _make_query(text: QueryText) -> LineStep:
+    last = LinePattern(text.last)
+    return LineStep(_encode(text.send), last.matches, expected=f"a line like {text.last!r}")
+
+
+def _make_step(text: StepText, **values: str) -> LineStep:
+    sent = text.send.format(**values) if values else text.send
+    last = None if text.last is None else LinePattern(text.last)
+    return LineStep(
+        _encode(sent),
+        None if last is None else last.matches,
+        tuple(text.until),
+        text.timeout_s,
+        "" if text.last is None else f"a line like {text.last!r}",
+    )
+
+
+def _encode(text: str) -> bytes:
+    return text.encode("latin-1")
