@@ -1,19 +1,17 @@
 """The description of a controller with text lines: a YAML file."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from adapters.ascii.patterns import LinePattern
 from adapters.toolkit.lines.dialect import LineState
+from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.explain import list_problems
+from orchestrator.model.files import FileError, parse_file, read_file
 
 PACKAGED = Path(__file__).with_name("descriptions")
-MOST_BYTES = 100_000
-SCHEMA = "tutti.ascii/1"
 
 
 class DescriptionError(TuttiError, ValueError):
@@ -29,8 +27,8 @@ Pattern = Annotated[str, Field(min_length=1), AfterValidator(_check_pattern)]
 Text = Annotated[str, Field(max_length=500)]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class _Part(Model):
+    """A part of a description."""
 
 
 def _require_groups(pattern: str, *names: str) -> None:
@@ -139,7 +137,7 @@ class Description(_Part):
     identity: IdentityText
     status: StatusText
     session: SessionText
-    settings: list[SettingText] = []
+    settings: list[SettingText] = Field(default=[])
     target: Text = Field(description="One axis of a move: {motor}, {number}, {position}, {velocity}, {acceleration}.")
     separator: str = ""
     load: list[StepText] = Field(description="Load a move without starting it: {targets}, {path_velocity}.")
@@ -148,7 +146,7 @@ class Description(_Part):
     home: list[StepText] = Field(description="{motors}; a step with {motor} or {number} is sent for each motor.")
     jog: list[StepText]
     enable: list[StepText] = Field(default=[], description="Sent when axes are enabled.")
-    clear_alarm: list[StepText] = []
+    clear_alarm: list[StepText] = Field(default=[])
     reference: float = Field(default=0.0, description="Position that the controller has at the reference.")
 
     @model_validator(mode="after")
@@ -181,26 +179,13 @@ def load_description(name: str) -> Description:
     """Return the description of a packaged name or a path. Raises `DescriptionError`."""
     packaged = PACKAGED / f"{name}.yaml"
     path = packaged if "/" not in name and packaged.is_file() else Path(name)
-    try:
-        with path.open("rb") as file:
-            text = file.read(MOST_BYTES + 1)
-    except OSError as error:
+    if not path.is_file():
         known = ", ".join(packaged_names())
-        raise DescriptionError(
-            f"description {name[:200]}: {error.strerror}; give the path of a file, or one of {known}"
-        ) from None
-    if len(text) > MOST_BYTES:
-        raise DescriptionError(f"description {name[:200]}: more than {MOST_BYTES} bytes")
+        raise DescriptionError(f"{name[:200]} is no file; give the path of a description, or one of {known}")
     try:
-        plain: Any = yaml.safe_load(text)
-        return Description.model_validate(plain)
-    except yaml.YAMLError as error:
-        raise DescriptionError(f"description {name[:200]}: {error}") from None
-    except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(map(str, each.place)) or 'file'}: {each.text}" for each in list_problems(error, Description)
-        )
-        raise DescriptionError(f"description {name[:200]}: {problems}") from None
+        return parse_file(read_file(path), Description)
+    except FileError as error:
+        raise DescriptionError(str(error)) from None
 
 
 def packaged_names() -> list[str]:

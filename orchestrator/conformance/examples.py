@@ -5,7 +5,7 @@ from adapters.host.makes import find_make
 from orchestrator.clock.queue import EventQueue
 from orchestrator.conformance.worlds import Case
 from orchestrator.model.fleet import Controller
-from orchestrator.runtime.example_fleet import make_example_fleet_of
+from orchestrator.runtime.example_fleet import load_example
 from sim.core.vectors import find_simulator
 
 # Of the time that an axis takes at its highest speed.
@@ -20,7 +20,7 @@ def make_case(make: str, config: Controller | None = None) -> Case:
     Raises `UnknownPlugin`, `PluginError`.
     """
     if config is None:
-        config = make_example_fleet_of(make).controllers["it"]
+        config = load_example(make)
     simulator = find_simulator(make)
     options = validate_options(find_make(make).options_model, config)
     expected = {name: getattr(options, name) for name in type(options).model_fields}

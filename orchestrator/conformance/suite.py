@@ -10,6 +10,7 @@ from orchestrator.conformance.examples import make_case
 from orchestrator.conformance.findings import ContractBroken, NotApplicable, require
 from orchestrator.conformance.losses import LOSS_CHECKS
 from orchestrator.conformance.power_cuts import COMMANDED, CUT_MOMENTS_NS, check_power_cuts
+from orchestrator.conformance.signatures import check_signatures
 from orchestrator.conformance.steps import STEP_CHECKS
 from orchestrator.conformance.stops import STOP_CHECKS
 from orchestrator.conformance.wire_fuzz import run_conversation
@@ -67,6 +68,7 @@ def run_check(check: MakeCheck) -> CheckResult:
 
 
 def _generate_checks(make: str, case: Case, *, everything: bool) -> Iterator[MakeCheck]:
+    yield MakeCheck("contract", "methods have the parameters of the contract", partial(check_signatures, case))
     for check in CONTRACT_CHECKS:
         if everything or not check.is_long:
             yield MakeCheck("contract", check.name, partial(check.run, case))

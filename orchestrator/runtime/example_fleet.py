@@ -1,13 +1,12 @@
 """A whole fleet file from the examples of makes: commented, checked, and ready for `--sim`."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-import yaml
+from typing import NamedTuple
 
 from adapters.contract import ExamplePlace
 from adapters.host.makes import apply_make_defaults, find_controller_problems, find_make
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.files import FileError, parse_document
+from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.plugins import PluginError
 
 _HEAD = """\
@@ -55,20 +54,19 @@ def _indent(text: str) -> str:
     return "".join(f"    {line}\n" if line else "\n" for line in text.strip().splitlines())
 
 
-def make_example_fleet_of(make: str) -> Fleet:
-    """Return a fleet with one controller, named `it`, as the make's example describes it.
+def load_example(make: str) -> Controller:
+    """Return the controller that the make's own example describes.
 
-    Raises `PluginError` for an example that cannot be used.
+    Raises `UnknownPlugin`, and `PluginError` for an example that cannot be used.
     """
-    text = find_make(make).fleet_example(ExamplePlace(0, 0))
+    place = f"the example of {make}"
     try:
-        config: Any = yaml.safe_load(text)
-        plain = {"schema": "tutti.fleet/1", "fleet": "check", "controllers": {"it": config}}
-        fleet = apply_make_defaults(Fleet.model_validate(plain))
-    except (yaml.YAMLError, ValueError) as error:
+        fleet = parse_document(make_example_fleet([MakeCount(make, 1)], "example", place), Fleet, place)
+    except FileError as error:
         raise PluginError(f"fleet_example of {make} is no part of a fleet file: {error}", "correct it") from None
-    problems = find_controller_problems("it", fleet.controllers["it"])
+    config = apply_make_defaults(fleet).controllers[make]
+    problems = find_controller_problems(make, config)
     if problems:
         text = "; ".join(each.text for each in problems)
         raise PluginError(f"fleet_example of {make} does not pass check_config: {text}", "correct one of them")
-    return fleet
+    return config

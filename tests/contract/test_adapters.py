@@ -3,9 +3,11 @@ truth. The checks are those that `tutti adapter check` runs."""
 
 import pytest
 from adapter_worlds import CASES
+from live.fake_make import FakeDriver
 
 from orchestrator.conformance.checks import ContractCheck
 from orchestrator.conformance.findings import NotApplicable
+from orchestrator.conformance.signatures import check_signatures, find_wrong_signatures
 from orchestrator.conformance.suite import CONTRACT_CHECKS
 
 # What not all of our makes offer. Everything else must be checked, not skipped.
@@ -23,6 +25,26 @@ def test_contract(name: str, check: ContractCheck) -> None:
     except NotApplicable as reason:
         assert any(each in check.title for each in OPTIONAL), reason
         pytest.skip(str(reason))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_methods_have_the_parameters_of_the_contract(name: str) -> None:
+    check_signatures(CASES[name])
+
+
+def test_the_make_of_the_live_tests_has_them_too() -> None:
+    assert find_wrong_signatures(FakeDriver) == []
+
+
+def test_a_parameter_that_is_missing_or_required_is_found() -> None:
+    class Older(FakeDriver):
+        async def go(self, start_tolerance_ns: int) -> None:  # type: ignore[override]
+            raise NotImplementedError
+
+    assert find_wrong_signatures(Older) == [
+        "go requires start_tolerance_ns, which callers may leave out",
+        "go has no parameter advance_ns",
+    ]
 
 
 def test_each_title_says_what_holds() -> None:

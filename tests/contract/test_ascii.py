@@ -179,7 +179,7 @@ def test_files_that_are_no_descriptions(tmp_path: Path) -> None:
         file.write_text(text)
         with pytest.raises(DescriptionError, match=name):
             load_description(str(file))
-    with pytest.raises(DescriptionError, match="give the path of a file, or one of grbl, scpi-stage"):
+    with pytest.raises(DescriptionError, match="give the path of a description, or one of grbl, scpi-stage"):
         load_description("no-such")
     config = described("no-such", {"u": {**STAGE, "motors": ["1"]}})
     with pytest.raises(ConfigError, match=r"options\.description"):

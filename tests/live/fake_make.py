@@ -63,7 +63,7 @@ class FakeDriver(Driver):
     async def verify_armed(self) -> None:
         raise NotImplementedError
 
-    async def go(self, start_tolerance_ns: int = 0) -> None:
+    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
         raise NotImplementedError
 
     async def disarm_move(self) -> None:
