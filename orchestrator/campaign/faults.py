@@ -9,14 +9,13 @@ from typing import Literal
 from orchestrator.bus.base import Priority
 from orchestrator.campaign import disk_faults
 from orchestrator.campaign.bus_faults import BusFaults
+from orchestrator.campaign.fleets import find_traits, makes_with
 from orchestrator.campaign.jobs import find_link_members
 from orchestrator.campaign.link_faults import LinkFaults
 from orchestrator.campaign.repairs import Repair, do_nothing
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.links import CanBusLink
 from orchestrator.model.messages import EstopMessage, EstopReset
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -87,8 +86,13 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("operator-lost", "fleet", of_job=True, attended=True, jog_may_continue=True),
         FaultKind("operator-resets-early", "fleet"),
         FaultKind("fleet-restarted", "fleet"),
-        FaultKind("cable-pulled", "line", makes=("smc4000",)),
-        FaultKind("second-master", "unit", must_stop=False, makes=("smc4000", "cia402")),
+        FaultKind("cable-pulled", "line", makes=makes_with(lambda traits: traits.keeps_half_open)),
+        FaultKind(
+            "second-master",
+            "unit",
+            must_stop=False,
+            makes=makes_with(lambda traits: bool(traits.change_one_thing)),
+        ),
         # Networks, lines and replies that are partly broken.
         FaultKind("one-way-partition", "host", jog_may_continue=True),
         FaultKind("one-way-gap", "host", must_stop=False),
@@ -158,17 +162,11 @@ class FaultInjector:
         """Change one thing of a controller as a second master does: over a connection of its own."""
         config = self._whole_fleet.controllers[member]
         link = await self._fleet.wires[member].open_link()
-        if config.adapter == "smc4000":
-            motor = next(iter(config.axes.values())).motors[0]
-            # A zero that is set in motion cannot be told from the motion.
+        motor = next(iter(config.axes.values())).motors[0]
+        change_one_thing = find_traits(config.adapter).change_one_thing
+        if change_one_thing is not None:
             at_rest = not self._fleet.controllers[member].is_moving(motor)
-            zero = at_rest and self._draw.random() < 0.5
-            link.write(f"DP{motor}=50000\r".encode() if zero else f"IT{motor}=0.02\r".encode())
-        else:
-            # SDO: write 500 to the home offset, 607Ch.
-            data = bytes.fromhex("237c6000") + (500).to_bytes(4, "little")
-            assert isinstance(config.link, CanBusLink)
-            link.write(encode_frames(CanFrame(0x600 + config.link.address, data)))
+            link.write(change_one_thing(config, self._draw, at_rest=at_rest))
         await sleep_ns(self._clock, SECOND_MASTER_NS)
         await link.close()
 

@@ -6,6 +6,9 @@ from typing import Any
 
 from orchestrator.bench import sync_fleets as makes
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.example_fleet import load_example
+from sim.core.campaign import CampaignTraits, campaign_traits
+from sim.core.vectors import find_simulator
 
 MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
 
@@ -87,8 +90,28 @@ _DRAFTS: dict[str, Callable[[int, int, Random], FleetDraft]] = {
     "smc30": _draft_smc30,
     "cia402": _draft_cia402,
 }
-_MAX_PER_LINK = {"smc2000": 3, "smc30": 2, "cia402": 2}
-"""Largest number of controllers of a make on one link."""
+
+
+def find_traits(make: str) -> CampaignTraits:
+    """Return what the campaign has to know of a make."""
+    return campaign_traits(find_simulator(make))
+
+
+def makes_with(has: Callable[[CampaignTraits], bool]) -> tuple[str, ...]:
+    """Return the makes of the campaign with a property."""
+    return tuple(make for make in MAKES if has(find_traits(make)))
+
+
+def _draft_other(make: str, number: int) -> FleetDraft:
+    """Draft a controller of a make that the campaign does not know, from the make's own example: with its first
+    axis."""
+    plain = load_example(make).to_plain()
+    first, axis = next(iter(plain["axes"].items()))
+    link = (
+        {**plain["link"], "device": f"/dev/ttyUSB{50 + number}"} if plain["link"]["kind"] == "serial" else plain["link"]
+    )
+    config = {name: plain[name] for name in ("adapter", "options", "simulate") if name in plain}
+    return {f"g{number}": {**config, "link": link, "axes": {first: axis}}}
 
 
 def make_campaign_fleet(seed: int, wanted: Sequence[str]) -> Fleet:
@@ -98,9 +121,10 @@ def make_campaign_fleet(seed: int, wanted: Sequence[str]) -> Fleet:
     todo = list(dict.fromkeys(wanted))
     while todo or len(controllers) < LEAST:
         make = todo.pop(0) if todo else draw.choice(MAKES)
-        most = min(_MAX_PER_LINK.get(make, 1), MOST - len(controllers) - len(todo))
+        most = min(find_traits(make).most_per_link, MOST - len(controllers) - len(todo))
         units = min(most, draw.choice((2, 2, 3))) if draw.random() < SHARED_LINK_CHANCE else 1
-        drafts = _DRAFTS[make](len(controllers), units, draw)
+        number = len(controllers)
+        drafts = _DRAFTS[make](number, units, draw) if make in _DRAFTS else _draft_other(make, number)
         host = draw.choice(("left", "left", "right"))
         for name, config in drafts.items():
             controllers[name] = _complete_config(config, host, draw)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.campaign.faults import FaultKind
-from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION
+from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
@@ -91,7 +91,7 @@ class InvariantChecker:
         """Return whether the member's position can no longer be determined: it was stalled, or the limit switch that
         was pressed is its reference."""
         make = self._whole_fleet.controllers[member].adapter
-        return fault.name == "stall" or (fault.name == "limit" and make == "smc30")
+        return fault.name == "stall" or (fault.name == "limit" and find_traits(make).references_at_limit)
 
     # After a phase
 

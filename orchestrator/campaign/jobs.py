@@ -6,6 +6,7 @@ from itertools import chain
 from random import Random
 from typing import Any, NamedTuple
 
+from orchestrator.campaign.fleets import find_traits
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
@@ -88,7 +89,9 @@ def make_witness(fleet: Fleet, positions: Mapping[str, float]) -> JobOrder:
 
 def _group_inseparable(fleet: Fleet) -> list[list[str]]:
     """Group controllers that move in one job or not at all, because one broadcast starts all loaded moves on a link."""
-    lines = [line for line in group_by_link(fleet) if fleet.controllers[line[0]].adapter in ("cia402", "smc30")]
+    lines = [
+        line for line in group_by_link(fleet) if find_traits(fleet.controllers[line[0]].adapter).starts_link_together
+    ]
     drives = {name for line in lines for name in line}
     return lines + [[name] for name in fleet.controllers if name not in drives]
 
@@ -142,12 +145,11 @@ def _draw_start_options(fleet: Fleet, controllers: list[str], draw: Random) -> d
         return {"sync": "phase"}
     if drawn < 0.55 and waiting:
         return {"start": "line"}
-    if drawn < 0.65 and makes <= {"shrc203", "ppsmc", "smc30"}:
+    classes = {find_traits(make).start_class for make in makes}
+    if drawn < 0.65 and classes == {"host"}:
         return {"start": "host"}
-    if drawn < 0.75 and makes <= {"smc4000", "smc2000"}:
-        return {"start": "clock"}
-    if drawn < 0.75 and makes == {"cia402"}:
-        return {"start": "sync"}
+    if drawn < 0.75 and classes in ({"clock"}, {"sync"}):
+        return {"start": classes.pop()}
     return {}
 
 

@@ -6,13 +6,12 @@ from dataclasses import replace
 from random import Random
 
 from orchestrator.campaign.arbitrary_replies import ArbitraryReplies
+from orchestrator.campaign.fleets import find_traits
 from orchestrator.campaign.repairs import Repair
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.link.can import decode_frames, encode_frames
 from orchestrator.link.memory import MemoryWire
 from orchestrator.runtime.virtual import VirtualFleet
-from sim.smc30.framing import compute_checksum
 
 MAX_EXTRA_LATENCY_NS = 150 * NS_PER_MS
 REFUSALS_NS = 300 * NS_PER_MS
@@ -56,11 +55,11 @@ class LinkFaults:
                 # Corrupted frames on a CAN bus are not delivered at all.
                 wire.to_near = self._drop_bytes if can else self._corrupt_bytes
             case "refusals":
-                make = self._whole_fleet.controllers[member].adapter
-                if make == "ppsmc":  # a refused command gets no reply: the same as a lost command
+                refuse_reply = find_traits(self._whole_fleet.controllers[member].adapter).refuse_reply
+                if refuse_reply is None:
                     wire.to_far = lambda _: b""
                 else:
-                    wire.to_near = _REFUSALS[make]
+                    wire.to_near = refuse_reply
                 self._schedule_call(REFUSALS_NS, restore_wire)
             case "flapping-link":
                 self._flap_link(wire)
@@ -103,38 +102,3 @@ class LinkFaults:
 def _close_links(wire: MemoryWire) -> None:
     for link in list(wire.links):
         link.hang_up()
-
-
-# Replies of a controller that refuses everything, made from its normal replies.
-
-
-def _refuse_yaskawa(data: bytes) -> bytes:
-    return b"?" if data.endswith(b":") else data
-
-
-def _refuse_shrc203(data: bytes) -> bytes:
-    return b"NG\r\n" if data.endswith(b"\r\n") else data
-
-
-def _refuse_smc30(data: bytes) -> bytes:
-    return b"E4" + bytes((compute_checksum(b"E4"),)) + b"\r" if data.endswith(b"\r") else data
-
-
-def _refuse_cia402(data: bytes) -> bytes:
-    """Replace replies to SDOs by aborts: "data cannot be transferred because of the present device state"."""
-    abort = (0x0800_0022).to_bytes(4, "little")
-    return encode_frames(
-        *(
-            replace(frame, data=b"\x80" + frame.data[1:4] + abort) if frame.id & ~0x7F == 0x580 else frame
-            for frame in decode_frames(data)
-        )
-    )
-
-
-_REFUSALS: dict[str, Callable[[bytes], bytes]] = {
-    "smc4000": _refuse_yaskawa,
-    "smc2000": _refuse_yaskawa,
-    "shrc203": _refuse_shrc203,
-    "smc30": _refuse_smc30,
-    "cia402": _refuse_cia402,
-}

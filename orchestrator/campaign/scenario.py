@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from orchestrator.bus.base import BusSample
 from orchestrator.campaign.faults import FAULTS, FaultInjector
-from orchestrator.campaign.fleets import PERMIT_MAKE, make_campaign_fleet
+from orchestrator.campaign.fleets import PERMIT_MAKE, find_traits, make_campaign_fleet
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import (
     MAX_MOVE_S,
@@ -53,7 +53,7 @@ OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
 LIVENESS_NS = 60 * NS_PER_S  # for the remaining jobs to end, or a command to be named
 POLL_NS = 200 * NS_PER_MS
 REST_POLLS = 150  # polls for controllers at rest, 7 ms apart
-# a pp-electronic SMC with an installed reference verifies its position, and does not move
+# a controller that verifies its position, and does not move
 _VERIFIED_HOMING_NS = 250 * NS_PER_MS
 HOMING_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
 JOG_CHANCE = 0.3  # chance of a jog during the phase
@@ -512,7 +512,7 @@ class _Scenario:
         """Return the shortest expected homing time: a share of the shortest one so far, and of the path from the
         current position."""
         config = self._seed_run.fleet.controllers[member]
-        if config.adapter == "ppsmc":
+        if find_traits(config.adapter).verifies_reference:
             return _VERIFIED_HOMING_NS
         asked = (each for each in self.recorder.find_requests("home") if each.member == member and each.accepted)
         shortest_ns = min(each.answered_ns - each.sent_ns for each in asked if each.answered_ns is not None)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.errors import TuttiError
 from sim.core.controller import LimitSwitch
 from sim.core.lines import LineController, LineDevice, LineFirmware
 
@@ -27,7 +28,7 @@ _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 _MODAL = {"G90", "G91", "G20", "G21", "G93", "G94", "G53", "G0", "G1", "G17", "G54"}
 
 
-class _LineRefused(Exception):
+class _LineRefused(TuttiError):
     """A line that is answered `error:` with a number (report.h)."""
 
     def __init__(self, number: int) -> None:

@@ -17,6 +17,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from orchestrator.model.errors import TuttiError
 from sim.core.controller import LimitSwitch
 from sim.core.lines import LineController, LineDevice, LineFirmware
 
@@ -26,7 +27,7 @@ _COMMAND = re.compile(r"([A-Z*]+(?::[A-Z]+)?)(\d?)(\?)?(?: ([-+.\dE]+))?")
 _LIMIT_BITS: dict[LimitSwitch, int] = {"none": 0, "forward": 2, "reverse": 4, "both": 6}
 
 
-class _CommandError(Exception):
+class _CommandError(TuttiError):
     """An error for the queue: number and text of the SCPI standard."""
 
 

@@ -7,6 +7,7 @@ from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.model.fleet import Controller
+from sim.cia402.campaign import CAMPAIGN
 from sim.cia402.commissioning import make_options
 from sim.cia402.options import DriveOptions
 from sim.cia402.unit import SimulatedDrive, build_bus, build_drive
@@ -17,6 +18,8 @@ from sim.link.can_card import CanSegment
 
 class Cia402Simulator:
     """The model as the group `tutti.simulators` refers to it."""
+
+    campaign = CAMPAIGN
 
     @property
     def model(self) -> str:

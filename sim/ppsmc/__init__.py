@@ -7,6 +7,7 @@ from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.model.fleet import Controller
+from sim.core.campaign import CampaignTraits
 from sim.core.controller import FirmwareTiming, Simulator
 from sim.core.oscillator import Oscillator
 from sim.ppsmc.bench import PpsmcBench
@@ -17,6 +18,8 @@ from sim.ppsmc.options import PpsmcOptions, read_options
 
 class _PpsmcSimulator:
     """The model, as the group `tutti.simulators` refers to it."""
+
+    campaign = CampaignTraits(start_class="host", verifies_reference=True)
 
     @property
     def model(self) -> str:

@@ -7,17 +7,31 @@ from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.model.fleet import Controller
+from sim.core.campaign import CampaignTraits
 from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.smc30.bench import Smc30Bench
 from sim.smc30.bus import BusDevice, build_bus
 from sim.smc30.commissioning import make_options
 from sim.smc30.controller import Smc30Controller, build_controller
+from sim.smc30.framing import compute_checksum
 from sim.smc30.options import Smc30Options, read_options
+
+
+def _refuse_reply(data: bytes) -> bytes:
+    return b"E4" + bytes((compute_checksum(b"E4"),)) + b"\r" if data.endswith(b"\r") else data
 
 
 class Smc30Simulator:
     """The model as the group `tutti.simulators` refers to it, alone or several on one line."""
+
+    campaign = CampaignTraits(
+        refuse_reply=_refuse_reply,
+        most_per_link=2,
+        start_class="host",
+        starts_link_together=True,
+        references_at_limit=True,
+    )
 
     @property
     def model(self) -> str:

@@ -10,6 +10,7 @@ from orchestrator.model.fleet import Controller
 from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
+from sim.yaskawa.base.campaign import ON_ETHERNET
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import Smc4000Options
@@ -107,6 +108,8 @@ class SmcSimulator:
         self._options = options
         self._find_model = find_model
         self._more_options = more_options
+
+    campaign = ON_ETHERNET
 
     @property
     def model(self) -> str:

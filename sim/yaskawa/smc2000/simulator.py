@@ -10,6 +10,7 @@ from orchestrator.model.fleet import Controller
 from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
+from sim.yaskawa.base.campaign import IN_A_CHAIN
 from sim.yaskawa.base.data import MemoryCapacity
 from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import HOP_NS, ChainOptions, Smc2000Options
@@ -136,6 +137,8 @@ MODEL = ControllerModel(
 
 class Smc2000Simulator:
     """Builds simulated SMC-2000 controllers, alone or in a daisy chain; implements `Simulator`."""
+
+    campaign = IN_A_CHAIN
 
     @property
     def model(self) -> str:
