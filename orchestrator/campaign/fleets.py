@@ -107,9 +107,9 @@ def _draft_other(make: str, number: int) -> FleetDraft:
     axis."""
     plain = load_example(make).to_plain()
     first, axis = next(iter(plain["axes"].items()))
-    link = (
-        {**plain["link"], "device": f"/dev/ttyUSB{50 + number}"} if plain["link"]["kind"] == "serial" else plain["link"]
-    )
+    link = dict(plain["link"])
+    if link["kind"] == "serial":
+        link["device"] = f"/dev/ttyUSB{50 + number}"
     config = {name: plain[name] for name in ("adapter", "options", "simulate") if name in plain}
     return {f"g{number}": {**config, "link": link, "axes": {first: axis}}}
 

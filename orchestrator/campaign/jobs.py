@@ -89,9 +89,11 @@ def make_witness(fleet: Fleet, positions: Mapping[str, float]) -> JobOrder:
 
 def _group_inseparable(fleet: Fleet) -> list[list[str]]:
     """Group controllers that move in one job or not at all, because one broadcast starts all loaded moves on a link."""
-    lines = [
-        line for line in group_by_link(fleet) if find_traits(fleet.controllers[line[0]].adapter).starts_link_together
-    ]
+
+    def start_together(line: list[str]) -> bool:
+        return find_traits(fleet.controllers[line[0]].adapter).starts_link_together
+
+    lines = [line for line in group_by_link(fleet) if start_together(line)]
     drives = {name for line in lines for name in line}
     return lines + [[name] for name in fleet.controllers if name not in drives]
 

@@ -6,6 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+from orchestrator.campaign.faults import FAULTS
+from orchestrator.campaign.recorder import STAGES
+from orchestrator.campaign.runs import PHASES
+from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.conformance.examples import make_case
 from orchestrator.conformance.findings import ContractBroken, NotApplicable, require
 from orchestrator.conformance.losses import LOSS_CHECKS
@@ -19,6 +23,18 @@ from sim.core.vectors import check_file, find_simulator
 
 CONTRACT_CHECKS = (*STEP_CHECKS, *STOP_CHECKS, *LOSS_CHECKS)
 CONVERSATIONS = 40
+# Of each kind of reach, and those that concern a driver most.
+QUICK_FAULTS = (
+    "host-killed",
+    "link-cut",
+    "garbage",
+    "refusals",
+    "power-cycle",
+    "limit",
+    "stop",
+    "estop",
+    "flapping-link",
+)
 LONG_CONVERSATIONS = 400
 
 
@@ -51,7 +67,9 @@ def list_checks(make: str, *, everything: bool = False, case: Case | None = None
 
     Raises `UnknownPlugin`, `PluginError`.
     """
-    return list(_generate_checks(make, case or make_case(make), everything=everything))
+    checks = _generate_checks(make, case or make_case(make), everything=everything)
+    # The fleets of the campaign are made from the example.
+    return [each for each in checks if case is None or each.part != "campaign"]
 
 
 def run_check(check: MakeCheck) -> CheckResult:
@@ -79,6 +97,9 @@ def _generate_checks(make: str, case: Case, *, everything: bool) -> Iterator[Mak
     number = LONG_CONVERSATIONS if everything else CONVERSATIONS
     name = f"{number} conversations with wrong replies end in faults only"
     yield MakeCheck("replies", name, partial(_check_conversations, make, case, number))
+    for seed, cells in enumerate(_draw_cells(make, everything=everything)):
+        name = f"no invariant is violated with {', '.join(each.fault for each in cells)}"
+        yield MakeCheck("campaign", name, partial(_check_seed, seed, cells))
     for file in vector_files(make):
         yield MakeCheck("vectors", f"the simulator fulfils {file.name}", partial(_check_vectors, make, file))
 
@@ -86,6 +107,20 @@ def _generate_checks(make: str, case: Case, *, everything: bool) -> Iterator[Mak
 def vector_files(make: str) -> Sequence[Path]:
     """Return the files of vectors that a make's simulator names (attribute `vector_files`)."""
     return cast(Sequence[Path], getattr(cast(Any, find_simulator(make)), "vector_files", ()))
+
+
+def _draw_cells(make: str, *, everything: bool) -> list[list[FaultCell]]:
+    """Return the faults of each seed: each at a stage of its own, directed at a controller of this make."""
+    faults = [name for name, fault in FAULTS.items() if make in fault.makes or not fault.makes]
+    if not everything:
+        faults = [name for name in faults if name in QUICK_FAULTS]
+    cells = [FaultCell(STAGES[number % len(STAGES)], name, make) for number, name in enumerate(faults)]
+    return [cells[first : first + PHASES] for first in range(0, len(cells), PHASES)]
+
+
+def _check_seed(seed: int, cells: Sequence[FaultCell]) -> None:
+    story = run_scenario(seed, cells)
+    require(not story.violations, "; ".join(story.violations))
 
 
 def _check_conversations(make: str, case: Case, number: int) -> None:

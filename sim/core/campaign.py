@@ -1,5 +1,5 @@
-"""What the fault campaign has to know of a make. A simulator states it as its attribute `campaign`; without it, the make
-has none of these properties."""
+"""What the fault campaign has to know of a make. A simulator states it as its attribute `campaign`; without it, the
+make has none of these properties."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

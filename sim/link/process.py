@@ -55,13 +55,18 @@ class CannotStart(TuttiError):
     """The simulator cannot be served as requested; the message states the reason."""
 
 
+def _needs_exact_time(model: str) -> bool:
+    """Return whether a simulator asks for a loop that wakes exactly, for delays of less than a millisecond."""
+    return bool(getattr(find_simulator(model), "needs_exact_time", False))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run until ended. Return 0, or 2 with one line on stderr when it cannot start."""
     links = parse_arguments(arguments)
     set_realtime_priority(RealtimePriority.BUS)
     try:
-        on_ethernet = all(each.model == "smc4000" and not isinstance(each.listen, PtyAddress) for each in links)
-        with asyncio.Runner(loop_factory=_exact_loop if on_ethernet else None) as runner:
+        is_exact = all(_needs_exact_time(each.model) and not isinstance(each.listen, PtyAddress) for each in links)
+        with asyncio.Runner(loop_factory=_exact_loop if is_exact else None) as runner:
             runner.run(_run_links(links))
     except CannotStart as error:
         sys.stderr.write(f"{error}\n")

@@ -110,6 +110,7 @@ class SmcSimulator:
         self._more_options = more_options
 
     campaign = ON_ETHERNET
+    needs_exact_time = True  # on Ethernet
 
     @property
     def model(self) -> str:

@@ -1,5 +1,6 @@
 """The driver of a controller with text lines."""
 
+import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -73,12 +74,18 @@ class LineDriver(ConnectedDriver[LineConnection]):
         self._number = 0
         self._restarted = False
         self._jogs: dict[str, JogMove] = {}
+        self._was_sound = False
+        self._has_alarm = False
+        """An alarm came while it was connected; one that it has from the beginning is its lock after power-up, where
+        enabling its axes unlocks it."""
+        self._position_lost = False
         self._last: ControllerReading | None = None
 
     # Connection
 
     async def connect(self) -> ControllerIdentity:
         await self.close()
+        self._was_sound = False
         session = LineSession(
             await self._setup.open_link(), self._dialect, self._clock, self._options.answer_ms * NS_PER_MS, self._log
         )
@@ -159,11 +166,21 @@ class LineDriver(ConnectedDriver[LineConnection]):
         if await unit.is_restarted(state):
             raise ControllerRestarted
         restarted, self._restarted = self._restarted, False
+        self._note_alarm(state)
         self._last = self._make_reading(state, restarted=restarted)
         return self._last
 
+    def _note_alarm(self, state: LineUnitState) -> None:
+        """Note an alarm: it may have stopped the motors dead."""
+        is_alarm = state.status.state == "alarm"
+        if is_alarm and (self._was_sound or not self._dialect.traits.switches_motors):
+            self._has_alarm = self._position_lost = True
+        self._was_sound = not is_alarm
+        self._has_alarm = self._has_alarm and is_alarm
+
     def _make_reading(self, state: LineUnitState, *, restarted: bool) -> ControllerReading:
         at_ns = (state.reply.sent_ns + state.reply.at_ns) // 2
+        is_locked = state.status.state == "alarm" and self._dialect.traits.switches_motors
         axes: dict[str, AxisReading] = {}
         for name, axis in self._config.axes.items():
             status, counts = state.status.axes[axis.motors[0]], state.counts[name]
@@ -173,11 +190,12 @@ class LineDriver(ConnectedDriver[LineConnection]):
                 actual_counts=float(counts),
                 velocity_counts_s=self._estimate_velocity(name, counts, at_ns) if moving else 0.0,
                 moving=moving,
-                enabled=name in self._enabled,
+                enabled=name in self._enabled and not is_locked,
+                position_lost=self._position_lost,
                 limit=status.limit,
             )
         faults: list[FaultReport] = []
-        if state.status.state == "alarm":
+        if self._has_alarm:
             faults.append(FaultReport(code="alarm", text=state.status.alarm, remedy="clear it with `tutti reset`"))
         return ControllerReading(at_ns, axes, faults=faults, restarted=restarted)
 
@@ -249,6 +267,8 @@ class LineDriver(ConnectedDriver[LineConnection]):
                 failed[name] = Refusal("homing-failed", text, "check its switch")
             else:
                 found(name)
+        if not failed and set(axes) == set(self._config.axes):
+            self._position_lost = False
         return failed
 
     async def _search(self, steps: Sequence[LineStep], since: int) -> str:
@@ -259,6 +279,10 @@ class LineDriver(ConnectedDriver[LineConnection]):
             unit.require_no_stop(since)
             unit.is_searching = True
 
+        asking: asyncio.Task[None] | None = None
+        if not self._dialect.traits.answers_while_homing:
+            asking = asyncio.get_running_loop().create_task(self._ask_during_search())
+            steps = [self._accept_status(step) for step in steps]
         try:
             for number, step in enumerate(steps):
                 if number == 0:
@@ -278,7 +302,30 @@ class LineDriver(ConnectedDriver[LineConnection]):
             raise
         finally:
             unit.is_searching = False
+            if asking is not None:
+                asking.cancel()
+                unit.session.disturb()
         return "it was stopped" if unit.stops != since else ""
+
+    def _accept_status(self, step: LineStep) -> LineStep:
+        """Return a step of a search that also ends with a status at rest: the reply of its end may be lost."""
+        is_done = step.is_done
+        if is_done is None:
+            return step
+
+        def is_over(line: str) -> bool:
+            status = self._dialect.read_status([line])
+            return is_done(line) or (status is not None and status.state != "moving")
+
+        return replace(step, is_done=is_over)
+
+    async def _ask_during_search(self) -> None:
+        """Ask for the status now and then. A controller that searches does not answer; one that has ended does."""
+        session, question = self.connection.unit.session, self._dialect.ask_status().data
+        with suppress(LinkClosed):
+            while True:
+                await sleep_ns(self._clock, NS_PER_S)
+                session.write_at_once(question)
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
         unit = self.connection.unit

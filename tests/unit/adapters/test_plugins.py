@@ -8,9 +8,11 @@ import pytest
 
 from adapters.contract import ExamplePlace
 from adapters.host.makes import find_controller_problems, find_make, known_makes, list_makes, stops_by_line
-from orchestrator.model.fleet import Controller
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.plugins import API_VERSION, PluginError, UnknownPlugin
 from orchestrator.runtime.checked import load_checked_fleet
+from orchestrator.runtime.virtual import VirtualFleet
 from sim.core.vectors import find_simulator
 
 Install = Callable[..., None]
@@ -113,3 +115,28 @@ def test_an_unknown_make_is_a_mistake_of_the_file_in_any_case() -> None:
     for tolerant in (False, True):
         (problem,) = find_controller_problems("x", config, tolerant=tolerant)
         assert "no adapter 'none'; known adapters: " in problem.text
+
+
+def test_other_controllers_of_the_host_run_and_the_broken_one_shows_the_reason(install: Install) -> None:
+    install("acme_kit", "import no_such_module")
+    install("acme_sim", "from sim.smc30 import SMC30 as MAKE", "tutti.simulators")
+    axis = {"motors": ["1"], "unit": "mm", "scale": 400, "limits": {"velocity": 10, "acceleration": 50}}
+    link = {"kind": "serial", "baud": 9600, "data_bits": 7, "parity": "odd"}
+    controllers = {
+        name: {"adapter": adapter, "link": {**link, "device": f"/dev/{name}"}, "axes": {"z": axis}}
+        for name, adapter in (("good", "smc30"), ("bad", "broken"))
+    }
+    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "lab", "controllers": controllers})
+
+    async def main(clock: VirtualClock) -> None:
+        virtual = VirtualFleet(fleet, clock, 1)
+        with pytest.raises(TimeoutError):  # it waits for all controllers
+            await virtual.start()
+        client = virtual.make_client("looker")
+        states = await client.status(1.0)
+        assert states["good"].mode != "offline"
+        assert states["bad"].mode == "offline"
+        (fault,) = states["bad"].faults
+        assert "acme_kit 2.5" in fault.text and "no_such_module" in fault.text and fault.remedy
+
+    run_virtual(main)
