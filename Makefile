@@ -80,6 +80,7 @@ test-docs: $(DEV)/.stamp
 test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp
 	rm -rf build/lib build/bdist.* build/wheel
 	$(DEV)/bin/python $(PIP) wheel . --no-deps --no-build-isolation -w build/wheel
+	rm -rf tutti.egg-info # its entry points would hide later ones from what runs in this folder
 	$(WHEEL)/bin/python $(PIP) install --no-deps --force-reinstall build/wheel/*.whl
 	$(DEV)/bin/python tools/wheel_demo.py $(WHEEL)/bin/tutti
 	$(DEV)/bin/python tools/wheel_project.py $(WHEEL)/bin/python

@@ -13,7 +13,7 @@ from orchestrator.runtime.examples import find_example
 EXAMPLE = "acme"
 _FOLDER = "adapter-acme"
 _SUFFIXES = {".py", ".toml", ".md", ".jsonl"}
-_NAME = re.compile(r"[a-z][a-z0-9_]{1,39}")
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
 class BadPackage(TuttiError, ValueError):
@@ -29,7 +29,7 @@ def require_free_name(name: str) -> None:
     if _NAME.fullmatch(name) is None or keyword.iskeyword(name):
         raise BadPackage(
             f"{name[:80]!r} cannot be the name of a make",
-            "2 to 40 lower-case letters, digits and _, beginning with a letter, e.g. `mc2000`",
+            "1 to 40 lower-case letters, digits and _, beginning with a letter, e.g. `mc2000`",
         )
     if name in {*known_makes(), *plugin_names("tutti.simulators")}:
         raise BadPackage(f"the make {name} exists already", "choose another name; `tutti adapter ls` lists all")

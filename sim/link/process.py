@@ -56,8 +56,12 @@ class CannotStart(TuttiError):
 
 
 def _needs_exact_time(model: str) -> bool:
-    """Return whether a simulator asks for a loop that wakes exactly, for delays of less than a millisecond."""
-    return bool(getattr(find_simulator(model), "needs_exact_time", False))
+    """Return whether a simulator asks for a loop that wakes exactly, for delays of less than a millisecond. One that
+    cannot be used is reported later."""
+    try:
+        return bool(getattr(find_simulator(model), "needs_exact_time", False))
+    except ValueError:
+        return False
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -249,8 +249,8 @@ class LineDriver(ConnectedDriver[LineConnection]):
         since = unit.stops
         self._require_free()
         if self._dialect.traits.joint and set(axes) != set(self._config.axes):
-            names = ", ".join(self._config.axes)
-            raise Refusal("homes-together", "this controller homes all its axes together", f"home {names} in one step")
+            remedy = f"home the whole controller: `tutti axis home {self._setup.controller}`"
+            raise Refusal("homes-together", "this controller homes all its axes together", remedy)
         async with unit.commanding:
             await unit.wait_until_tidy()
             await unit.require_ready(axes)

@@ -123,7 +123,7 @@ def test_an_example_that_its_make_refuses_is_named(install: Install, tmp_path: P
     ("name", "words"),
     [
         ("Acme", "cannot be the name of a make"),
-        ("a", "cannot be the name of a make"),
+        ("1a", "cannot be the name of a make"),
         ("class", "cannot be the name of a make"),
         ("smc30", "the make smc30 exists already"),
         ("json", "is a module of Python itself"),
