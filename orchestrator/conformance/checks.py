@@ -38,6 +38,8 @@ def require_line_start(world: World) -> None:
     """Raise `NotApplicable` for a make that cannot wait for a trigger line."""
     if "line" not in world.driver.capabilities.start_classes:
         raise NotApplicable("this make cannot wait for an input")
+    if "line" not in world.hit.config.inputs:
+        raise NotApplicable("the make's example names no input")
 
 
 async def follow_to_end(world: World) -> None:

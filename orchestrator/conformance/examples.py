@@ -1,5 +1,8 @@
 """The case of a make for the contract suite, from its own example of a fleet file."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from adapters.contract import validate_options
 from adapters.host.makes import find_make
 from orchestrator.clock.queue import EventQueue
@@ -34,7 +37,7 @@ def make_case(make: str, config: Controller | None = None) -> Case:
     return Case(
         plain,
         simulate,
-        port=_find_port(config.link.kind, make),
+        port=_find_port(config.link.kind, make, simulate),
         targets=tuple(round(speed * USUAL_S * (1 if number % 2 == 0 else -0.5)) for number, speed in enumerate(speeds)),
         base_counts=round(slowest * BASE_S),
         short_counts=max(10, round(slowest * SHORT_S)),
@@ -43,8 +46,8 @@ def make_case(make: str, config: Controller | None = None) -> Case:
     )
 
 
-def _find_port(kind: str, make: str) -> str:
+def _find_port(kind: str, make: str, simulate: Mapping[str, Any]) -> str:
     """Return the port of the simulated controller that a link leads to: that of the link's kind, or its first one,
     which is behind a bridge."""
-    ports = find_simulator(make).vector_bench(EventQueue(), {}).controller.port_names
+    ports = find_simulator(make).build_controller(EventQueue(), simulate).port_names
     return kind if kind in ports else ports[0]

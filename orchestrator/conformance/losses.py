@@ -21,7 +21,7 @@ STARTUP_NS = 5 * NS_PER_S
 async def check_silence(world: World, call: str) -> None:
     """Call a driver whose controller does not answer any more."""
     if call == "set_output" and not world.hit.config.outputs:
-        raise NotApplicable("this make has no outputs")
+        raise NotApplicable("this make has no outputs, or its example names none")
     await world.ready()
     driver = world.driver
     profiles = await world.plan(world.targets())

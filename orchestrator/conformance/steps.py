@@ -209,7 +209,7 @@ async def check_active_line(world: World) -> None:
 async def check_driven_line(world: World) -> None:
     """Steps that drive an output at T0."""
     if "line" not in world.hit.config.outputs:
-        raise NotApplicable("this make has no outputs")
+        raise NotApplicable("this make has no outputs, or its example names none")
     world.line(active=False)
     await world.ready(60)
     how = StartOptions(drive=TriggerDrive(output="line", active_ns=HOLD_NS))

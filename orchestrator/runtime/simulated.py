@@ -37,7 +37,9 @@ def find_timing(config: Controller) -> SimulatedTiming:
     simulate = config.simulate
     if simulate.decode_us is not None:
         return SimulatedTiming(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US)
-    least_us, most_us = _find_decoding_us(validate_options(find_make_or_substitute(config.adapter).options_model, config))
+    least_us, most_us = _find_decoding_us(
+        validate_options(find_make_or_substitute(config.adapter).options_model, config)
+    )
     if least_us <= DECODE_US <= most_us:
         return SimulatedTiming(DECODE_US * NS_PER_US, simulate.spread_us * NS_PER_US)
     return SimulatedTiming(least_us * NS_PER_US, (most_us - least_us) * NS_PER_US)

@@ -76,7 +76,7 @@ def test_the_other_family_is_a_fault_that_names_both(monkeypatch: pytest.MonkeyP
 def test_a_yaskawa_controller_is_not_a_galil(monkeypatch: pytest.MonkeyPatch) -> None:
     galil, yaskawa = CASES["galil dmc40x0"], CASES["smc4000 on TCP"]
     assert galil.controller.adapter == "galil"
-    monkeypatch.setattr("adapter_worlds.find_simulator", lambda _: SMC4000)  # pyright: ignore[reportUnknownLambdaType]
+    monkeypatch.setattr("orchestrator.conformance.worlds.find_simulator", lambda _: SMC4000)  # pyright: ignore[reportUnknownLambdaType]
     monkeypatch.setitem(CASES, "galil at yaskawa", replace(galil, simulate=yaskawa.simulate))
 
     async def main(world: World) -> None:

@@ -98,7 +98,7 @@ def test_init_writes_a_file_that_passes_the_check(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("makes", "expected"),
     [
-        (["smc400"], "known adapters: cia402, galil, ppsmc, shrc203, smc2000, smc30, smc4000"),
+        (["smc400"], "known adapters: ascii, cia402, galil, ppsmc, shrc203, smc2000, smc30, smc4000"),
         (["smc30:0"], "must be 1 to 32"),
         (["smc30:x"], "must be 1 to 32"),
         (["smc30:²"], "must be 1 to 32"),
