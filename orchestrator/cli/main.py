@@ -32,7 +32,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("demo", "Run a job on a simulated fleet and show the report."),
     "bench": ("bench", "Measure Tutti."),
     "sim": ("sim", "Simulated controllers: check and manipulate them."),
-    "adapter": ("adapter", "Makes of others: write, check and list adapters."),
+    "adapter": ("adapters.command", "Makes of others: write, check and list adapters."),
 }
 
 EPILOG = """\b

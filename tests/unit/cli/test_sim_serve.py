@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
     [
         ([], "name a MODEL, or a file with --fleet"),
         (["smc4000", "--fleet", "x.yaml"], "name a MODEL, or a file with --fleet"),
-        (["smc400"], "no adapter 'smc400'; known adapters: cia402"),
+        (["smc400"], "no adapter 'smc400'; known adapters: ascii"),
         (["smc4000", "--options", "[1"], "not JSON"),
         (["smc4000", "--options", "[1]"], "must be a JSON object"),
         (["smc4000", "--options", '{"axs": 2}'], "fleet sim-smc4000: controllers.smc4000.simulate.options.axs"),

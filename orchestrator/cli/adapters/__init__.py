@@ -1,0 +1,1 @@
+"""`tutti adapter`: makes of others."""
