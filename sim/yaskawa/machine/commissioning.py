@@ -18,5 +18,6 @@ def make_options(config: Controller, sizes: Sequence[int]) -> Mapping[str, Any]:
         "axes": next((size for size in sizes if size >= needed), sizes[-1]),
         "home_edge": edges,
         "names": {letter: config.axes[name].motors[0] for name, letter in letters.items()},
-        "index_every": {letter: max(4, -edge // 10) for letter, edge in edges.items()},
+        # The edge is halfway between two pulses: at one of them, the next one would be found now and then.
+        "index_every": {letter: max(4, round(-edge / 9.5)) for letter, edge in edges.items()},
     }
