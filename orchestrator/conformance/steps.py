@@ -289,6 +289,7 @@ STEP_CHECKS: tuple[ContractCheck, ...] = (
             f"seed {seed}, crystal {ppm:+g} ppm",
             seed,
             ppm,
+            is_long=seed > 1,
         )
         for seed, ppm in ((0, -100.0), (1, 100.0), (2, 0.0), (3, 100.0))
     ),

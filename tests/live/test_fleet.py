@@ -294,6 +294,7 @@ def test_a_second_fleet_is_refused_with_the_remedy(shared: RunningFleet, tmp_pat
     assert "--state" in folder.stderr
 
 
+@pytest.mark.nightly
 def test_bad_jobs_and_absent_fleets_have_their_exit_codes(shared: RunningFleet, tmp_path: Path) -> None:
     bad = tmp_path / "bad.job.yaml"
     bad.write_text("schema: tutti.job/1\nname: bad\nsteps:\n  - {do: mvoe, to: {gantry.x: 1}}\n")
@@ -310,6 +311,7 @@ def test_bad_jobs_and_absent_fleets_have_their_exit_codes(shared: RunningFleet, 
     assert endpoint in absent.stderr
 
 
+@pytest.mark.nightly
 def test_axes_and_outputs_under_manual_control(shared: RunningFleet) -> None:
     bring_back(shared)
     moved = shared.tutti("axis", "move", "gantry.x=12", "stage.u=1500 um", "--line")

@@ -100,6 +100,7 @@ def test_an_axis_stops_when_its_command_is_gone(shared: RunningFleet, slow_move:
     assert margin_s(gone_ns, shared.rest_ns("gantry")) < STOPPED_WITHIN_S
 
 
+@pytest.mark.nightly
 def test_a_command_that_was_interrupted_while_it_waited_moves_nothing(shared: RunningFleet) -> None:
     shared.ready()
     reserve = ["axis", "acquire", "gantry", "--for", "1h", "--what", "new belt"]
