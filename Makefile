@@ -67,9 +67,10 @@ test-fast: $(DEV)/.stamp
 	$(DEV)/bin/pytest -m "not live and not nightly" -n 2 --dist worksteal $(SLOWEST)
 
 # Live tests by themselves: their processes have to answer each other in time. They start hundreds of interpreters, so
-# compiled modules are kept even where the environment forbids it. The tests of a file share one fleet.
+# compiled modules are kept even where the environment forbids it. The tests of a file share one fleet. They wait for
+# half of their time: three at once use two thirds of two cores.
 test-live: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly" -n 2 --dist loadfile $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly" -n 3 --dist loadfile $(SLOWEST)
 
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check

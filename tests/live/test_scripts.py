@@ -74,7 +74,7 @@ def test_a_notebook_moves_axes_although_its_own_loop_runs(shared: RunningFleet) 
             seen = [now["gantry.x"] for now, _ in zip(tutti.positions(["gantry.x"], hz=50), range(3), strict=False)]
             assert len(seen) == 3
             with pytest.raises(RuntimeError, match="callback"):
-                job = tutti.submit(Job("one", [Dwell(duration="10 ms")]))
+                job = tutti.submit(Job("one", [Dwell(duration="2 s")]))
                 tutti.wait_for_job(job.id, lambda _: tutti.stop_queue())
             return tutti.position("gantry.x")
 
