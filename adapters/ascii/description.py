@@ -1,5 +1,6 @@
 """The description of a controller with text lines: a YAML file."""
 
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -121,7 +122,6 @@ class Description(_Part):
     report_decimals: int = Field(default=4, ge=0, le=9, description="Of positions that are reported.")
     velocity_factor: float = Field(default=1.0, gt=0, description="60 for speeds per minute.")
     reply_ends: list[str] = Field(default=["\n"], min_length=1)
-    baud: int = Field(default=115_200, ge=300, le=4_000_000)
     joint: bool = Field(default=False, description="Axes move along a straight line, with one speed on the path.")
     fixed_acceleration: bool = False
     armed_state: LineState = "idle"
@@ -175,8 +175,12 @@ def _check_names(field: str, text: str, allowed: set[str]) -> None:
         raise ValueError(f"{field}: {text!r} has an unknown name {error}; known are {names}") from None
 
 
+@cache
 def load_description(name: str) -> Description:
-    """Return the description of a packaged name or a path. Raises `DescriptionError`."""
+    """Return the description of a packaged name or a path. Raises `DescriptionError`.
+
+    A process reads it once, when it checks the fleet file: a stop must not depend on a file that was changed since.
+    """
     packaged = PACKAGED / f"{name}.yaml"
     path = packaged if "/" not in name and packaged.is_file() else Path(name)
     if not path.is_file():

@@ -242,6 +242,32 @@ def test_a_description_of_ones_own_has_no_simulator(tmp_path: Path) -> None:
         stage_case(write_description(tmp_path))
 
 
+def test_a_stop_does_not_depend_on_the_file_of_the_description(tmp_path: Path) -> None:
+    file = write_description(tmp_path)
+    config = described(file, {"u": {**STAGE, "motors": ["1"]}})
+    make = find_make("ascii")
+    make.check_config(config)
+    stop = make.stop_bytes(config)
+    Path(file).unlink()
+    assert make.stop_bytes(config) == stop != b""
+
+
+def test_settings_that_one_query_shows_are_read_by_one() -> None:
+    async def main(world: World) -> None:
+        await world.driver.connect()
+        sent: list[bytes] = []
+
+        def record(data: bytes) -> bytes:
+            sent.append(data)
+            return data
+
+        world.hit.wire.to_far = record
+        await world.driver.configure()
+        assert b"".join(sent).count(b"$$\n") == 1
+
+    run_case(grbl_case(), main)
+
+
 def test_the_example_names_the_packaged_descriptions() -> None:
     example = find_make("ascii").fleet_example(ExamplePlace(0, 0))
     assert all(name in example for name in packaged_names())

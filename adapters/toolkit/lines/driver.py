@@ -136,9 +136,12 @@ class LineDriver(ConnectedDriver[LineConnection]):
         unit = self.connection.unit
         session = unit.session
         await unit.read_state()
-        for setting in self._dialect.settings():
-            reply = await session.run_step(setting.step)
-            values = [value for line in reply.lines if (value := setting.read(line)) is not None]
+        settings = self._dialect.settings()
+        # Often one query shows all of them.
+        queries = {_query_key(setting.step): setting.step for setting in settings}
+        replies = {key: (await session.run_step(step)).lines for key, step in queries.items()}
+        for setting in settings:
+            values = [value for line in replies[_query_key(setting.step)] if (value := setting.read(line)) is not None]
             if not values:
                 raise ControllerFault("garbage", f"{setting.item} cannot be read", "is it the right make?")
             tolerance = 1e-6 * max(1.0, abs(setting.expected))
@@ -439,3 +442,8 @@ class LineDriver(ConnectedDriver[LineConnection]):
     def _require_free(self) -> None:
         if self.connection.mover.move is not None:
             raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
+
+
+def _query_key(step: LineStep) -> tuple[bytes, str]:
+    """What makes two queries the same one: the bytes, and the reply that is expected."""
+    return step.data, step.expected
