@@ -27,7 +27,7 @@ from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import BudgetTerm, StartOptions
+from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import FaultReport, StartClass, StepCosts
 
@@ -156,6 +156,16 @@ class Lowered:
     edge: tuple[BudgetTerm, ...] = field(default=(), kw_only=True)
     clock_ppm: float = field(default=100.0, kw_only=True)
     can_advance: bool = field(default=False, kw_only=True)
+
+    @property
+    def window_ns(self) -> tuple[int, int]:
+        """The interval of the start relative to T0, from all terms together."""
+        return sum_terms(self.terms)
+
+    @property
+    def edge_window_ns(self) -> tuple[int, int]:
+        """The same for the edge of the trigger line that the controller drives."""
+        return sum_terms(self.edge)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from adapters.toolkit.wired_points import find_driven_output
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import BudgetTerm, StartOptions, TriggerDrive
+from orchestrator.model.messages import BudgetTerm, StartOptions, TriggerDrive, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
@@ -56,9 +56,8 @@ class Cia402Lowered(Lowered):
 
     @property
     def window_ns(self) -> tuple[int, int]:
-        """Return the interval of the start relative to T0, from all terms together."""
-        parts = self.terms or self.edge
-        return sum(each.earliest_ns for each in parts), sum(each.latest_ns for each in parts)
+        """The interval of the start relative to T0, or of the edge where nothing moves."""
+        return sum_terms(self.terms or self.edge)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,28 +10,22 @@ from adapters.contract import (
     Driver,
     DriverSetup,
     ExamplePlace,
-    require_no_problems,
     validate_options,
 )
 from adapters.galil.device import GalilDevice
 from adapters.galil.models import DMC21X3, DMC40X0, MAX_AXES
 from adapters.galil.options import GalilOptions
-from adapters.yaskawa.common.checks import (
-    find_homing_problems,
-    find_motor_problems,
-    find_option_problems,
-    find_point_problems,
-)
-from adapters.yaskawa.common.device import stop_commands
+from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.model import ModelTraits
 from adapters.yaskawa.common.record import AXIS_LETTERS, RECORD_LETTERS
-from adapters.yaskawa.smc4000.driver import SMC4000Driver
+from adapters.yaskawa.smc4000.driver import SMC4000Driver, SMC4000Make
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
 
 FAMILIES = {"dmc21x3": DMC21X3, "dmc40x0": DMC40X0}
 NAMES = (AXIS_LETTERS[:MAX_AXES], RECORD_LETTERS)
-POINTS = 8  # inputs and outputs of the first connector, which every controller of the families has
+# Inputs and outputs are those of the first connector, which every controller of the families has.
+TERMINALS = Terminals(NAMES, "A, B, C, D (or X, Y, Z, W)", inputs=8, outputs=8)
 UNTRIED = "never tried on hardware"
 
 
@@ -84,8 +78,8 @@ outputs:
 """
 
 
-class GalilMake:
-    """The make for the entry point."""
+class GalilMake(SMC4000Make):
+    """The make for the entry point: it is stopped as an SMC-4000 is."""
 
     name = "galil"
     options_model: type[BaseModel] = GalilOptions
@@ -97,26 +91,16 @@ class GalilMake:
     def serial_defaults(self) -> Mapping[str, Any]:
         return {}
 
-    def check_config(self, config: Controller) -> None:
-        require_no_problems(self._find_problems(config))
-
     def _find_problems(self, config: Controller) -> Iterator[str]:
         if config.link.kind != "tcp":
             yield f"link.kind: {config.link.kind}; this adapter speaks over tcp only"
         for name, axis in config.axes.items():
             if axis.limits.jerk is not None:
                 yield f"axes.{name}.limits.jerk: this adapter moves in trapezoids; remove it"
-        yield from find_motor_problems(config, NAMES, "A, B, C, D (or X, Y, Z, W)")
-        yield from find_point_problems(config, POINTS, POINTS)
-        yield from find_homing_problems(config)
-        yield from find_option_problems(config, validate_options(GalilOptions, config))
+        yield from find_model_problems(config, TERMINALS, validate_options(GalilOptions, config))
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return GalilDriver(setup)
-
-    def stop_bytes(self, config: Controller) -> bytes:
-        del config  # a fresh connection has its own line buffer
-        return "".join(f"{command}\r" for command in stop_commands(abort=False)).encode("ascii")
 
 
 MAKE = GalilMake()

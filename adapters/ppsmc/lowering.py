@@ -66,11 +66,6 @@ class PpSmcLowered(Lowered):
     drive: WiredOutput | None = None
 
     @property
-    def window_ns(self) -> tuple[int, int]:
-        """Return the interval of the start relative to T0, from all terms together."""
-        return sum(each.earliest_ns for each in self.terms), sum(each.latest_ns for each in self.terms)
-
-    @property
     def by_program(self) -> bool:
         """Whether a program line moves the axes, and not the target buffer: i/o precedes positioning in it."""
         return bool(self.moves) and (self.wait is not None or self.drive is not None)

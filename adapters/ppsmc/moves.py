@@ -178,7 +178,7 @@ class PpSmcMover:
         move.pending = self._session.expect_batch((line,), queries, latest_ns)
         move.order = self._timed_writer.schedule_write(self._session.link, move.pending.data, at_ns, latest_ns)
         if move.output is not None:
-            edge_ns = sum(each.latest_ns for each in move.lowered.edge)
+            edge_ns = move.lowered.edge_window_ns[1]
             move.output.follow_write(move.order, move.t0_ns + edge_ns + move.output.port.drive.active_ns)
 
     async def disarm_move(self) -> None:

@@ -112,11 +112,6 @@ class ShrcLowered(Lowered):
     drive: WiredOutput | None = None
     straight: StraightPath | None = None
 
-    @property
-    def window_ns(self) -> tuple[int, int]:
-        """Return the interval of the start relative to T0, from all terms together."""
-        return sum(each.earliest_ns for each in self.terms), sum(each.latest_ns for each in self.terms)
-
 
 def lower_step(
     config: Controller,

@@ -135,7 +135,7 @@ class ShrcMover:
         move.order = self._timed_writer.schedule_write(self._session.link, data, at_ns, latest_ns)
         if move.output is not None:
             move.switching = places.pop()
-            edge_ns = sum(each.latest_ns for each in move.lowered.edge)
+            edge_ns = move.lowered.edge_window_ns[1]
             move.output.follow_write(move.order, move.t0_ns + edge_ns + move.output.port.drive.active_ns)
         move.pending = places[0] if places else None
 

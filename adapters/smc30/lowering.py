@@ -90,8 +90,6 @@ class Smc30Lowered(Lowered):
     program_ns: tuple[int, int] = (0, 0)
     wait: StepPoint | None = None
     drive: StepPoint | None = None
-    window_ns: tuple[int, int] = (0, 0)
-    """Interval of the start relative to T0, from all terms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +162,6 @@ def lower_step(
         program_ns=_program_ns(options, schedule, drive, target),
         wait=wait,
         drive=drive,
-        window_ns=(sum(term.earliest_ns for term in terms), sum(term.latest_ns for term in terms)),
     )
 
 

@@ -32,6 +32,7 @@ from orchestrator.campaign.jobs import (
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
+from orchestrator.campaign.rest import find_at_rest
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
@@ -52,7 +53,6 @@ OPERATOR_DELAY_NS = 4 * NS_PER_S  # after a restart, before the operator starts 
 OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
 LIVENESS_NS = 60 * NS_PER_S  # for the remaining jobs to end, or a command to be named
 POLL_NS = 200 * NS_PER_MS
-REST_POLLS = 150  # polls for controllers at rest, 7 ms apart
 # a controller that verifies its position, and does not move
 _VERIFIED_HOMING_NS = 250 * NS_PER_MS
 HOMING_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
@@ -238,7 +238,7 @@ class _Scenario:
         if by_hand is not None:
             await by_hand
         await self._check_repeated_submit(client, act, keys)
-        await self._record_rest(act)
+        act.at_rest = await find_at_rest(self.virtual, self._clock)
         for job_id, order in act.jobs.items():
             row = self.virtual.journal.load_record(job_id)
             self._log_event(
@@ -410,15 +410,6 @@ class _Scenario:
             return True
         self._log_event(f"homing {', '.join(lost)}" if lost else f"enabling {', '.join(off)}")
         return await self._prepare_axes(client, sorted({*off, *lost}), lost)
-
-    async def _record_rest(self, phase: CampaignPhase) -> None:
-        """Record the controllers at rest. A controller that decodes a poll at this moment is not at rest for a
-        while: check repeatedly."""
-        for _ in range(REST_POLLS):
-            phase.at_rest |= {name for name, each in self.virtual.controllers.items() if each.at_rest()}
-            if len(phase.at_rest) == len(self.virtual.controllers):
-                return
-            await sleep_ns(self._clock, 7 * NS_PER_MS)
 
     async def _check_repeated_submit(self, client: Tutti, phase: CampaignPhase, keys: dict[str, str]) -> None:
         """Check invariant 6: a client that repeats a request after a lost reply gets the same job."""

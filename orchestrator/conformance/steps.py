@@ -1,15 +1,18 @@
 """Checks of whole steps: connecting, motors, references, lowering, starts and ends with their evidence."""
 
+from collections.abc import Mapping
 from typing import get_args
 
+from adapters.contract import HostInterval, MoveOutcome
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.conformance.checks import ContractCheck, require_line_start
 from orchestrator.conformance.findings import NotApplicable, require, require_error
 from orchestrator.conformance.worlds import World, motions_by_axis, require_evidence
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import StartOptions, TriggerDrive, TriggerWait
+from orchestrator.model.messages import StartOptions, TriggerDrive, TriggerWait, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StartClass
+from sim.core.controller import CommandedMotion
 
 HOLD_NS = 50 * NS_PER_MS
 
@@ -62,12 +65,8 @@ async def check_steps(world: World) -> None:
     for factor in (1.0, -0.4, 2.0):
         before = len(world.motions)
         lowered, started, outcome, t0_ns, profiles = await world.move(world.targets(factor))
-        require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
-        made = motions_by_axis(world, before)
-        require_evidence(started, {axis: made[axis].start_ns for axis in made}, "start")
-        require_evidence(outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
-        earliest_ns = sum(term.earliest_ns for term in lowered.terms)
-        latest_ns = sum(term.latest_ns for term in lowered.terms)
+        made = _require_done(world, before, started, outcome)
+        earliest_ns, latest_ns = lowered.window_ns
         for axis, motion in made.items():
             after_ns = motion.start_ns - t0_ns
             require(
@@ -80,7 +79,19 @@ async def check_steps(world: World) -> None:
         require(positions == expected, f"positions read after the step: {positions}, expected {expected}")
 
 
-def _require_end(axis: str, end_counts: float, profile: Profile) -> None:
+def _require_done(
+    world: World, before: int, started: Mapping[str, HostInterval], outcome: MoveOutcome
+) -> Mapping[str, CommandedMotion]:
+    """Return the motions of a step by axis, which must be done, with evidence that contains the truth. before: number
+    of motions before it."""
+    require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
+    made = motions_by_axis(world, before)
+    require_evidence(started, {axis: motion.start_ns for axis, motion in made.items()}, "start")
+    require_evidence(outcome.ended, {axis: motion.end_ns for axis, motion in made.items()}, "end")
+    return made
+
+
+def _require_end(axis: str, end_counts: float | None, profile: Profile) -> None:
     require(end_counts == profile.end_counts, f"{axis} went to {end_counts}, planned was {profile.end_counts}")
 
 
@@ -98,16 +109,12 @@ async def check_sooner_start(world: World) -> None:
         await world.driver.verify_armed()
         await world.driver.go(0, sooner_ns)
         started, outcome = await world.driver.wait_for_start(), await world.driver.wait_for_end()
-        require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
-        made = motions_by_axis(world, before)
-        require_evidence(started, {axis: made[axis].start_ns for axis in made}, "start")
-        require_evidence(outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
-        earliest_ns = sum(term.earliest_ns for term in lowered.terms) - 1
-        latest_ns = sum(term.latest_ns for term in lowered.terms) + 1
+        made = _require_done(world, before, started, outcome)
+        earliest_ns, latest_ns = lowered.window_ns
         for axis, motion in made.items():
             after_ns = motion.start_ns - (armed_for_ns - sooner_ns)
             require(
-                earliest_ns <= after_ns <= latest_ns,
+                earliest_ns - 1 <= after_ns <= latest_ns + 1,
                 f"{axis} started {after_ns} ns after the earlier T0, declared were {earliest_ns} to {latest_ns} ns",
             )
             _require_end(axis, motion.end_counts, profiles[axis])
@@ -158,12 +165,8 @@ async def check_line_start(world: World) -> None:
         world.line(active=True)
         started = await world.driver.wait_for_start()
         outcome = await world.driver.wait_for_end()
-        require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
-        made = motions_by_axis(world, before)
-        require_evidence(started, {axis: made[axis].start_ns for axis in made}, "start")
-        require_evidence(outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
-        path = [term for term in lowered.terms if term.name != "line"]
-        earliest_ns, latest_ns = sum(term.earliest_ns for term in path), sum(term.latest_ns for term in path)
+        made = _require_done(world, before, started, outcome)
+        earliest_ns, latest_ns = sum_terms(term for term in lowered.terms if term.name != "line")
         for axis, motion in made.items():
             after_ns = motion.start_ns - edge_ns
             require(
@@ -232,10 +235,7 @@ async def check_driven_line(world: World) -> None:
         await world.until(t0_ns + 4 * HOLD_NS)
         require([level for _, level in changes] == [True, False], f"the output changed so: {changes}")
         (edge_ns, _), (released_ns, _) = changes
-        earliest_ns, latest_ns = (
-            sum(term.earliest_ns for term in lowered.edge),
-            sum(term.latest_ns for term in lowered.edge),
-        )
+        earliest_ns, latest_ns = lowered.edge_window_ns
         require(
             earliest_ns <= edge_ns - t0_ns <= latest_ns,
             f"the edge came {edge_ns - t0_ns} ns after T0, declared were {earliest_ns} to {latest_ns} ns",
@@ -271,12 +271,9 @@ async def check_polls_in_motion(world: World) -> None:
     started = await world.driver.wait_for_start()
     outcome = await world.driver.wait_for_end()
     polling.cancel()
-    require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
     seldom = {name: times for name, times in world.polled_beside.items() if times <= 20}
     require(not seldom, f"controllers on the same line were hardly polled: {seldom}")
-    made = motions_by_axis(world, 0)
-    require_evidence(started, {axis: made[axis].start_ns for axis in made}, "start")
-    require_evidence(outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
+    _require_done(world, 0, started, outcome)
 
 
 STEP_CHECKS: tuple[ContractCheck, ...] = (

@@ -1,6 +1,6 @@
 """Requests and replies on the bus. A refusal is a value: a reply reports either what was done or why it was not."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, Self
 
 from pydantic import Field
@@ -229,6 +229,12 @@ class BudgetTerm(Model):
     ]
     earliest_ns: Int53
     latest_ns: Int53
+
+
+def sum_terms(terms: Iterable[BudgetTerm]) -> tuple[int, int]:
+    """The earliest and the latest instant around T0 that the terms together allow, ns."""
+    each = list(terms)
+    return sum(term.earliest_ns for term in each), sum(term.latest_ns for term in each)
 
 
 class Proposal(Reply):

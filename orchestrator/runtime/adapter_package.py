@@ -10,7 +10,6 @@ from orchestrator.model.errors import TuttiError
 from orchestrator.model.plugins import plugin_names
 from orchestrator.runtime.examples import find_example
 
-EXAMPLE = "acme"
 _FOLDER = "adapter-acme"
 _SUFFIXES = {".py", ".toml", ".md", ".jsonl"}
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")

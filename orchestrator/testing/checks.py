@@ -12,7 +12,8 @@ from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase, JogRecord
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.campaign.rest import find_at_rest
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.model.job import Job, SetOutput, WaitInput, named_axes
@@ -23,7 +24,6 @@ from orchestrator.testing.fault_schedule import InjectedFault
 MAX_JOBS = 100_000
 SETTLE_NS = NS_PER_S  # after the last call of a test: what has begun to stop comes to rest
 REPAIR_NS = 3 * NS_PER_S  # after the repair of faults: it is detected, and answered
-REST_POLLS, REST_POLL_NS = 150, 7 * NS_PER_MS
 
 _ANY_RUN = FaultKind("test", "fleet", must_stop=False)
 """Stands for all that a test may do: no job has to be done, and none has to stop."""
@@ -64,7 +64,7 @@ class RunChecks:
         phase.faults = faults
         phase.fault_ns = 0
         phase.jogs.extend(jogs)
-        phase.at_rest = await self._find_at_rest()
+        phase.at_rest = await find_at_rest(self._fleet, self._clock)
         for fault in faults:
             if fault.begun:
                 self._checker.note_fault(fault.kind, fault.controller, fault.affected)
@@ -88,16 +88,6 @@ class RunChecks:
                 job = journal.load_job(row.id)
                 if job is not None:
                     phase.jobs[row.id] = JobOrder(job, row.terms, find_controllers(job, phase.affected))
-
-    async def _find_at_rest(self) -> set[str]:
-        """The controllers at rest. One that decodes a poll at this moment is not at rest for a while: look again."""
-        resting: set[str] = set()
-        for _ in range(REST_POLLS):
-            resting |= {name for name, each in self._fleet.controllers.items() if each.at_rest()}
-            if len(resting) == len(self._fleet.controllers):
-                break
-            await sleep_ns(self._clock, REST_POLL_NS)
-        return resting
 
 
 def find_controllers(job: Job, everything: Sequence[str]) -> tuple[str, ...]:

@@ -32,13 +32,14 @@ from orchestrator.testing.errors import (
     find_controller,
     parse_delay_ns,
 )
-from orchestrator.testing.testbed import FleetTestbed
+from orchestrator.testing.testbed import FleetTestbed, call_scheduled
 from orchestrator.testing.truth import AxisTruth
 from sim.core.controller import CommandedMotion
 
 T = TypeVar("T")
 
 TRUTH_DELAY_NS = 500 * NS_PER_MS  # until a simulator has written what has happened
+_NOT_RUNNING = "the fleet does not run; use it as `with live_fleet(…) as fleet:`"
 LIVE_FAULTS = ("limit", "power-cycle", "power-off", "stall")
 
 
@@ -157,7 +158,7 @@ class LiveTestbed(FleetTestbed):
     def tutti(self) -> BlockingTutti:
         """The client of the test. Raises `BadTest` before the start."""
         if self._tutti is None:
-            raise BadTest("the fleet does not run; use it as `with live_fleet(…) as fleet:`")
+            raise BadTest(_NOT_RUNNING)
         return self._tutti
 
     @property
@@ -180,12 +181,12 @@ class LiveTestbed(FleetTestbed):
 
     def _require_live(self) -> LiveFleet:
         if self._live is None:
-            raise BadTest("the fleet does not run; use it as `with live_fleet(…) as fleet:`")
+            raise BadTest(_NOT_RUNNING)
         return self._live
 
     def _require_worker(self) -> LoopThread:
         if self._worker is None:
-            raise BadTest("the fleet does not run; use it as `with live_fleet(…) as fleet:`")
+            raise BadTest(_NOT_RUNNING)
         return self._worker
 
     # Time
@@ -204,12 +205,12 @@ class LiveTestbed(FleetTestbed):
             function()
             return
 
+        due_ns = raw_ns() - self.origin_ns + at_ns
+
         def call_function() -> None:
             try:
-                function()
-            except Exception as error:
-                failure = CallbackFailed(f"a scheduled function has raised {type(error).__name__}: {error}")
-                failure.__cause__ = error
+                call_scheduled(function, due_ns)
+            except CallbackFailed as failure:
                 self._failures.append(failure)
 
         async def start_timer() -> None:

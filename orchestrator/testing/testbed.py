@@ -6,7 +6,15 @@ from typing import Self, get_args
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.testing import open_fleets
-from orchestrator.testing.errors import BadTest, find_axis, find_choice, find_input, parse_delay_ns
+from orchestrator.testing.errors import (
+    BadTest,
+    CallbackFailed,
+    find_axis,
+    find_choice,
+    find_input,
+    format_s,
+    parse_delay_ns,
+)
 from sim.core.controller import LimitSwitch
 
 
@@ -107,3 +115,13 @@ class FleetTestbed(ABC):
     @abstractmethod
     def _change_now(self, controller: str, change: dict[str, object]) -> None:
         """Change the environment of a controller, as a line of `sim/link/world.py` does."""
+
+
+def call_scheduled(function: Callable[[], object], due_ns: int) -> None:
+    """Call a function of a test that was scheduled for `due_ns`, in fleet time. Raises `CallbackFailed`."""
+    try:
+        function()
+    except Exception as error:
+        name = getattr(function, "__name__", repr(function))
+        text = f"{name}, scheduled for {format_s(due_ns)}, has raised {type(error).__name__}: {error}"
+        raise CallbackFailed(text) from error

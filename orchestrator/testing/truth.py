@@ -1,5 +1,6 @@
 """The true motion of simulated axes, as their profile generators made it: not visible to any part of the fleet."""
 
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -104,7 +105,7 @@ def _interpolate(before: _Sample, after: _Sample, at_ns: int) -> float:
     return from_before + from_after
 
 
-class AxisTruth:
+class AxisTruth(ABC):
     """The truth about one axis. Times are fleet seconds, as `fleet.now_s`; positions are in the axis's unit.
 
     They are those of the controller: `set_position` does not shift them.
@@ -135,11 +136,13 @@ class AxisTruth:
         start_s = (motion.start_ns - self._origin_ns) / NS_PER_S
         return TrueMove(start_s, end_s, self._axis.to_unit(motion.start_counts), to_position)
 
+    @abstractmethod
     def _find_motions(self) -> Sequence[CommandedMotion]:
-        raise NotImplementedError
+        """All commanded motions so far, in order of start."""
 
+    @abstractmethod
     def _find_counts(self, at_ns: int) -> float:
-        raise NotImplementedError
+        """The commanded position at a host instant, in counts of the make. Raises `BadTest`."""
 
     def _require_past(self, at_ns: int, now_ns: int) -> None:
         if at_ns > now_ns:

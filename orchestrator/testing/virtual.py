@@ -9,6 +9,7 @@ with virtual_fleet("lab.fleet.yaml", seed=1) as fleet:
 import json
 from collections.abc import Callable, Coroutine
 from contextvars import Context
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any, TypeVar
@@ -25,14 +26,13 @@ from orchestrator.testing.checks import REPAIR_NS, RunChecks
 from orchestrator.testing.client_bus import ClientBus, JogNotes
 from orchestrator.testing.errors import (
     BadTest,
-    CallbackFailed,
     FleetViolation,
     find_axis,
     format_s,
     parse_delay_ns,
 )
 from orchestrator.testing.fault_schedule import FaultSchedule, InjectedFault
-from orchestrator.testing.testbed import FleetTestbed
+from orchestrator.testing.testbed import FleetTestbed, call_scheduled
 from orchestrator.testing.truth import SAMPLE_NS, AxisTruth, MotorRecord
 from orchestrator.testing.virtual_worker import VirtualWorker
 from sim.core.controller import CommandedMotion
@@ -172,16 +172,8 @@ class VirtualTestbed(FleetTestbed):
             function()
             return
 
-        def call_function() -> None:
-            try:
-                function()
-            except Exception as error:
-                name = getattr(function, "__name__", repr(function))
-                text = f"{name}, scheduled for {format_s(due_ns)}, has raised {type(error).__name__}: {error}"
-                raise CallbackFailed(text) from error
-
-        due_ns = self.clock.now_ns() - self.origin_ns + at_ns
-        self.clock.call_at_ns(self.clock.now_ns() + at_ns, call_function, context=Context())
+        due_ns = self.clock.now_ns() + at_ns
+        self.clock.call_at_ns(due_ns, partial(call_scheduled, function, due_ns - self.origin_ns), context=Context())
 
     # The physical environment
 

@@ -25,7 +25,7 @@ DEFAULTS: Mapping[int, float] = {
     120: 10.0, 121: 10.0, 122: 10.0, 130: 200.0, 131: 200.0, 132: 200.0,
 }  # fmt: skip
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-_MODAL = {"G90", "G91", "G20", "G21", "G93", "G94", "G53", "G0", "G1", "G17", "G54"}
+_GCODES = {"G0", "G1", "G17", "G21", "G53", "G54", "G90", "G94"}  # of the blocks that move here; others are refused
 
 
 class _LineRefused(TuttiError):
@@ -103,7 +103,6 @@ class GrblController(LineController):
         elif any(axis.is_moving for axis in self.axes.values()):
             self.send_to_all("ALARM:3\r\n")
             state = "Alarm"
-        self._generation += 1
         for axis in self.axes.values():
             axis.halt()
         self._reset(state)
@@ -235,7 +234,7 @@ class GrblController(LineController):
         values: dict[str, float] = {}
         for letter, number in _WORD.findall(text):
             if letter == "G":
-                if f"G{float(number):g}" not in _MODAL - {"G91", "G20", "G93"}:
+                if f"G{float(number):g}" not in _GCODES:
                     raise _LineRefused(20)
             elif letter in (*AXES, "F", "T"):
                 if letter in values:
@@ -335,7 +334,6 @@ class GrblController(LineController):
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         """A limit switch stops all steppers dead, and locks ($21 is on in a machine with switches)."""
         if which != "none" and any(each.is_moving for each in self.axes.values()):
-            self._generation += 1
             for each in self.axes.values():
                 each.halt()
             self._reset("Alarm")

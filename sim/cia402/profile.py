@@ -27,7 +27,7 @@ class MotionPlan:
             if each.t > time_s:
                 break
             piece = each
-        return piece.x_at(time_s), piece.v + piece.a * (time_s - piece.t)
+        return piece.x_at(time_s), piece.v_at(time_s)
 
 
 class _PlanBuilder:

@@ -209,7 +209,8 @@ class LineController(ABC):
             self.axes[axis].halt()
 
     def set_stalled(self, axis: str, *, stalled: bool) -> None:
-        self.axes[axis].is_stalled = stalled
+        """Change nothing: without an encoder the controller reports the position that it commands."""
+        del axis, stalled
 
     def push_axis(self, axis: str, counts: int) -> None:
         raise ValueError(f"the motor of {axis} keeps its torque")

@@ -22,6 +22,10 @@ class RampSegment:
         dt = t - self.t
         return self.x + (self.v + 0.5 * self.a * dt) * dt
 
+    def v_at(self, t: float) -> float:
+        """Velocity at time `t`."""
+        return self.v + self.a * (t - self.t)
+
     def moves_in_direction(self, sign: int) -> bool:
         """Return whether the segment moves in direction `sign`."""
         return sign * self.v > 0 or (self.v == 0 and sign * self.a > 0)

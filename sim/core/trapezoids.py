@@ -1,29 +1,12 @@
 """An axis that moves in trapezoids, in the time of its controller's crystal, with its ground truth."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import sqrt
 
 from orchestrator.clock.base import NS_PER_S, ClockTimer
 from sim.core.controller import CommandedMotion
 from sim.core.devicetime import DeviceTime
-
-
-@dataclass(frozen=True, slots=True)
-class _Leg:
-    """Constant acceleration from `at_s` after the start: position, velocity, acceleration."""
-
-    at_s: float
-    position: float
-    velocity: float
-    acceleration: float
-
-    def position_at(self, time_s: float) -> float:
-        t = time_s - self.at_s
-        return self.position + t * (self.velocity + t * self.acceleration / 2)
-
-    def velocity_at(self, time_s: float) -> float:
-        return self.velocity + (time_s - self.at_s) * self.acceleration
+from sim.core.ramps import RampSegment
 
 
 class TrapezoidAxis:
@@ -34,10 +17,9 @@ class TrapezoidAxis:
     ) -> None:
         self.name = name
         self.on_rest = on_rest
-        self.is_stalled = False
         self._time = time
         self._record = record
-        self._legs: list[_Leg] = []
+        self._legs: list[RampSegment] = []
         self._start_ns = 0
         self._end_s = 0.0
         self._rest = 0.0
@@ -56,14 +38,14 @@ class TrapezoidAxis:
         """The position register now."""
         if not self.is_moving:
             return self._rest
-        return self._leg_at(self._now_s()).position_at(min(self._now_s(), self._end_s))
+        return self._leg_at(self._now_s()).x_at(min(self._now_s(), self._end_s))
 
     @property
     def velocity(self) -> float:
         """Velocity now, per second of the controller's crystal."""
         if not self.is_moving or self._now_s() >= self._end_s:
             return 0.0
-        return self._leg_at(self._now_s()).velocity_at(self._now_s())
+        return self._leg_at(self._now_s()).v_at(self._now_s())
 
     @property
     def true_velocity(self) -> float:
@@ -93,9 +75,9 @@ class TrapezoidAxis:
         top = sign * peak
         after = here + sign * peak * ramp_s / 2
         self._legs = [
-            _Leg(0.0, here, 0.0, sign * acceleration),
-            _Leg(ramp_s, after, top, 0.0),
-            _Leg(ramp_s + cruise_s, after + top * cruise_s, top, -sign * acceleration),
+            RampSegment(0.0, here, 0.0, sign * acceleration),
+            RampSegment(ramp_s, after, top, 0.0),
+            RampSegment(ramp_s + cruise_s, after + top * cruise_s, top, -sign * acceleration),
         ]
         self._begin(target, 2 * ramp_s + cruise_s, acceleration)
 
@@ -114,7 +96,7 @@ class TrapezoidAxis:
         now_s, velocity, here = self._now_s(), self.velocity, self.position
         slope = self._acceleration if acceleration is None else acceleration
         took_s = abs(velocity) / slope
-        self._legs = [_Leg(now_s, here, velocity, -slope if velocity > 0 else slope)]
+        self._legs = [RampSegment(now_s, here, velocity, -slope if velocity > 0 else slope)]
         self._end_s = now_s + took_s
         self._target = float(round(here + velocity * took_s / 2))
         motion.slowing_ns = self._time.clock.now_ns()
@@ -144,5 +126,5 @@ class TrapezoidAxis:
     def _now_s(self) -> float:
         return (self._time.now_ns() - self._start_ns) / NS_PER_S
 
-    def _leg_at(self, time_s: float) -> _Leg:
-        return next((each for each in reversed(self._legs) if each.at_s <= time_s), self._legs[0])
+    def _leg_at(self, time_s: float) -> RampSegment:
+        return next((each for each in reversed(self._legs) if each.t <= time_s), self._legs[0])

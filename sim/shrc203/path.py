@@ -71,8 +71,8 @@ class RampPath:
         for segment in reversed(self.segments):
             if segment.t <= t:
                 break
-        dt = max(0.0, t - segment.t)
-        return segment.x + (segment.v + 0.5 * segment.a * dt) * dt, segment.v + segment.a * dt
+        after = max(t, segment.t)
+        return segment.x_at(after), segment.v_at(after)
 
     def first_at(self, bound: float, sign: int, after: float) -> float | None:
         return first_at(self.segments, self.duration, bound, sign, after)

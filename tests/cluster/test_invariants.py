@@ -62,12 +62,12 @@ def opens_its_gate_when_armed(patch: Patch) -> None:
     patch.setattr(ControllerSupervisor, "_handle_lease_end", nothing)
 
 
-def stops_nobody(patch: Patch) -> None:
+def stops_no_member(patch: Patch) -> None:
     patch.setattr(FleetAccess, "stop_members", nothing_async)
     patch.setattr(ControllerSupervisor, "_handle_lease_end", nothing)  # which would stop what the job has left moving
 
 
-def hears_no_estop(patch: Patch) -> None:
+def ignores_the_estop(patch: Patch) -> None:
     patch.setattr(ControllerSupervisor, "apply_estop", nothing_async)
 
 
@@ -82,7 +82,7 @@ def plans_beyond_the_limits(patch: Patch) -> None:
     patch.setattr("adapters.controller.supervisor.check_profiles", nothing)
 
 
-def believes_in_old_references(patch: Patch) -> None:
+def keeps_old_references(patch: Patch) -> None:
     """Also of a controller that was switched off and on."""
     patch.setattr(AxisReferencing, "handle_reading", lambda *_: [])  # pyright: ignore[reportUnknownLambdaType]
 
@@ -103,13 +103,13 @@ def jogs_on(patch: Patch) -> None:
     patch.setattr(JogControl, "_enforce_deadline", nothing_async)
 
 
-def lets_anybody_end_a_job(patch: Patch) -> None:
+def lets_any_coordinator_end_a_job(patch: Patch) -> None:
     """Coordinators that are overtaken, too."""
     patch.setattr(Journal, "require_latest_epoch", nothing)
     patch.setattr(Journal, "_require_unended", nothing)
 
 
-def stops_everybody(patch: Patch) -> None:
+def stops_all_members(patch: Patch) -> None:
     """All controllers of the fleet, not the members of the step that failed."""
     honest = FleetAccess.stop_members
 
@@ -129,7 +129,7 @@ def claims_too_much(patch: Patch) -> None:
     patch.setattr(ShrcDriver, "wait_for_start", narrowed)
 
 
-def hears_no_other_reign(patch: Patch) -> None:
+def ignores_other_coordinators(patch: Patch) -> None:
     patch.setattr(Leadership, "_receive_heartbeat", nothing)
 
 
@@ -203,16 +203,16 @@ class Mutation(NamedTuple):
 MUTATIONS = (
     Mutation("1", goes_without_promises, FaultCell("commit", "host-killed", "smc4000")),
     Mutation("1/2", opens_its_gate_when_armed, FaultCell("commit", "link-closed", "shrc203")),
-    Mutation("3", stops_nobody, FaultCell("motion", "limit", "smc4000")),
-    Mutation("4", hears_no_estop, FaultCell("motion", "estop", "ppsmc")),
+    Mutation("3", stops_no_member, FaultCell("motion", "limit", "smc4000")),
+    Mutation("4", ignores_the_estop, FaultCell("motion", "estop", "ppsmc")),
     Mutation("5", plans_beyond_the_limits, FaultCell("motion", "none", "smc4000")),
     Mutation("3", searches_on, FaultCell("home", "stop", "smc2000")),
     Mutation("3", jogs_on, FaultCell("jog", "none", "smc4000")),
-    Mutation("5", believes_in_old_references, FaultCell("motion", "power-cycle", "smc30")),
-    Mutation("6", lets_anybody_end_a_job, FaultCell("arm", "coordinator-overtaken", "shrc203")),
-    Mutation("7", stops_everybody, FaultCell("motion", "limit", "cia402")),
+    Mutation("5", keeps_old_references, FaultCell("motion", "power-cycle", "smc30")),
+    Mutation("6", lets_any_coordinator_end_a_job, FaultCell("arm", "coordinator-overtaken", "shrc203")),
+    Mutation("7", stops_all_members, FaultCell("motion", "limit", "cia402")),
     Mutation("8", claims_too_much, FaultCell("motion", "none", "shrc203")),
-    Mutation("9", hears_no_other_reign, FaultCell("arm", "coordinator-overtaken", "ppsmc")),
+    Mutation("9", ignores_other_coordinators, FaultCell("arm", "coordinator-overtaken", "ppsmc")),
     Mutation("10", takes_any_configuration, FaultCell("arm", "host-other-file", "cia402")),
     Mutation("11", begins_after_a_break, FaultCell("motion", "fleet-restarted", "shrc203")),
     Mutation("3", misses_absence, FaultCell("motion", "operator-lost", "smc4000")),
@@ -225,14 +225,14 @@ SEEDS = (1, 4, 9, 0, 2, 3, 5, 6, 7, 8, 10, 11)
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda each: f"{each.invariant}: {each.breaks.__name__}")
-def test_the_campaign_notices(mutation: Mutation, monkeypatch: Patch) -> None:
+def test_the_campaign_finds_the_violation(mutation: Mutation, monkeypatch: Patch) -> None:
     mutation.breaks(monkeypatch)
-    said: list[str] = []
+    found: list[str] = []
     for seed in SEEDS:
-        said += run_scenario(seed, [mutation.cell]).violations
-        if any(each.startswith(f"invariant {mutation.invariant}:") for each in said):
+        found += run_scenario(seed, [mutation.cell]).violations
+        if any(each.startswith(f"invariant {mutation.invariant}:") for each in found):
             return
-    pytest.fail(f"nobody noticed in {len(SEEDS)} seeds; said was only {said}")
+    pytest.fail(f"no violation of invariant {mutation.invariant} in {len(SEEDS)} seeds, only: {found}")
 
 
 def states_promises_only(patch: Patch) -> None:

@@ -346,26 +346,26 @@ def test_an_axis_left_in_motion_fails_the_test_with_the_seed() -> None:
         leave_it(fleet)
 
 
-def test_a_motion_that_nothing_has_asked_for_is_found(fleet: VirtualTestbed) -> None:
-    async def move_alone(tutti: Tutti) -> None:
+def command_past_tutti(fleet: VirtualTestbed, commands: bytes, seconds: float) -> None:
+    """Send commands to the gantry over a connection of their own, and let them act for a time."""
+
+    async def command(tutti: Tutti) -> None:
         link = await fleet._virtual.wires["gantry"].open_link()
-        link.write(b"PRX=5000\rBGX\r")
-        await asyncio.sleep(1)
+        link.write(commands)
+        await asyncio.sleep(seconds)
         await link.close()
 
-    fleet.run(move_alone)
+    fleet.run(command)
+
+
+def test_a_motion_that_nothing_has_asked_for_is_found(fleet: VirtualTestbed) -> None:
+    command_past_tutti(fleet, b"PRX=5000\rBGX\r", 1)
     with pytest.raises(FleetViolation, match=r"invariant 1/2: gantry\.x moved at"):
         fleet.check_and_close()
 
 
 def test_an_axis_beyond_its_limits_is_found(fleet: VirtualTestbed) -> None:
-    async def move_far(tutti: Tutti) -> None:
-        link = await fleet._virtual.wires["gantry"].open_link()
-        link.write(b"ACX=9000000\rSPX=900000\rPAX=410000\rBGX\r")
-        await asyncio.sleep(3)
-        await link.close()
-
-    fleet.run(move_far)
+    command_past_tutti(fleet, b"ACX=9000000\rSPX=900000\rPAX=410000\rBGX\r", 3)
     with pytest.raises(FleetViolation, match=r"(?s)counts/s; its limit.*moved to 410000; limits"):
         fleet.check_and_close()
 

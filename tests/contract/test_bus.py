@@ -174,9 +174,9 @@ def test_an_absent_server_is_detected_at_once(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         async with asyncio.timeout(1.0):
-            with pytest.raises(NoReply, match="t/nobody"):
-                await a.request("t/nobody", b"", LIMIT_S)
-            assert await a.request_all("t/nobody/*", b"", LIMIT_S) == {}
+            with pytest.raises(NoReply, match="t/unserved"):
+                await a.request("t/unserved", b"", LIMIT_S)
+            assert await a.request_all("t/unserved/*", b"", LIMIT_S) == {}
 
     run(body)
 
@@ -273,8 +273,8 @@ def test_only_the_reply_of_the_expected_server_counts(run: Run) -> None:
 def test_servers_that_cannot_be_found(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
-        with pytest.raises(NoReply, match="t/nobody"):
-            await find_only_server(a, "t/nobody/*", LIMIT_S)
+        with pytest.raises(NoReply, match="t/unserved"):
+            await find_only_server(a, "t/unserved/*", LIMIT_S)
         await world.peer("p")
         await world.peer("q")
         assert await find_only_server(a, "t/p/latest", LIMIT_S) in await a.find_servers("t/shared", LIMIT_S)

@@ -44,7 +44,7 @@ def test_a_router_that_is_still_being_started_is_waited_for() -> None:
         await asyncio.sleep(0.2)
         world.heal()
         with pytest.raises(NoReply):
-            await (await joining).request("t/nobody", b"", LIMIT_S)
+            await (await joining).request("t/unserved", b"", LIMIT_S)
 
     run_live(body)
 

@@ -61,11 +61,6 @@ class LineLowered(Lowered):
     moves: tuple[LineAxisMove, ...] = ()
     targets: tuple[LineTarget, ...] = ()
 
-    @property
-    def window_ns(self) -> tuple[int, int]:
-        """The interval of the start relative to T0, from all terms together."""
-        return sum(each.earliest_ns for each in self.terms), sum(each.latest_ns for each in self.terms)
-
 
 @dataclass(frozen=True, slots=True)
 class CountScale:

@@ -4,7 +4,7 @@ end."""
 import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil, floor
 
 from adapters.contract import HostInterval, MoveOutcome, TimedWrite, WriteResult
@@ -35,8 +35,6 @@ class LineMove:
     running: "asyncio.Task[tuple[WriteResult, LineReply | None]] | None" = None
     order: TimedWrite | None = None
     started: HostInterval | None = None
-    last_moving_ns: int = 0
-    idle_since_ns: int | None = field(default=None)
 
 
 class LineMover:
@@ -242,7 +240,6 @@ class LineMover:
             state = await self._unit.read_state()
             if state.status.state != "moving":
                 break
-            move.last_moving_ns = state.reply.sent_ns
             if self._clock.now_ns() > overdue_ns and not move.stopped:
                 self._unit.write_stop()
                 move.stopped = True

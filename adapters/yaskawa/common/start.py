@@ -223,7 +223,7 @@ class SampleStart:
         loaded = self._require_loaded()
         mapping, waits = loaded.mapping, loaded.lowered.waits
         _, last = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
-        late_ns = sum(term.latest_ns for term in loaded.lowered.terms)
+        late_ns = loaded.lowered.window_ns[1]
         await sleep_until_ns(
             self._clock, mapping.to_host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns)
         )

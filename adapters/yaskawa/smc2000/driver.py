@@ -20,12 +20,7 @@ from adapters.contract import (
 )
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
-from adapters.yaskawa.common.checks import (
-    find_homing_problems,
-    find_motor_problems,
-    find_option_problems,
-    find_point_problems,
-)
+from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import (
@@ -59,7 +54,6 @@ CHAIN_ADDRESSES = range(8)  # addresses in a chain (L939)
 # of elements per transfer: other controllers of a chain wait an eighth of a second for their turn
 ARRAY_CHARACTERS = 240
 ARRAY_BACK = 40  # elements per upload
-INPUTS, OUTPUTS = 24, 16  # of the controller with eight axes (L742, L746)
 STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
 
 # For the declared costs: characters of an exchange, sent and received, while arming.
@@ -72,7 +66,8 @@ SETTINGS_AXES = 2
 DISARM_EXCHANGES = 8  # exchanges that must fit in before the start: commit, release, and the withdrawal of both
 AFTER_START_NS = 3 * NS_PER_MS  # for the program to record its start
 NAMES = (LETTERS, SECOND_LETTERS)
-MOTORS = "X, Y, Z, W (or A, B, C, D), E, F, G, H"
+# Of the controller with eight axes (L742, L746).
+TERMINALS = Terminals(NAMES, "X, Y, Z, W (or A, B, C, D), E, F, G, H", inputs=24, outputs=16)
 
 
 def _word_count(points: Mapping[str, DigitalInput] | Mapping[str, DigitalOutput], size: int) -> int:
@@ -279,10 +274,7 @@ class SMC2000Make:
         if len(config.axes) > AXES_MOST:
             yield f"axes: {len(config.axes)}; at most {AXES_MOST} axes of one SMC-2000 can be driven"
         options = validate_options(Smc2000DriverOptions, config)
-        yield from find_motor_problems(config, NAMES, MOTORS)
-        yield from find_point_problems(config, INPUTS, OUTPUTS)
-        yield from find_homing_problems(config)
-        yield from find_option_problems(config, options)
+        yield from find_model_problems(config, TERMINALS, options)
         for name, axis in config.axes.items():
             stepper = abs(options.motor_type.get(name, 1.0)) >= STEPPER_TYPE
             counts_ms = STEPPER_SPEED_MAX if stepper else SMC2000.speed_max

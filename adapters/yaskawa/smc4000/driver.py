@@ -17,12 +17,7 @@ from adapters.contract import (
     validate_options,
 )
 from adapters.toolkit.refusals import log_refusals
-from adapters.yaskawa.common.checks import (
-    find_homing_problems,
-    find_motor_problems,
-    find_option_problems,
-    find_point_problems,
-)
+from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
@@ -57,7 +52,7 @@ POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 14
 DISARM_EXCHANGES = 5
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
-MOTORS = "X, Y, Z, W (or A, B, C, D)"
+TERMINALS = Terminals(NAMES, "X, Y, Z, W (or A, B, C, D)", POINTS, POINTS)
 LEAVE_EXCHANGES = 2  # contour mode is left before a step; a refusal is queried
 
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
@@ -227,10 +222,7 @@ class SMC4000Make:
     def _find_problems(self, config: Controller) -> Iterator[str]:
         if isinstance(config.link, SerialLink) and config.link.baud not in BAUD_RATES:
             yield f"link.baud: {config.link.baud}; the serial port has {' or '.join(map(str, BAUD_RATES))}"
-        yield from find_motor_problems(config, NAMES, MOTORS)
-        yield from find_point_problems(config, POINTS, POINTS)
-        yield from find_homing_problems(config)
-        yield from find_option_problems(config, validate_options(YaskawaOptions, config))
+        yield from find_model_problems(config, TERMINALS, validate_options(YaskawaOptions, config))
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return SMC4000Driver(setup)

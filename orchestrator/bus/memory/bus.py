@@ -21,6 +21,7 @@ from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
 from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken, PresenceWatch
 from orchestrator.bus.memory.requests import RequestBoard, ServedExpression
 from orchestrator.bus.outcome import RequestOutcome
+from orchestrator.bus.requesting import RequestingBus
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.virtual import VirtualClock
 
@@ -314,10 +315,11 @@ def _call_subscriptions(subscriptions: list[_Subscription], sample: BusSample) -
         loop.call_soon(subscription.deliver_sample, sample, context=subscription.context)
 
 
-class MemoryBus:
+class MemoryBus(RequestingBus):
     """One process's connection to a `MemoryNet`."""
 
     def __init__(self, net: MemoryNet, name: str, queue_limit: int, max_message_bytes: int) -> None:
+        super().__init__()
         self.net = net
         self.name = name
         self.server = net.draw_server()
@@ -331,7 +333,6 @@ class MemoryBus:
         self.last_arrivals_ns: dict[tuple[str, str, Priority], int] = {}
         self._closed = False
         self._asking: dict[int, RequestOutcome] = {}
-        self._on_double_answer: Callable[[str], None] = lambda _: None
         self._asked = 0
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
@@ -351,24 +352,6 @@ class MemoryBus:
         served = ServedExpression(self.net.requests, self, check_expression(expression), handler)
         self.net.requests.add_server(served)
         return served
-
-    async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
-        on_double_answer = self._on_double_answer
-        outcome = RequestOutcome(
-            check_key(key), timeout_s, first_only=True, expected=server, on_double_answer=on_double_answer
-        )
-        await self._collect_replies(outcome, payload, timeout_s)
-        return next(iter(outcome.replies.values()))
-
-    async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
-        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
-        await self._collect_replies(outcome, payload, timeout_s)
-        return outcome.replies
-
-    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
-        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
-        await self._collect_replies(outcome, b"", timeout_s)
-        return outcome.require_servers()
 
     async def _collect_replies(self, outcome: RequestOutcome, payload: bytes, timeout_s: float) -> None:
         self._check_open()
@@ -395,9 +378,6 @@ class MemoryBus:
         watch = PresenceWatch(self.net.presence, self, check_expression(expression), callback)
         self.net.presence.add_watch(watch)
         return watch
-
-    def report_double_answers(self, callback: Callable[[str], None]) -> None:
-        self._on_double_answer = callback
 
     @property
     def backlog(self) -> int:

@@ -26,6 +26,7 @@ from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority
 from orchestrator.bus.expression import check_expression, check_key, check_put, is_silent_on, is_wild
 from orchestrator.bus.limits import MAX_ANSWERING, MAX_MESSAGE_BYTES, MAX_STATES_QUEUED, LossCounter, is_stop
 from orchestrator.bus.outcome import RequestOutcome
+from orchestrator.bus.requesting import RequestingBus
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
 
@@ -96,10 +97,11 @@ class _ZenohDeclaration:
             await run_in_thread("bus-undeclare", undeclare)
 
 
-class ZenohBus:
+class ZenohBus(RequestingBus):
     """One process's connection to the bus. Made by `open_bus`."""
 
     def __init__(self, endpoint: str, lossy: zenoh.Session, sure: zenoh.Session, max_message_bytes: int) -> None:
+        super().__init__()
         self._endpoint = endpoint
         self._max_message_bytes = max_message_bytes
         self._losses = LossCounter("bus", time.monotonic_ns)
@@ -113,7 +115,6 @@ class ZenohBus:
         self._standing: dict[_ZenohDeclaration, Callable[[], None]] = {}
         self._disconnects = 0
         self._asking: list[RequestOutcome] = []
-        self._on_double_answer: Callable[[str], None] = lambda _: None
         self._answering: set[asyncio.Task[None]] = set()
         # Held only so that it is not undeclared.
         self._transports = sure.info.declare_transport_events_listener(_make_direct_callback(self._transport_event))
@@ -240,24 +241,6 @@ class ZenohBus:
 
         self._sure_sender.queue_call(Priority.EVENT, send_reply)
 
-    async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
-        on_double_answer = self._on_double_answer
-        outcome = RequestOutcome(
-            check_key(key), timeout_s, first_only=True, expected=server, on_double_answer=on_double_answer
-        )
-        await self._collect_replies(outcome, payload, timeout_s)
-        return next(iter(outcome.replies.values()))
-
-    async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
-        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
-        await self._collect_replies(outcome, payload, timeout_s)
-        return outcome.replies
-
-    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
-        outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
-        await self._collect_replies(outcome, b"", timeout_s)
-        return outcome.require_servers()
-
     async def _collect_replies(self, outcome: RequestOutcome, payload: bytes, timeout_s: float) -> None:
         self._check_open()
         _require_sendable("request", payload)
@@ -347,9 +330,6 @@ class ZenohBus:
         )
         declaration.attach(subscriber.undeclare)
         return declaration
-
-    def report_double_answers(self, callback: Callable[[str], None]) -> None:
-        self._on_double_answer = callback
 
     @property
     def backlog(self) -> int:

@@ -39,7 +39,6 @@ T = TypeVar("T")
 M = TypeVar("M", bound=Model)
 MAX_RECORDED_JOBS = 100  # the newest jobs only: recordings are large, and the reports are kept
 
-
 LAST_CHARACTER = "\U0010ffff"  # after all others in the order of ids
 _UNFINISHED_STATES = tuple(sorted(set(get_args(JobState)) - FINISHED_STATES))
 
@@ -159,7 +158,7 @@ class Journal:
         return epoch
 
     def require_latest_epoch(self, epoch: int) -> None:
-        """Raises `Overtaken` if an epoch after `epoch` has been taken."""
+        """Raises `EpochOvertaken` if an epoch after `epoch` has been taken."""
         last = self._read_epoch()
         if last > epoch:
             raise EpochOvertaken(f"epoch {epoch} is over: a coordinator leads with epoch {last}")
@@ -262,7 +261,7 @@ class Journal:
         return bool(self._select_rows("SELECT 1 FROM jobs WHERE client_key = ?", (client_key,)))
 
     def record_transition(self, job_id: str, transition: JobTransition, report: JobReport | None = None) -> None:
-        """Record a change of a job's state, with its report if it has ended. Raises `HasEnded`, `JournalError`."""
+        """Record a change of a job's state, with its report if it has ended. Raises `JobHasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             self._insert_transition(job_id, transition)
@@ -308,13 +307,17 @@ class Journal:
         self._db.execute("UPDATE jobs SET state = ?, reason = ? WHERE id = ?", (state, reason, job_id))
 
     def record_decision(self, job_id: str, decision: StepDecision, utc: str) -> None:
-        """Record that all members have promised: from here on the step may move. Raises `HasEnded`, `JournalError`."""
+        """Record that all members have promised: from here on the step may move.
+
+        Raises `JobHasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             self._db.execute("INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, *decision, utc))
 
     def withdraw_decision(self, job_id: str, step: int, t0_fleet_ns: int) -> None:
-        """Withdraw a decision: no member has started, and none will at that T0. Raises `HasEnded`, `JournalError`."""
+        """Withdraw a decision: no member has started, and none will at that T0.
+
+        Raises `JobHasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             self._db.execute(

@@ -33,12 +33,6 @@ class StartWindow:
         return sum(term.latest_ns for term in self.terms)
 
 
-def sum_terms(terms: Iterable[BudgetTerm]) -> tuple[int, int]:
-    """The earliest and the latest instant around T0 that the terms allow, ns."""
-    each = list(terms)
-    return sum(term.earliest_ns for term in each), sum(term.latest_ns for term in each)
-
-
 def make_budget(windows: Mapping[str, StartWindow], allowed_ns: int) -> SyncBudget:
     """The guaranteed spread of starts around T0, and the member and term with the largest share."""
     members = {

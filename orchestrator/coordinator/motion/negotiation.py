@@ -13,7 +13,6 @@ from orchestrator.coordinator.motion.budget import (
     make_deviations,
     predict_end,
     predict_path,
-    sum_terms,
 )
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
@@ -29,6 +28,7 @@ from orchestrator.model.messages import (
     ProposeRequest,
     StartOptions,
     raise_first_refusal,
+    sum_terms,
 )
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.profile import Profile
