@@ -143,6 +143,8 @@ class Lowered:
     edge: the same for the edge of the trigger line that the controller drives, at its terminal.
     clock_ppm: guaranteed bound by which the controller's own crystal may stretch or shorten all durations.
     can_advance: `go` can move T0 to an earlier instant.
+    gap_ns: with `start.follows`, how long after the end of the present move, at the latest, the controller can begin
+    this one if it is loaded by `load_next` while the present one runs; None: it cannot be loaded then.
     commands: the commands that would be sent, for display.
     """
 
@@ -156,6 +158,7 @@ class Lowered:
     edge: tuple[BudgetTerm, ...] = field(default=(), kw_only=True)
     clock_ppm: float = field(default=100.0, kw_only=True)
     can_advance: bool = field(default=False, kw_only=True)
+    gap_ns: int | None = field(default=None, kw_only=True)
 
     @property
     def window_ns(self) -> tuple[int, int]:
@@ -423,6 +426,33 @@ class Driver(ABC):
     @abstractmethod
     async def wait_for_end(self) -> MoveOutcome:
         """Wait for the end of the started move and return its outcome. `poll` may be called meanwhile."""
+
+    # Back to back: the next move is loaded while the present one runs. Only for moves with a `gap_ns`.
+
+    async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load the move after the present one, which is released or moves, for a start at `t0_ns`; like `arm_move`.
+
+        The controller starts it only after `release_next`, and only if the present move has then ended at its target on
+        every axis of both moves. `stop` and `disarm_move` unload it too.
+        """
+        raise Refusal("no-next", "the controller cannot load a move while one runs", "")
+
+    async def verify_next(self) -> None:
+        """Check, before the commit, that the next move is still loaded. Raises `Refusal`."""
+        raise Refusal("not-armed", "no next move is loaded", "arm it first")
+
+    async def release_next(self, advance_ns: int = 0) -> None:
+        """Release the next move: it starts at its instant. Raises `Refusal` (code `late`) when it is too late for
+        that. advance_ns: as for `go`."""
+        raise Refusal("not-armed", "no next move is loaded", "arm it first")
+
+    async def unload_next(self) -> None:
+        """Unload the next move; the present one continues. Idempotent."""
+
+    def take_next(self) -> None:
+        """The present move has ended, `wait_for_end` has returned: the next move is the present one from now on, for
+        every method."""
+        raise Refusal("not-armed", "no next move is loaded", "arm it first")
 
     @abstractmethod
     async def stop(self, *, abort: bool) -> None:

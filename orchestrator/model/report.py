@@ -154,6 +154,16 @@ class FeedHold(Model):
     rest_skew: SkewInterval | None = None
 
 
+class StepChain(Model):
+    """How a motion step followed the one before it. kept: it was loaded while that one moved, and began at the T0 that
+    was agreed then. gap_s: from the end of that one to its start, by evidence. broken: why it began from rest."""
+
+    step: int
+    kept: bool
+    gap_s: float | None = None
+    broken: str = ""
+
+
 class StepReport(Model):
     """The record of one step. After feed holds it describes the last part, and lists the holds before.
 
@@ -184,6 +194,7 @@ class StepReport(Model):
     )
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
+    chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
 
 class AxisRecording(Model):

@@ -14,12 +14,15 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
+from orchestrator.coordinator.jobs.look_ahead import ChainBreak, find_next_motion
 from orchestrator.coordinator.jobs.queue import expand_repeats, find_axes
 from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.motion.ahead import StepAhead
 from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.report import measure_gap_s
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
@@ -27,7 +30,7 @@ from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Step
 from orchestrator.model.messages import RefusalDetails, StopMode
-from orchestrator.model.report import FeedHold, JobProgress, JobReport, JobState, JobTransition, StepReport
+from orchestrator.model.report import FeedHold, JobProgress, JobReport, JobState, JobTransition, StepChain, StepReport
 
 PROGRESS_NS = NS_PER_S // 5
 REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show rest
@@ -102,6 +105,10 @@ class JobRun:
         self.task: asyncio.Task[JobOutcome] | None = None
         self._services = services
         self._motion_step: MotionStep | None = None
+        self._ahead: StepAhead | None = None
+        self._chain_break: ChainBreak | None = None
+        self._chained: int | None = None
+        """The last step that began behind the one before it."""
         self._interrupt: JobInterrupted | None = None
         self._given_up: JobInterrupted | None = None
         self._noted = False
@@ -165,6 +172,8 @@ class JobRun:
         self._braked = True
         if self._motion_step is not None:
             await self._motion_step.feed_hold(actor)
+        if self._ahead is not None:
+            await self._ahead.feed_hold(actor)
 
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
@@ -179,6 +188,10 @@ class JobRun:
 
     async def _wait_while_paused(self) -> None:
         """Wait until the job is resumed, if it is paused. Raises `Interrupted` when it is ended."""
+        if self._paused_by is not None and self._ahead is not None:
+            if self._ahead.is_decided and not self._braked:
+                return  # it was too late to pause before that step
+            await self._drop_ahead("the job is paused")
         while self._paused_by is not None:
             self._seen_ns = None
             where = f"before step {self._step}" if self._step == self.row.from_step else f"after step {self._step - 1}"
@@ -238,7 +251,7 @@ class JobRun:
                 step = self._steps[index]
                 report = await self._run_step_with_pauses(index, step)
                 self._seen_ns = None
-                self._reports.append(report)
+                self._reports.append(self._note_chain(report))
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
                     reason = f"step {index} ({step.do}): {report.reason}"
@@ -263,19 +276,26 @@ class JobRun:
         except Exception as error:
             state, reason = "failed", f"a defect of the coordinator: {error!r}"
             await services.fleet.stop_members(self.members, "decelerate", "coordinator", reason)
+        finally:
+            await self._drop_ahead("its job has ended")
         return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports}))
 
     async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
         holds: list[FeedHold] = []
         if isinstance(step, Move):
-            request = StepRequest(self.row.id, self.job, index, step)
-            self._motion_step = MotionStep(self._services.motion, request)
+            ahead = self._ahead
+            if ahead is not None and ahead.step.request.index == index:
+                self._motion_step = ahead.step
+            else:
+                request = StepRequest(self.row.id, self.job, index, step)
+                self._motion_step = MotionStep(self._services.motion, request)
         try:
             while True:
                 report = await self._run_step(index, step)
                 if report.refused is None or report.refused.code != FEED_HOLD:
                     return report.model_copy(update={"feed_holds": holds})
+                await self._drop_ahead("the job is paused")
                 if report.state == "stopped":
                     services, by = self._services, self._paused_by or self._resumed_by
                     holds.append(FeedHold(by=by, utc=services.clock.utc(), rest_skew=report.end_skew))
@@ -291,7 +311,7 @@ class JobRun:
         began_ns = services.clock.now_ns()
         try:
             if self._motion_step is not None:
-                return await self._motion_step.run(_StepCallbacks(self._on_state, self._on_started), self._seen_ns)
+                return await self._run_motion(self._motion_step)
             await self._on_state("running", "")
             await services.plain_steps.run_step(step, self.row.id, self.row.actor, self._on_progress)
         except Refusal as error:
@@ -308,6 +328,54 @@ class JobRun:
         took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
         return StepReport(index=index, do=step.do, name=step.name or "", state="done", actual_s=took_s)
 
+    async def _run_motion(self, step: MotionStep) -> StepReport:
+        """Run a motion step: behind the one before, if it is loaded there; otherwise from rest. Raises `Refusal`."""
+        callbacks = _StepCallbacks(self._on_state, self._on_started)
+        ahead = self._ahead
+        if ahead is not None and ahead.step is step:
+            try:
+                motion = await ahead.wait_until_released()
+            except Refusal as error:
+                self._ahead = None
+                if error.code == FEED_HOLD:
+                    raise
+                self._chain_break = ChainBreak(step.request.index, error.text)
+            else:
+                self._ahead, self._chained = None, step.request.index
+                return await step.run_released(motion, callbacks)
+        return await step.run(callbacks, self._seen_ns)
+
+    def _look_ahead(self) -> None:
+        """Prepare the next motion step while the present one moves."""
+        services, step = self._services, self._motion_step
+        motion = None if step is None else step.motion
+        if step is None or motion is None:
+            return
+        found = find_next_motion(services.view.fleet, self._steps, step.request.index)
+        if isinstance(found, ChainBreak):
+            self._chain_break = found
+            return
+        following = MotionStep(services.motion, StepRequest(self.row.id, self.job, found.index, found.move))
+        self._ahead = StepAhead(services.motion, following, motion, pause_ns=found.pause_ns, acts=found.acts)
+
+    async def _drop_ahead(self, reason: str) -> None:
+        """Unload what is prepared behind the present step."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            self._chain_break = ChainBreak(ahead.step.request.index, reason)
+            await ahead.withdraw(reason, self.row.actor)
+
+    def _note_chain(self, report: StepReport) -> StepReport:
+        """The report of a motion step with how it followed the motion step before it."""
+        before = next((each for each in reversed(self._reports) if each.t0_fleet_ns is not None), None)
+        if report.t0_fleet_ns is None or before is None:
+            return report
+        broken = self._chain_break
+        reason = broken.reason if broken is not None and broken.index == report.index else ""
+        gap_s = measure_gap_s(before, report)
+        chain = StepChain(step=before.index, kept=self._chained == report.index, gap_s=gap_s, broken=reason)
+        return report.model_copy(update={"chain": chain})
+
     async def _on_state(self, state: JobState, reason: str) -> None:
         await self._change_state(state, reason)
         if self._braked and state != "planning" and self._motion_step is not None:
@@ -320,6 +388,7 @@ class JobRun:
 
     def _on_started(self, t0_fleet_ns: int, duration_s: float) -> None:
         self._step_t0_ns, self._step_s = t0_fleet_ns, duration_s
+        self._look_ahead()
 
     async def _change_state(self, state: JobState, reason: str, actor: str | None = None) -> None:
         if state == self.state and state != "planning":

@@ -21,6 +21,7 @@ GO_FACTOR = 1.25  # the same after the decision, where arming again begins only 
 SLOW_GO_FACTOR = 1.5
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until their durations are known
 MARGIN_PER_MEMBER_NS = 20 * NS_PER_MS  # minimum for each member: one adapter host may have all of them
+ACTING_NS = 60 * NS_PER_MS  # for the outputs between two steps, until their durations are known
 # a lower bound, because later steps may take longer than those measured; a late member is armed again
 MIN_MARGIN_NS = 10 * NS_PER_MS
 
@@ -58,7 +59,17 @@ class LeadTimeEstimator:
         self._shares: dict[str, _DurationHistory] = {}
         self._releases_ns = _DurationHistory()
         self._goes_ns = _DurationHistory()
+        self._acts_ns = _DurationHistory()
         self.last_leads_ns: dict[frozenset[str], int] = {}
+
+    @property
+    def acting_ns(self) -> int:
+        """The time to allow for switching outputs between two steps."""
+        return round(self._acts_ns.allowed_time(ACTING_NS))
+
+    def record_acting(self, took_ns: int) -> None:
+        """Record how long switching outputs between two steps took, without the dwell there."""
+        self._acts_ns.add_duration(took_ns)
 
     def record_arming(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
         """Record an arming. declared_ns: by member; took_ns: from the request to its answer."""
