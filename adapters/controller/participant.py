@@ -43,6 +43,8 @@ QUIET_BEFORE_T0_NS = 300 * NS_PER_MS
 # A participant is not polled for this long after a request of a step: arming reads the controller as well, and the
 # fleet waits for it.
 QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
+# A controller that turns from one step to the next by its own program is not polled for this long before the next one.
+QUIET_TURN_NS = 25 * NS_PER_MS
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
 
 
@@ -499,10 +501,17 @@ class StepParticipant:
         until_ns = self._requested_ns + QUIET_AFTER_REQUEST_NS
         if armed_step is not None:
             if armed_step.phase is StepPhase.MOVING:
-                return None
+                return self._quiet_turn_until_ns(now_ns)
             if armed_step.t0_host_ns - QUIET_BEFORE_T0_NS <= now_ns <= armed_step.t0_host_ns:
                 until_ns = armed_step.t0_host_ns
         return until_ns if now_ns <= until_ns else None
+
+    def _quiet_turn_until_ns(self, now_ns: int) -> int | None:
+        """Return until when a moving controller is not polled because it begins the following step by itself."""
+        following = self._next.armed_step
+        if following is None or following.phase is not StepPhase.RELEASED:
+            return None
+        return following.t0_host_ns if 0 <= following.t0_host_ns - now_ns <= QUIET_TURN_NS else None
 
     # Internals
 

@@ -13,6 +13,7 @@ from adapters.yaskawa.common.program_turns import (
     FOLLOWING_COMMANDS,
     FOLLOWING_STEP_TICKS,
     RELEASED_COMMANDS,
+    SPARE_TICKS,
     STAMP_COMMANDS,
     STEP_TICKS,
 )
@@ -62,4 +63,4 @@ class GateTiming:
     def gap_ticks(self, axes: int, tick_ns: float) -> int:
         """Return how many samples after the end of a step of `axes` axes another one can begin that follows it."""
         commands = FOLLOWING_COMMANDS + STAMP_COMMANDS * axes
-        return 1 + ceil(commands * self.command_ns / tick_ns) + BEGIN_TICKS
+        return 1 + ceil(commands * self.command_ns / tick_ns) + BEGIN_TICKS + SPARE_TICKS

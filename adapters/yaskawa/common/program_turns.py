@@ -7,3 +7,4 @@ BEGIN_TICKS = 3  # before its start: the jump and the wait still fit
 FOLLOWING_COMMANDS = 11  # from the end of the present step to the wait of the following one, in its thread
 STAMP_COMMANDS = 2  # for each axis of the present step, in that one's thread
 RELEASED_COMMANDS = 6  # from a release at rest to the wait
+SPARE_TICKS = 2  # for commands that take longer than usual

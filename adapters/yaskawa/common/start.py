@@ -31,12 +31,13 @@ WATCH_NS = 100 * NS_PER_MS
 # controllers on one line of 19,200 baud whose watchdogs can be extended within half of the watchdog time
 WATCHDOG_SHARED_MOST = 3
 SETTLE_NS = 5 * NS_PER_MS
+LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then its variables are in their place
 
 
 @dataclass(slots=True)
 class _LoadedMove:
     """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
-    another one. taken: its variables are those of the present step."""
+    another one. released: it starts by itself. taken: its variables are those of the present step."""
 
     lowered: YaskawaLowered
     ticks: int
@@ -45,6 +46,7 @@ class _LoadedMove:
     started: dict[str, HostInterval]
     thread: int = STEP_THREAD
     follows: bool = False
+    released: bool = False
     taken: bool = True
 
     @property
@@ -321,6 +323,7 @@ class SampleStart:
             raise Refusal("late", "the controller no longer waits for this start", "increase the lead time")
         if int(ticks) != following.ticks or not released:
             raise Refusal("read-back", f"XFT reads back as {ticks:.0f}, not {following.ticks}", "try again")
+        following.released = True
 
     async def unload_next(self) -> None:
         """Unload the following move; the present one continues."""
@@ -402,6 +405,8 @@ class SampleStart:
             # Poll again soon after the next planned end: the stamps record only the last end.
             left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
             watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not stopped else SETTLE_NS
+            if not stopped:
+                watch_ns = self._spare_turn(watch_ns)
             stopped = await self._device.sleep_to_stop(watch_ns) or stopped
         reasons = {move.axis: self._end_reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
@@ -414,8 +419,19 @@ class SampleStart:
             text += "; by its own watchdog: the adapter did not extend its deadline, or its program had failed"
         return MoveOutcome("fault" if "fault" in states else "stopped", ended, text)
 
+    def _spare_turn(self, watch_ns: int) -> int:
+        """Return how long to wait before the next query: queries take time from the program between a move and the one
+        that follows it."""
+        following, at_ns = self._next, self._clock.now_ns() + watch_ns
+        if following is None or not following.released:
+            return watch_ns
+        tick_ns = following.mapping.tick_ns
+        gap_ns = self._device.gate.gap_ticks(len(AXIS_LETTERS), tick_ns) * tick_ns
+        late_ns = following.t0_ns + round(LATE_LOOK_TICKS * tick_ns)
+        return late_ns - self._clock.now_ns() if following.t0_ns - gap_ns < at_ns < late_ns else watch_ns
+
     async def _read_present(self) -> tuple[DataRecord, int | None]:
-        """Return a record and, if a move is loaded behind the present one, XT0 of the step that the program executes."""
+        """Return a record and, if a move is loaded behind the present one, XT0 of the step that is executed."""
         if self._next is None:
             return await self._device.read_record(), None
         record, (ticks,) = await self._device.read_record_with("XT0")
