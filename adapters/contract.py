@@ -120,6 +120,7 @@ class DriverCapabilities:
 
     orders: orders of profiles that it can execute: 2 for trapezoids, 3 for jerk-limited profiles.
     independent_axes: axes may move in different steps at the same time, and one can stop without the other.
+    checks_while_moving: `check_settings` may be called while an axis moves.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
     last axis is at rest (transport, and the ramp from full speed).
     """
@@ -128,6 +129,7 @@ class DriverCapabilities:
     orders: tuple[Literal[2, 3], ...]
     independent_axes: bool
     costs: StepCosts
+    checks_while_moving: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,7 +429,14 @@ class Driver(ABC):
     async def wait_for_end(self) -> MoveOutcome:
         """Wait for the end of the started move and return its outcome. `poll` may be called meanwhile."""
 
-    # Back to back: the next move is loaded while the present one runs. Only for moves with a `gap_ns`.
+    # Back to back
+
+    async def arm_behind(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load a move right behind one that has just ended as planned at the positions where this one starts; like
+        `arm_move`, in no more than the time that `lowered.costs` states for a move that follows."""
+        return await self.arm_move(lowered, t0_ns, mapping)
+
+    # The next move is loaded while the present one runs: only moves with a `gap_ns`.
 
     async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         """Load the move after the present one, which is released or moves, for a start at `t0_ns`; like `arm_move`.
@@ -448,6 +457,7 @@ class Driver(ABC):
 
     async def unload_next(self) -> None:
         """Unload the next move; the present one continues. Idempotent."""
+        return
 
     def take_next(self) -> None:
         """The present move has ended, `wait_for_end` has returned: the next move is the present one from now on, for

@@ -1,8 +1,8 @@
 """The step that follows the present one: loaded while that one moves, or as soon as it has ended.
 
-A controller with room for a second move (`Lowered.gap_ns`) holds it beside the present one, and starts it by itself only
-after its release and only if the present move has ended at its target. Any other controller gets it from this adapter
-as soon as the present move has ended; the promise is made after that.
+A controller with room for a second move (`Lowered.gap_ns`) holds it beside the present one, and starts it by itself
+only after its release and only if the present move has ended at its target. Any other controller gets it from this
+adapter as soon as the present move has ended; the promise is made after that.
 """
 
 import asyncio
@@ -32,12 +32,14 @@ class FollowingStep:
     """The step behind the present one.
 
     in_controller: the controller holds it beside the present move; otherwise the adapter loads it after that.
+    checked: settings were compared while the present move runs.
     loaded: the result of loading, once there is one.
     """
 
     move: PreparedMove
     armed_step: ArmedStep
     in_controller: bool
+    checked: bool = False
     loaded: "asyncio.Future[ArmedReply]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
 
@@ -69,10 +71,9 @@ class NextStepSlot:
                 return each
         return None
 
-    def hold_back(self, move: PreparedMove) -> FollowingStep:
+    def hold_back(self, move: PreparedMove, *, checked: bool) -> None:
         """Keep a move until the present one has ended."""
-        self._following = FollowingStep(move, move.armed_step, in_controller=False)
-        return self._following
+        self._following = FollowingStep(move, move.armed_step, in_controller=False, checked=checked)
 
     def note_loaded(self, move: PreparedMove) -> None:
         """The controller holds the move beside the present one."""

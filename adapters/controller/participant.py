@@ -16,7 +16,7 @@ from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
 from adapters.controller.next_step import FollowingStep, NextStepSlot, PreparedMove
 from adapters.controller.settling import SettlingResult
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.latency import MAX_STARTS
 from orchestrator.link.base import LinkClosed
@@ -111,6 +111,10 @@ class StepParticipant:
         self._loading_lock = asyncio.Lock()
         self._interruptions = 0
         self._followed_steps = 0
+        self._reading_is_old = False
+        """The last reading is from before the end of a step that another one follows."""
+        self._ended_ns = 0
+        """When the present step should have ended, at the latest; host time."""
         self._requested_ns = -QUIET_AFTER_REQUEST_NS
         self.past_steps: deque[PastStep] = deque(maxlen=MAX_STARTS)
         """The last steps: as many as starts are learned from."""
@@ -201,12 +205,17 @@ class StepParticipant:
         )
         return PreparedMove(request, armed_step, lowered, mapping, began_ns)
 
-    async def _load_at_rest(self, move: PreparedMove) -> ArmedReply:
-        interruptions = self._interruptions
+    async def _load_at_rest(self, move: PreparedMove, following: FollowingStep | None = None) -> ArmedReply:
+        """Load the move into the controller, whose axes are at rest. following: the step before has just ended, and it
+        waited for that."""
+        interruptions, load = self._interruptions, self._driver.arm_move
+        if following is not None:
+            load = self._driver.arm_behind
         try:
             async with self._loading_lock:
-                await self._require_settings()
-                stages = await self._driver.arm_move(move.lowered, move.armed_step.t0_host_ns, move.mapping)
+                if following is None or not following.checked:
+                    await self._require_settings()
+                stages = await load(move.lowered, move.armed_step.t0_host_ns, move.mapping)
         except (Refusal, ControllerFault):
             await self._driver.disarm_move()
             raise
@@ -237,8 +246,13 @@ class StepParticipant:
         present = self.armed_step
         must_settle = present is not None and self._must_settle(present.axes)
         if move.lowered.gap_ns is None or must_settle:
-            self._next.hold_back(move)
+            checked = self._driver.capabilities.checks_while_moving
+            if checked:
+                await self._require_settings()
+            self._next.hold_back(move, checked=checked)
             self._spawn(self._unload_at_t0(move.armed_step))
+            if self.armed_step is None:
+                self._begin_next()
             return self._make_armed_reply(move, {}).model_copy(update={"waits": True})
         interruptions = self._interruptions
         try:
@@ -276,7 +290,7 @@ class StepParticipant:
             if not following.armed_step.is_same(self.armed_step):
                 return
             try:
-                reply = await self._load_at_rest(replace(following.move, began_ns=self._clock.now_ns()))
+                reply = await self._load_at_rest(replace(following.move, began_ns=self._ended_ns), following)
             except (Refusal, ControllerFault, LinkClosed) as error:
                 if following.armed_step.is_same(self.armed_step):
                     self.armed_step = None
@@ -459,6 +473,9 @@ class StepParticipant:
         self.stop_pending = True
         await self._driver.disarm_move()
         self.stop_pending = False
+        if self._reading_is_old:
+            self._reading_is_old = False
+            await self._settle(())  # the next plan begins at what a reading shows
 
     async def fail_step(self, reason: str) -> None:
         """Handle a failure in motion: stop the remaining axes and report the reason to the coordinator."""
@@ -579,11 +596,13 @@ class StepParticipant:
             text = f"started, {late_ns / 1e6:.1f} ms later than this host guarantees" if late_ns else "started"
             self._emit("started", text, moving, _without_axes(evidence, unseen))
             outcome = await self._driver.wait_for_end()
+            self._ended_ns = moving.t0_host_ns + round(max(moving.promised_s.values(), default=0.0) * NS_PER_S)
             self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
             # The coordinator plans the next step from the state: at the end event it must be the state after the move.
             # The start of a following step, which is planned already, does not wait for that.
             settles = self._next.armed_step is None or self._must_settle(armed_step.axes)
             settled = SettlingResult()
+            self._reading_is_old = not settles
             if settles:
                 settled = await self._settle(armed_step.axes if outcome.state == "done" else ())
             if self.armed_step is not moving:

@@ -251,6 +251,11 @@ class SmcDevice:
             raise LinkClosed("the controller is not connected")
         return self._format
 
+    @property
+    def axes_count(self) -> int:
+        """The number of axes of the controller; 0 until it was connected once."""
+        return 0 if self._format is None else self._format.axes
+
     async def read_record(self) -> DataRecord:
         """Return the whole changing state in one exchange; it also updates the clock estimate."""
         record, _, _ = await self._read_record()

@@ -13,6 +13,7 @@ from adapters.yaskawa.common.program_turns import (
     FOLLOWING_COMMANDS,
     FOLLOWING_STEP_TICKS,
     RELEASED_COMMANDS,
+    SHORT_CHECK_AXES,
     SPARE_TICKS,
     STAMP_COMMANDS,
     STEP_TICKS,
@@ -56,11 +57,12 @@ class GateTiming:
 
         room, seen = to_ticks(ROOM), STEP_TICKS + to_ticks(SEEN)
         decided = room + seen + to_ticks(interleaved)
-        follow = FOLLOWING_STEP_TICKS + to_ticks(2 * RELEASED_COMMANDS) + BEGIN_TICKS
+        follow = FOLLOWING_STEP_TICKS + to_ticks(RELEASED_COMMANDS + RELEASED_COMMANDS // 2) + BEGIN_TICKS
         release = decided + to_ticks(RELEASE)
         return cls(room, STEP_TICKS + to_ticks(SOON), seen, decided, release, follow, command_ns)
 
-    def gap_ticks(self, axes: int, tick_ns: float) -> int:
-        """Return how many samples after the end of a step of `axes` axes another one can begin that follows it."""
-        commands = FOLLOWING_COMMANDS + STAMP_COMMANDS * axes
+    def gap_ticks(self, moved: int, axes: int, tick_ns: float) -> int:
+        """Return how many samples after the end of a step that moved `moved` of `axes` axes another one can begin that
+        follows it."""
+        commands = FOLLOWING_COMMANDS + (axes > SHORT_CHECK_AXES) + STAMP_COMMANDS * moved
         return 1 + ceil(commands * self.command_ns / tick_ns) + BEGIN_TICKS + SPARE_TICKS

@@ -145,7 +145,7 @@ def format_fields(values: Mapping[int, int]) -> str:
 @dataclass(frozen=True, slots=True)
 class LoweringContext:
     """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded. gate:
-    the timing of its program; None for one that cannot hold a following step."""
+    the timing of its program; None for one that cannot hold a following step. axes: of the controller."""
 
     config: Controller
     motors: Mapping[str, int]
@@ -154,6 +154,7 @@ class LoweringContext:
     model: ModelTraits = SMC4000
     packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER
     gate: GateTiming | None = None
+    axes: int = 0
 
 
 def lower_moves(
@@ -404,8 +405,8 @@ def _make_lowered(
     contour = isinstance(load, ContourLoad)
     gap_ns, disarm_ns = None, costs.disarm_ns
     if start.follows and context.gate is not None and not contour and waits is None and drives is None:
-        gap_ns = math.ceil(context.gate.gap_ticks(len(context.motors), tick_ns) * tick_ns)
-        disarm_ns = math.ceil(context.gate.follow_before * tick_ns) + options.exchange_ns
+        gap_ns = math.ceil(context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) * tick_ns)
+        disarm_ns = math.ceil(context.gate.follow_before * tick_ns)
     begin = f"CD of {axis_letters(mask)}" if contour else f"BG{axis_letters(mask)}"
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",

@@ -40,7 +40,13 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
 """
 
 from adapters.yaskawa.common.gate import GateTiming
-from adapters.yaskawa.common.program_turns import BEGIN_TICKS, FOLLOWING_STEP_TICKS, LAST_LOOK_TICKS, STEP_TICKS
+from adapters.yaskawa.common.program_turns import (
+    BEGIN_TICKS,
+    FOLLOWING_STEP_TICKS,
+    LAST_LOOK_TICKS,
+    SHORT_CHECK_AXES,
+    STEP_TICKS,
+)
 from adapters.yaskawa.common.record import AXIS_LETTERS
 
 STEP_THREAD = 0
@@ -128,14 +134,16 @@ def following_lines(mask: int, axes: int) -> list[str]:
         for command, name in REGISTER_VARIABLES.items()
     )
     off = "+".join(f"@ABS[_RP{AXIS_LETTERS[k]}-{BEGIN_VARIABLE}{k + 1}]" for k in range(axes))
+    separate = axes > SHORT_CHECK_AXES
+    checked = "XOFF=0" if separate else f"({off})=0"
     return [
         f"{following_label(mask)};XFARM=XFT",
         f"#G{mask};WT {FOLLOWING_STEP_TICKS};JP #G{mask},(XACT=0)&((XFT-TIME)>{LAST_LOOK_TICKS})",
         f"AM{everything}",
         registers,
         f"#H{mask};JP #R{mask},XFGO=1;WT {FOLLOWING_STEP_TICKS};JP #H{mask},(XFT-TIME)>{LAST_LOOK_TICKS}",
-        f"#R{mask};XOFF={off}",
-        f"XFOK=XFGO&XDONE&(XOFF=0)&((XFT-TIME)>{BEGIN_TICKS})",
+        f"#R{mask}" + (f";XOFF={off}" if separate else ""),
+        f"XFOK=XFGO&XDONE&({checked})&((XFT-TIME)>{BEGIN_TICKS})",
         f"JP #MISS,XFOK=0;WT XFT-TIME;BG{letters};XFA=TIME",
         f"JS #TAKE;JP #A{mask}",
     ]

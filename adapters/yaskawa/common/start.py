@@ -247,7 +247,7 @@ class SampleStart:
         ticks = round(mapping.to_ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
             raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
-        if ticks - present.end_ticks < self._device.gate.gap_ticks(len(present.lowered.moving_axes), mapping.tick_ns):
+        if ticks - present.end_ticks < self._gap_ticks(present):
             raise Refusal("late", "the step begins too soon after the one before it", "increase the lead time")
         await self._wait_until_taken(present)
         positions = await self._end_positions(present)
@@ -272,6 +272,10 @@ class SampleStart:
             if found != value and name != "XFARM":
                 raise Refusal("read-back", f"{name} reads back as {found:.0f}, not {value}", "try again")
         return {"wire": self._clock.now_ns() - began_ns}
+
+    def _gap_ticks(self, move: _LoadedMove) -> int:
+        axes, moved = self._device.record_format.axes, len(move.lowered.moving_axes)
+        return self._device.gate.gap_ticks(moved, axes, move.mapping.tick_ns)
 
     async def _wait_until_taken(self, present: _LoadedMove) -> None:
         """Wait until the program no longer uses the variables of the following move for the present one."""
@@ -426,7 +430,7 @@ class SampleStart:
         if following is None or not following.released:
             return watch_ns
         tick_ns = following.mapping.tick_ns
-        gap_ns = self._device.gate.gap_ticks(len(AXIS_LETTERS), tick_ns) * tick_ns
+        gap_ns = self._gap_ticks(following) * tick_ns
         late_ns = following.t0_ns + round(LATE_LOOK_TICKS * tick_ns)
         return late_ns - self._clock.now_ns() if following.t0_ns - gap_ns < at_ns < late_ns else watch_ns
 

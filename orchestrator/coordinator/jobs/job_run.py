@@ -164,6 +164,8 @@ class JobRun:
         """Pause the job after its current step. It keeps its axes."""
         self._paused_by = actor
         self._resumed.clear()
+        if self._ahead is not None:
+            self._ahead.prevent_release("the job was paused")
         self.publish_progress()
 
     async def feed_hold(self, actor: str) -> None:

@@ -31,6 +31,7 @@ class StepAhead:
         self._acts = acts
         self._motion: PlannedMotion | None = None
         self._stage: Stage = "planning"
+        self._prevented = ""
         self._may_release = asyncio.Event()
         if not acts:
             self._may_release.set()
@@ -41,6 +42,12 @@ class StepAhead:
     def is_decided(self) -> bool:
         """Whether it starts, or may start, whatever the job does now."""
         return self._motion is not None and self._motion.start.state.decided
+
+    def prevent_release(self, reason: str) -> None:
+        """Let the step not start behind the present one, unless that is decided."""
+        self._prevented = reason
+        if self._motion is not None:
+            self._motion.start.state.withdrawn = reason
 
     def allow_release(self) -> None:
         """What happens between the two steps is done."""
@@ -56,7 +63,7 @@ class StepAhead:
         motion = self._motion
         if self._stage == "releasing" and motion is not None:
             # The exchange under way must not be cut off: it ends with a release, or with all members unloaded.
-            motion.start.state.withdrawn = reason
+            self.prevent_release(reason)
             with suppress(Refusal):
                 await asyncio.shield(self._task)
         self._task.cancel()
@@ -99,6 +106,7 @@ class StepAhead:
             raise Refusal("no-motion", "the step moves no axis")
         present = PresentMove(before.planned.request.index, before.ends_fleet_ns, self._pause_ns, self._acts)
         motion = self._motion = await PlannedMotion.agree(services, planned, present)
+        motion.start.state.withdrawn = self._prevented
         self._stage = "arming"
         await motion.start.arm_following()
         self._stage = "armed"

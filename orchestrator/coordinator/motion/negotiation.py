@@ -214,7 +214,8 @@ class StartNegotiation:
             return agreement.follows_ns
         later = {name: each for name, each in agreement.proposals.items() if each.gap_ns is None}
         releasing_ns = self._estimator.margin_ns(len(agreement.proposals)) + agreement.disarm_ns
-        begun_ns = END_SEEN_NS + (self._arming_ns(later, use_known=True) if later else 0)
+        shares = {name: self._estimator.loading_share(name) for name in later}
+        begun_ns = END_SEEN_NS + self._arming_ns(later, shares)
         if present.acts:
             begun_ns = max(begun_ns, present.pause_ns + self._estimator.acting_ns)
         return max(agreement.follows_ns, present.ends_fleet_ns + round(begun_ns) + releasing_ns)
@@ -397,16 +398,16 @@ class StartNegotiation:
         """The lead time that the members need, as measured if `use_known`, else as declared."""
         margin_ns = self._estimator.margin_ns(len(agreement.proposals), use_known=use_known)
         at_once = {name: each for name, each in agreement.proposals.items() if name not in agreement.loads_later}
-        return round(self._arming_ns(at_once, use_known=use_known)) + margin_ns + agreement.disarm_ns
+        shares = {name: self._estimator.arming_share(name, use_known=use_known) for name in at_once}
+        return round(self._arming_ns(at_once, shares)) + margin_ns + agreement.disarm_ns
 
-    def _arming_ns(self, proposals: Mapping[str, Proposal], *, use_known: bool) -> float:
-        """The time that arming these members takes."""
+    def _arming_ns(self, proposals: Mapping[str, Proposal], shares: Mapping[str, float]) -> float:
+        """The time that arming these members takes. shares: of the time that each declares."""
         lines: dict[str, list[tuple[StepCosts, float]]] = {}
         for member, proposal in proposals.items():
             if proposal.costs is not None:
                 endpoint = self._view.fleet.controllers[member].link.endpoint
-                share = self._estimator.arming_share(member, use_known=use_known)
-                lines.setdefault(endpoint, []).append((proposal.costs, share))
+                lines.setdefault(endpoint, []).append((proposal.costs, shares[member]))
         return max(map(_line_arming_ns, lines.values()), default=0.0)
 
 

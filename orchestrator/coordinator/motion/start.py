@@ -150,7 +150,12 @@ class StartSequence:
         if self.state.paused_by is not None or self.state.withdrawn:
             await self.disarm()
             self.require_not_paused()
-        await self._release(_ignore_state, 1)
+        try:
+            await self._release(_ignore_state, 1)
+        except Refusal as refused:
+            if refused.code in LATE:
+                self._estimator.record_late_loading(self._agreement.loads_later)
+            raise
 
     def require_not_paused(self) -> None:
         """Raises `Refusal` when the step was paused or withdrawn before its motion."""
