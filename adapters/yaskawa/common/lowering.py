@@ -405,7 +405,8 @@ def _make_lowered(
     contour = isinstance(load, ContourLoad)
     gap_ns, disarm_ns = None, costs.disarm_ns
     if start.follows and context.gate is not None and not contour and waits is None and drives is None:
-        gap_ns = math.ceil(context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) * tick_ns)
+        # T0 of both steps is rounded to a sample.
+        gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
         disarm_ns = math.ceil(context.gate.follow_before * tick_ns)
     begin = f"CD of {axis_letters(mask)}" if contour else f"BG{axis_letters(mask)}"
     return YaskawaLowered(

@@ -25,7 +25,7 @@ from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.report import measure_gap_s
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
-from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Step
@@ -106,7 +106,10 @@ class JobRun:
         self._services = services
         self._motion_step: MotionStep | None = None
         self._ahead: StepAhead | None = None
-        self._chain_break: ChainBreak | None = None
+        self._after_next: StepAhead | None = None
+        """The step behind the one ahead, which is planned already."""
+        self._chain_breaks: dict[int | None, str] = {}
+        """Why motion steps begin from rest, by number."""
         self._chained: int | None = None
         """The last step that began behind the one before it."""
         self._interrupt: JobInterrupted | None = None
@@ -341,39 +344,54 @@ class JobRun:
                 self._ahead = None
                 if error.code == FEED_HOLD:
                     raise
-                self._chain_break = ChainBreak(step.request.index, error.text)
+                self._chain_breaks[step.request.index] = error.text
             else:
                 self._ahead, self._chained = None, step.request.index
                 return await step.run_released(motion, callbacks)
         return await step.run(callbacks, self._seen_ns)
 
     def _look_ahead(self) -> None:
-        """Prepare the next motion step while the present one moves."""
-        services, step = self._services, self._motion_step
-        motion = None if step is None else step.motion
-        if step is None or motion is None:
+        """Prepare the next motion step: the present one moves."""
+        motion = None if self._motion_step is None else self._motion_step.motion
+        if motion is None:
             return
-        found = find_next_motion(services.view.fleet, self._steps, step.request.index)
+        self._ahead, self._after_next = self._after_next, None
+        if self._ahead is None:
+            self._ahead = self._prepare_behind(motion)
+        if self._ahead is not None:
+            self._ahead.allow_arming()
+
+    def _plan_after(self, ahead: StepAhead, motion: PlannedMotion) -> None:
+        """Plan the step behind `ahead`, which is released: only its arming waits until that one moves."""
+        if ahead is self._ahead and self._paused_by is None:
+            self._after_next = self._prepare_behind(motion)
+
+    def _prepare_behind(self, motion: PlannedMotion) -> StepAhead | None:
+        """The motion step behind `motion`, being prepared; None where none can follow it."""
+        services = self._services
+        found = find_next_motion(services.view.fleet, self._steps, motion.planned.request.index)
         if isinstance(found, ChainBreak):
-            self._chain_break = found
-            return
+            self._chain_breaks[found.index] = found.reason
+            return None
         following = MotionStep(services.motion, StepRequest(self.row.id, self.job, found.index, found.move))
-        self._ahead = StepAhead(services.motion, following, motion, pause_ns=found.pause_ns, acts=found.acts)
+        return StepAhead(services.motion, following, motion, found.between, self._plan_after)
 
     async def _drop_ahead(self, reason: str) -> None:
         """Unload what is prepared behind the present step."""
-        ahead, self._ahead = self._ahead, None
-        if ahead is not None:
-            self._chain_break = ChainBreak(ahead.step.request.index, reason)
-            await ahead.withdraw(reason, self.row.actor)
+        dropped = (self._after_next, self._ahead)
+        self._ahead = self._after_next = None
+        for ahead in dropped:
+            if ahead is not None:
+                self._chain_breaks[ahead.step.request.index] = reason
+                await ahead.withdraw(reason, self.row.actor)
 
     def _note_chain(self, report: StepReport) -> StepReport:
         """The report of a motion step with how it followed the motion step before it."""
         before = next((each for each in reversed(self._reports) if each.t0_fleet_ns is not None), None)
         if report.t0_fleet_ns is None or before is None:
             return report
-        broken = self._chain_break
-        reason = broken.reason if broken is not None and broken.index == report.index else ""
+        reason = self._chain_breaks.get(report.index, "")
+        self._chain_breaks = {at: text for at, text in self._chain_breaks.items() if at is None or at > report.index}
         gap_s = measure_gap_s(before, report)
         chain = StepChain(step=before.index, kept=self._chained == report.index, gap_s=gap_s, broken=reason)
         return report.model_copy(update={"chain": chain})

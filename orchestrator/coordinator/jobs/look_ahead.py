@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Dwell, Move, SetOutput, Step
 
@@ -11,12 +12,11 @@ BETWEEN_MOST = 20  # steps between two motion steps that are looked at
 
 @dataclass(frozen=True, slots=True)
 class NextMotion:
-    """The motion step `move`, number `index`. pause_ns: dwell before it. acts: outputs are switched before it."""
+    """The motion step `move`, number `index`, and what happens before it."""
 
     index: int
     move: Move
-    pause_ns: int = 0
-    acts: bool = False
+    between: BetweenSteps
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ def find_next_motion(fleet: Fleet, steps: Sequence[Step], index: int) -> NextMot
         step = steps[number]
         if isinstance(step, Move):
             broken = between or (_find_hindrance(fleet, moving, step) if isinstance(moving, Move) else "")
-            return ChainBreak(number, broken) if broken else NextMotion(number, step, pause_ns, acts)
+            return ChainBreak(number, broken) if broken else NextMotion(number, step, BetweenSteps(pause_ns, acts))
         if isinstance(step, Dwell):
             pause_ns += step.duration
         elif isinstance(step, SetOutput):

@@ -1,11 +1,12 @@
 """A motion step that is prepared while the one before it moves, and started behind it."""
 
 import asyncio
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
 
 from orchestrator.clock.base import sleep_ns
-from orchestrator.coordinator.motion.chain import PresentMove
+from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.coordinator.motion.planning import plan_following
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
@@ -15,25 +16,32 @@ Stage = Literal["planning", "arming", "armed", "releasing", "released", "refused
 
 
 class StepAhead:
-    """Prepares `step` behind `before`, which moves, in a task of its own.
+    """Prepares `step` behind `before`, which is released, in a task of its own.
 
-    pause_ns: dwell between the two. acts: outputs are switched between the two: the step is decided only after
-    `allow_release`.
+    between: what happens between the two; where outputs are switched, the step is decided only after `allow_release`.
+    on_released: called once all members will start it. Members have room for one step beside the
+    present one: it is armed only after `allow_arming`, when `before` is the present one.
     """
 
     def __init__(
-        self, services: MotionServices, step: MotionStep, before: PlannedMotion, *, pause_ns: int, acts: bool
+        self,
+        services: MotionServices,
+        step: MotionStep,
+        before: PlannedMotion,
+        between: BetweenSteps,
+        on_released: Callable[["StepAhead", PlannedMotion], None],
     ) -> None:
         self.step = step
         self._services = services
         self._before = before
-        self._pause_ns = pause_ns
-        self._acts = acts
+        self._between = between
+        self._on_released = on_released
+        self._may_arm = asyncio.Event()
         self._motion: PlannedMotion | None = None
         self._stage: Stage = "planning"
         self._prevented = ""
         self._may_release = asyncio.Event()
-        if not acts:
+        if not between.acts:
             self._may_release.set()
         self._task = asyncio.get_running_loop().create_task(self._prepare())
         self._task.add_done_callback(_note_result)
@@ -42,6 +50,10 @@ class StepAhead:
     def is_decided(self) -> bool:
         """Whether it starts, or may start, whatever the job does now."""
         return self._motion is not None and self._motion.start.state.decided
+
+    def allow_arming(self) -> None:
+        """The step before is the present one."""
+        self._may_arm.set()
 
     def prevent_release(self, reason: str) -> None:
         """Let the step not start behind the present one, unless that is decided."""
@@ -104,8 +116,9 @@ class StepAhead:
         planned = await plan_following(services, self.step.request, before.planned)
         if not planned.plan.profiles:
             raise Refusal("no-motion", "the step moves no axis")
-        present = PresentMove(before.planned.request.index, before.ends_fleet_ns, self._pause_ns, self._acts)
+        present = before.make_present(self._between)
         motion = self._motion = await PlannedMotion.agree(services, planned, present)
+        await self._may_arm.wait()
         motion.start.state.withdrawn = self._prevented
         self._stage = "arming"
         await motion.start.arm_following()
@@ -114,6 +127,7 @@ class StepAhead:
         self._stage = "releasing"
         await motion.start.release_following()
         self._stage = "released"
+        self._on_released(self, motion)
         return motion
 
     async def _wait_for_release(self, motion: PlannedMotion) -> None:

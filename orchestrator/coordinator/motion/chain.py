@@ -13,14 +13,22 @@ END_SEEN_NS = 8 * NS_PER_MS  # from the end of a move until its adapter has noti
 
 
 @dataclass(frozen=True, slots=True)
+class BetweenSteps:
+    """What happens between two motion steps. pause_ns: dwell. acts: outputs are switched, before the second step is
+    decided."""
+
+    pause_ns: int = 0
+    acts: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class PresentMove:
     """The moving step that another one follows.
 
-    step: its number. ends_fleet_ns: by then all its members have ended. pause_ns: dwell between the two steps. acts:
-    outputs are switched between the two, before the second one is decided.
-    """
+    step: its number. ends_fleet_ns: by then all its members have ended. planned_end_ns: the same for members that start
+    at T0 exactly; those that hold the next step know their own start and end by their own clock."""
 
     step: int
     ends_fleet_ns: int
-    pause_ns: int = 0
-    acts: bool = False
+    planned_end_ns: int
+    between: BetweenSteps = BetweenSteps()

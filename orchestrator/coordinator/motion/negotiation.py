@@ -111,13 +111,15 @@ class StartAgreement:
         if self.present is None:
             return 0
         gaps = [each.gap_ns for each in self.proposals.values() if each.gap_ns is not None]
-        return self.present.ends_fleet_ns + max([self.present.pause_ns, *gaps])
-
-    @property
-    def latest_end_ns(self) -> int:
-        """By then all its members have ended if T0 is 0, ns."""
         return max(
-            sum_terms(each.terms)[1]
+            self.present.ends_fleet_ns + self.present.between.pause_ns,
+            self.present.planned_end_ns + max(gaps, default=0),
+        )
+
+    def longest_ns(self, *, with_start: bool) -> int:
+        """From T0 until all its members have ended, ns. with_start: the latest start that they promise included."""
+        return max(
+            (sum_terms(each.terms)[1] if with_start else 0)
             + round(max(each.durations_s.values(), default=0.0) * (1 + each.clock_ppm * 1e-6) * NS_PER_S)
             for each in self.proposals.values()
         )
@@ -210,15 +212,16 @@ class StartNegotiation:
     def earliest_following_ns(self, agreement: StartAgreement) -> int:
         """The earliest T0 of a step that follows, fleet time, with the loading after the end of the present one."""
         present = agreement.present
-        if present is None or not (agreement.loads_later or present.acts):
-            return agreement.follows_ns
+        earliest_ns = max(agreement.follows_ns, self._now_ns() + self._needed_ns(agreement, use_known=True))
+        if present is None or not (agreement.loads_later or present.between.acts):
+            return earliest_ns
         later = {name: each for name, each in agreement.proposals.items() if each.gap_ns is None}
         releasing_ns = self._estimator.margin_ns(len(agreement.proposals)) + agreement.disarm_ns
         shares = {name: self._estimator.loading_share(name) for name in later}
         begun_ns = END_SEEN_NS + self._arming_ns(later, shares)
-        if present.acts:
-            begun_ns = max(begun_ns, present.pause_ns + self._estimator.acting_ns)
-        return max(agreement.follows_ns, present.ends_fleet_ns + round(begun_ns) + releasing_ns)
+        if present.between.acts:
+            begun_ns = max(begun_ns, present.between.pause_ns + self._estimator.acting_ns)
+        return max(earliest_ns, present.ends_fleet_ns + round(begun_ns) + releasing_ns)
 
     async def renegotiate(self, agreement: StartAgreement, growth: int | None) -> None:
         """Get new proposals for another lead time, over which clock bounds must hold. Raises `Refusal`.
@@ -389,7 +392,7 @@ class StartNegotiation:
         a second arming of a member that is slow once."""
         known_ns = self._needed_ns(agreement, use_known=True)
         if agreement.present is not None:
-            return max(known_ns, self.earliest_following_ns(agreement) - self._now_ns())
+            return self.earliest_following_ns(agreement) - self._now_ns()
         if agreement.can_advance:
             return min(SPARE_LEAD_FACTOR * known_ns, self._needed_ns(agreement, use_known=False))
         return known_ns

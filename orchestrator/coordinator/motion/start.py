@@ -129,8 +129,7 @@ class StartSequence:
         self.require_not_paused()
         state.arming_fleet_ns = self._leadership.fleet_now_ns()
         agreement.advance_ns = agreement.tick_residual_ns = 0
-        earliest_ns = self._negotiation.earliest_following_ns(agreement)
-        state.t0_fleet_ns = agreement.choose_start(max(earliest_ns, state.arming_fleet_ns + agreement.lead_ns))
+        state.t0_fleet_ns = agreement.choose_start(self._negotiation.earliest_following_ns(agreement))
         await self._arm()
         await self._judge_frozen_mappings()
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import Protocol
 
 from orchestrator.clock.executor import run_while_recording
-from orchestrator.coordinator.motion.chain import PresentMove
+from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest, plan_request
 from orchestrator.coordinator.motion.recorder import StepRecorder
@@ -63,10 +63,15 @@ class PlannedMotion:
         watch = StepWatch(services, planned, agreement, start.state, permit_watch)
         return cls(planned, agreement, start, watch)
 
-    @property
-    def ends_fleet_ns(self) -> int:
-        """By then all members have ended, fleet time; once T0 is decided."""
-        return self.start.state.t0_fleet_ns + self.agreement.latest_end_ns
+    def make_present(self, between: BetweenSteps) -> PresentMove:
+        """The step as the one that another step follows; once T0 is decided."""
+        t0_ns, agreement = self.start.state.t0_fleet_ns, self.agreement
+        return PresentMove(
+            self.planned.request.index,
+            t0_ns + agreement.longest_ns(with_start=True),
+            t0_ns + agreement.longest_ns(with_start=False),
+            between,
+        )
 
 
 class MotionStep:
