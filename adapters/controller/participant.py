@@ -11,17 +11,17 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from adapters.contract import Driver, HostInterval, SettingDifference
+from adapters.contract import Driver, MoveOutcome, SettingDifference
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
 from adapters.controller.next_step import FollowingStep, NextStepSlot, PreparedMove
 from adapters.controller.settling import SettlingResult
+from adapters.controller.step_end import MotionEnd, MotionStart
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.latency import MAX_STARTS
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
-from orchestrator.model.interval import find_other_duration
 from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
@@ -35,7 +35,7 @@ from orchestrator.model.messages import (
     Reply,
     StepRequest,
 )
-from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval
+from orchestrator.model.state import AxisEvidence, EventKind
 
 # A participant is not polled for this long before T0: its commit reads the controller, while other participants are
 # still being committed. Polling 16 controllers in this window made `go` miss its deadline.
@@ -584,92 +584,58 @@ class StepParticipant:
     async def _follow_to_end(self, armed_step: ArmedStep) -> None:
         """Follow the move from its release to its end, with the controller's own evidence."""
         try:
-            started = await self._driver.wait_for_start()
-            if self.armed_step is not armed_step:
-                if self.armed_step is None and not self._transition_lock.locked():
-                    await self._driver.wait_for_end()  # stopped at this moment: not over before a poll has shown rest
-                return
-            moving = self.armed_step = replace(armed_step, phase=StepPhase.MOVING)
-            evidence = {axis: _start_evidence(span, armed_step.scale) for axis, span in started.items()}
-            unseen = {axis for axis, span in started.items() if not span.seen}
-            late_ns = max((span.late_ns for span in started.values()), default=0)
-            text = f"started, {late_ns / 1e6:.1f} ms later than this host guarantees" if late_ns else "started"
-            self._emit("started", text, moving, _without_axes(evidence, unseen))
-            outcome = await self._driver.wait_for_end()
-            self._ended_ns = moving.t0_host_ns + round(max(moving.promised_s.values(), default=0.0) * NS_PER_S)
-            self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
-            # The coordinator plans the next step from the state: at the end event it must be the state after the move.
-            # The start of a following step, which is planned already, does not wait for that.
-            settles = self._next.armed_step is None or self._must_settle(armed_step.axes)
-            settled = SettlingResult()
-            self._reading_is_old = not settles
-            if settles:
-                settled = await self._settle(armed_step.axes if outcome.state == "done" else ())
-            if self.armed_step is not moving:
-                return
-            wrong = _find_wrong_durations(armed_step, started, outcome.ended) if outcome.state == "done" else {}
-            reason = settled.reason or "; ".join(wrong.values())
-            if reason or outcome.state != "done":
-                await self._withdraw_following(reason or outcome.reason)
+            end = await self._watch_motion(armed_step)
         except (ControllerFault, LinkClosed, Refusal) as error:
-            if self.armed_step is not None and self.armed_step.t0_fleet_ns == armed_step.t0_fleet_ns:
-                self.drop_step(str(error))
-                if not isinstance(error, Refusal):
-                    await self._stop_failed_step()
-            if isinstance(error, ControllerFault):
-                async with self._transition_lock:  # not while the next step is armed
-                    if self.armed_step is None:
-                        await (
-                            self._driver.disarm_move()
-                        )  # a move that did not start as planned must not block the next one
+            await self._handle_lost_motion(armed_step, error)
             return
-        self.armed_step = None
-        self._doubt_positions(wrong)
-        for axis, span in outcome.ended.items():
-            if axis in evidence and span.earliest_ns <= span.latest_ns:
-                ended = {"end": _fleet_interval(span, armed_step.scale), "settled_s": settled.settled_s.get(axis)}
-                evidence[axis] = evidence[axis].model_copy(update=ended)
-        if outcome.state != "done":
-            evidence = _without_axes(evidence, unseen)
-        kind = "failed" if reason else _KIND_OF_END[outcome.state]
-        self._emit(kind, reason or outcome.reason or kind, moving, evidence)
-        if kind == "done":
-            self._begin_next()
+        if end is not None:
+            self.armed_step = None
+            self._doubt_positions(end.wrong_durations)
+            self._emit(end.kind, end.reason or end.outcome.reason or end.kind, end.moving, end.make_evidence())
+            if end.kind == "done":
+                self._begin_next()
 
+    async def _watch_motion(self, armed_step: ArmedStep) -> MotionEnd | None:
+        """Wait for start and end of the move, and withdraw what follows it unless it ends as planned; None if a stop
+        has ended it meanwhile."""
+        started = await self._driver.wait_for_start()
+        if self.armed_step is not armed_step:
+            if self.armed_step is None and not self._transition_lock.locked():
+                await self._driver.wait_for_end()  # stopped at this moment: not over before a poll has shown rest
+            return None
+        moving = self.armed_step = replace(armed_step, phase=StepPhase.MOVING)
+        begun = MotionStart(started, armed_step.scale)
+        self._emit("started", begun.text, moving, begun.seen_evidence)
+        outcome = await self._driver.wait_for_end()
+        self._ended_ns = moving.t0_host_ns + round(max(moving.promised_s.values(), default=0.0) * NS_PER_S)
+        self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
+        settled = await self._settle_end(armed_step.axes, outcome)
+        if self.armed_step is not moving:
+            return None
+        end = MotionEnd(moving, begun, outcome, settled)
+        if end.kind != "done":
+            await self._withdraw_following(end.reason or outcome.reason)
+        return end
 
-_KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}
+    async def _settle_end(self, axes: Sequence[str], outcome: MoveOutcome) -> SettlingResult:
+        """Wait until the axes are at rest. The coordinator plans the next step from the state: at the end event it must
+        be the state after the move. The start of a following step, which is planned already, does not wait for that."""
+        settles = self._next.armed_step is None or self._must_settle(axes)
+        self._reading_is_old = not settles
+        if not settles:
+            return SettlingResult()
+        return await self._settle(axes if outcome.state == "done" else ())
 
-
-def _find_wrong_durations(
-    step: ArmedStep, started: Mapping[str, HostInterval], ended: Mapping[str, HostInterval]
-) -> dict[str, str]:
-    """Axes whose motion has certainly taken another time than the controller was loaded with, with a description: their
-    settings or their position were changed meanwhile."""
-    found: dict[str, str] = {}
-    for axis, end in ended.items():
-        start, promised_s = started.get(axis), step.promised_s.get(axis)
-        if start is None or promised_s is None:
-            continue
-        taken_s = find_other_duration(start, end, promised_s, step.clock_ppm)
-        if taken_s is not None:
-            found[axis] = (
-                f"axis {axis} took {taken_s:.3f} s, promised {promised_s:.3f} s: another client has changed its "
-                "settings or its position; it must be homed again"
-            )
-    return found
-
-
-def _without_axes(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:
-    return {axis: each for axis, each in evidence.items() if axis not in axes}
-
-
-def _start_evidence(span: HostInterval, scale: FleetScale) -> AxisEvidence:
-    return AxisEvidence(start=_fleet_interval(span, scale), late_ns=span.late_ns)
-
-
-def _fleet_interval(span: HostInterval, scale: FleetScale) -> TimeInterval:
-    """Convert an interval of host time to fleet time, widened by the uncertainty of the scale."""
-    return TimeInterval(
-        earliest_ns=scale.to_fleet_ns(span.earliest_ns) - scale.bound_ns,
-        latest_ns=scale.to_fleet_ns(span.latest_ns) + scale.bound_ns,
-    )
+    async def _handle_lost_motion(self, armed_step: ArmedStep, error: ControllerFault | LinkClosed | Refusal) -> None:
+        """Handle a move whose start or end is not known. Raises `LinkClosed`, `ControllerFault`."""
+        if armed_step.is_same(self.armed_step):
+            if isinstance(error, Refusal):
+                await self._withdraw_following(str(error))
+            self.drop_step(str(error))
+            if not isinstance(error, Refusal):
+                await self._stop_failed_step()
+        if isinstance(error, ControllerFault):
+            async with self._transition_lock:  # not while the next step is armed
+                if self.armed_step is None:
+                    # A move that did not start as planned must not block the next one.
+                    await self._driver.disarm_move()

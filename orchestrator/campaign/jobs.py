@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from random import Random
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from orchestrator.campaign.fleets import find_traits
 from orchestrator.model.fleet import Fleet, group_by_link
@@ -14,7 +14,15 @@ from orchestrator.model.queue import QueueTerms
 SPEED_FRACTION = 0.17  # of the speed limits: no axis reaches its target before the fault
 WITNESS = "witness"  # of a fleet that works again
 WITNESS_SHARE = 0.2  # of the way of other moves
+DWELL_CHANCE = 0.25
+CHAIN_STEPS = 4
+CHAIN_MOVE_S = (0.8, 1.3)  # of a move in a chain at that speed, without its ramps, to and from near its beginning
+CHAIN_BACK_S = (0.0, 0.15)
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
+
+
+MainKind = Literal["move", "home", "chain"]
+"""home: `member` is homed before the move. chain: several steps, one after the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +50,14 @@ def make_preparation(axes: list[str], homing: list[str]) -> Job:
 
 
 def draw_orders(
-    fleet: Fleet, member: str, positions: Mapping[str, float], draw: Random, *, home_first: bool
+    fleet: Fleet,
+    member: str,
+    positions: Mapping[str, float],
+    draw: Random,
+    kind: MainKind = "move",
 ) -> list[JobOrder]:
-    """Draw two or three jobs; the first one moves `member`, and may home it first. positions: position of each axis, in
-    its unit."""
+    """Draw two or three jobs; the first one, of this kind, moves `member`. positions: position of each axis, in its
+    unit."""
     together = [line for line in _group_inseparable(fleet) if member not in line]
     draw.shuffle(together)
     others = max(1, len(together) - draw.choice((0, 1, 2)))
@@ -53,10 +65,12 @@ def draw_orders(
     beside = sorted(chain(*together[others:]))
     there = dict(positions)
     first: list[dict[str, Any]] = []
-    if home_first:
+    if kind == "home":
         first = [{"do": "home", "axes": [member]}]
         there |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
-    orders = [JobOrder(_draw_moves("main", _JobAxes(fleet, main, there), draw, first), QueueTerms(), tuple(main))]
+    axes = _JobAxes(fleet, main, there)
+    job = _draw_chain("main", axes, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
+    orders = [JobOrder(job, QueueTerms(), tuple(main))]
     if beside:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
         orders.append(JobOrder(_draw_moves("beside", _JobAxes(fleet, beside, there), draw), terms, tuple(beside)))
@@ -77,12 +91,14 @@ def make_trial(fleet: Fleet, member: str, priority: int = 9) -> JobOrder:
     return JobOrder(job, QueueTerms(priority=priority), (member,))
 
 
-def make_witness(fleet: Fleet, positions: Mapping[str, float]) -> JobOrder:
-    """Return a short move of all controllers, after all other jobs. positions: of each axis, in its unit."""
+def make_witness(fleet: Fleet, positions: Mapping[str, float], attempt: int) -> JobOrder:
+    """Return a short move of all controllers, after all other jobs. positions: of each axis, in its unit. attempt:
+    every second one goes the other way, which moves an axis off a limit switch."""
     targets: dict[str, float] = {}
     for name, position in positions.items():
         reach = fleet.axis(name).limits.velocity * SPEED_FRACTION * MAX_MOVE_S
-        targets[name] = round(position + WITNESS_SHARE * (reach if position < reach / 2 else -reach), 2)
+        forward = (position < reach / 2) != bool(attempt % 2)
+        targets[name] = round(position + WITNESS_SHARE * (reach if forward else -reach), 2)
     job = make_job(WITNESS, [{"do": "move", "to": targets, "speed": SPEED_FRACTION}])
     return JobOrder(job, QueueTerms(priority=-9), tuple(fleet.controllers))
 
@@ -118,9 +134,26 @@ def _draw_moves(name: str, axes: _JobAxes, draw: Random, steps_before: Sequence[
     steps: list[dict[str, Any]] = [
         {"do": "move", "to": targets, "speed": SPEED_FRACTION, **_draw_start_options(fleet, controllers, draw)}
     ]
-    if draw.random() < 0.25:
+    if draw.random() < DWELL_CHANCE:
         steps.insert(0, {"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
     return make_job(name, [*steps_before, *steps])
+
+
+def _draw_chain(name: str, axes: _JobAxes, draw: Random) -> Job:
+    """Draw a job of short moves, one after the other; some with a dwell in between."""
+    steps: list[dict[str, Any]] = []
+    names = [f"{name}.{axis}" for name in axes.controllers for axis in axes.fleet.controllers[name].axes]
+    reaches = {axis: axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION for axis in names}
+    ways = {axis: 1 if axes.positions[axis] < reaches[axis] * MAX_MOVE_S / 2 else -1 for axis in names}
+    begins = dict(axes.positions)
+    for number in range(CHAIN_STEPS):
+        share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
+        targets = {axis: round(begins[axis] + ways[axis] * reaches[axis] * share, 2) for axis in names}
+        axes.positions.update(targets)
+        steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION})
+        if draw.random() < DWELL_CHANCE:
+            steps.append({"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
+    return make_job(name, steps)
 
 
 def _draw_targets(

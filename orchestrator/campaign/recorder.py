@@ -10,8 +10,9 @@ from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHa
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.clock.base import Clock
 
-Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion"]
-STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion")
+Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain"]
+"""chain: a step is loaded behind a moving one, and has not been moving for long."""
+STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
 
 _RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go")
 

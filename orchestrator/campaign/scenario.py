@@ -24,6 +24,7 @@ from orchestrator.campaign.jobs import (
     SPEED_FRACTION,
     WITNESS,
     JobOrder,
+    MainKind,
     draw_orders,
     make_preparation,
     make_trial,
@@ -74,6 +75,7 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
     "go": (0, 500 * NS_PER_US),
 }
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
+_CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
 
@@ -149,6 +151,7 @@ class _Scenario:
         self._phase: CampaignPhase | None = None
         self._attendance: Attendance | None = None
         self._jogging = False
+        self._witnesses = 0
         self.recorder = BusRecorder(clock, self._on_request)
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus
@@ -211,9 +214,8 @@ class _Scenario:
             by_hand = asyncio.get_running_loop().create_task(self._jog_axis(act, member, STAGE_RENEWALS, reached))
             while not self._jogging and not by_hand.done():
                 await sleep_ns(self._clock, NS_PER_MS)
-        orders = draw_orders(
-            fleet, member, home_first=cell.stage == "home", positions=self._axis_positions(), draw=self._draw
-        )
+        kind: MainKind = "home" if cell.stage == "home" else "chain" if cell.stage == "chain" else "move"
+        orders = draw_orders(fleet, member, self._axis_positions(), self._draw, kind)
         if fault.name == "fleet-restarted":
             # One that would switch motors on and home by itself.
             orders.append(make_trial(fleet, member, priority=-2))
@@ -274,6 +276,8 @@ class _Scenario:
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
         stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
+        if stage is not None and cell.stage == "chain":
+            stage = "chain"
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
             return
@@ -354,7 +358,8 @@ class _Scenario:
     async def _submit_witness(self, client: Tutti, phase: CampaignPhase) -> None:
         """Submit a job of all controllers, which shows that the fleet works again; another one if it was not done."""
         if not self._is_witness_done(phase):
-            order = make_witness(self._seed_run.fleet, self._axis_positions())
+            attempt, self._witnesses = self._witnesses, self._witnesses + 1
+            order = make_witness(self._seed_run.fleet, self._axis_positions(), attempt)
             phase.jobs[await client.submit(order.job, terms=order.terms)] = order
 
     def _is_witness_done(self, phase: CampaignPhase) -> bool:
@@ -490,6 +495,8 @@ class _Scenario:
             return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
         if stage == "arm" and request.verb == "arm" and going_out:
             return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
+        if stage == "chain" and request.verb == "arm" and request.accepted and request.fields["after_step"] is not None:
+            return self._draw.randint(now_ns, max(now_ns, self._t0_host_ns(request) + _CHAIN_WINDOW_NS))
         if request.verb != "go" or not request.accepted:
             return None
         t0_ns = self._t0_host_ns(request)

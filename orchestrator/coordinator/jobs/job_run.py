@@ -342,7 +342,7 @@ class JobRun:
                 motion = await ahead.wait_until_released()
             except Refusal as error:
                 self._ahead = None
-                if error.code == FEED_HOLD:
+                if error.code == FEED_HOLD or ahead.is_decided:
                     raise
                 self._chain_breaks[step.request.index] = error.text
             else:

@@ -145,7 +145,10 @@ class StartSequence:
         return due_ns
 
     async def release_following(self) -> None:
-        """Have all promise, decide and release a step that is armed behind another one. Raises `Refusal`."""
+        """Have all promise, decide and release a step that is armed behind another one.
+
+        Raises `Refusal`: nothing of it is loaded. If it was decided all the same, members may have started, and were
+        stopped."""
         if self.state.paused_by is not None or self.state.withdrawn:
             await self.disarm()
             self.require_not_paused()
@@ -154,6 +157,8 @@ class StartSequence:
         except Refusal as refused:
             if refused.code in LATE:
                 self._estimator.record_late_loading(self._agreement.loads_later)
+                if self.state.decided and self.state.unloaded:
+                    await self._withdraw_decision()
             raise
 
     def require_not_paused(self) -> None:

@@ -1,0 +1,93 @@
+"""Start and end of a move as evidence: what the controller reported, in fleet time, and what differs from the plan."""
+
+from collections.abc import Mapping
+
+from adapters.contract import HostInterval, MoveOutcome
+from adapters.controller.armed_step import ArmedStep
+from adapters.controller.settling import SettlingResult
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.model.interval import find_other_duration
+from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval
+
+_KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}
+
+
+class MotionStart:
+    """The start of a move, by the controller's own evidence."""
+
+    def __init__(self, started: Mapping[str, HostInterval], scale: FleetScale) -> None:
+        self.spans = started
+        self.evidence = {axis: _start_evidence(span, scale) for axis, span in started.items()}
+        self.unseen = {axis for axis, span in started.items() if not span.seen}
+
+    @property
+    def text(self) -> str:
+        """The start in words."""
+        late_ns = max((span.late_ns for span in self.spans.values()), default=0)
+        return f"started, {late_ns / 1e6:.1f} ms later than this host guarantees" if late_ns else "started"
+
+    @property
+    def seen_evidence(self) -> dict[str, AxisEvidence]:
+        """The evidence of axes whose start the controller has reported."""
+        return _without_axes(self.evidence, self.unseen)
+
+
+class MotionEnd:
+    """The end of a move: what came of it, and why it is not what was planned."""
+
+    def __init__(self, moving: ArmedStep, begun: MotionStart, outcome: MoveOutcome, settled: SettlingResult) -> None:
+        self.moving = moving
+        self.outcome = outcome
+        self._begun = begun
+        self._settled = settled
+        done = outcome.state == "done"
+        self.wrong_durations = _find_wrong_durations(moving, begun.spans, outcome.ended) if done else {}
+        self.reason = settled.reason or "; ".join(self.wrong_durations.values())
+        self.kind: EventKind = "failed" if self.reason else _KIND_OF_END[outcome.state]
+
+    def make_evidence(self) -> dict[str, AxisEvidence]:
+        """The evidence of starts and ends, by axis."""
+        evidence = dict(self._begun.evidence)
+        for axis, span in self.outcome.ended.items():
+            if axis in evidence and span.earliest_ns <= span.latest_ns:
+                ended = {
+                    "end": _fleet_interval(span, self.moving.scale),
+                    "settled_s": self._settled.settled_s.get(axis),
+                }
+                evidence[axis] = evidence[axis].model_copy(update=ended)
+        return evidence if self.outcome.state == "done" else _without_axes(evidence, self._begun.unseen)
+
+
+def _find_wrong_durations(
+    step: ArmedStep, started: Mapping[str, HostInterval], ended: Mapping[str, HostInterval]
+) -> dict[str, str]:
+    """Axes whose motion has certainly taken another time than the controller was loaded with, with a description: their
+    settings or their position were changed meanwhile."""
+    found: dict[str, str] = {}
+    for axis, end in ended.items():
+        start, promised_s = started.get(axis), step.promised_s.get(axis)
+        if start is None or promised_s is None:
+            continue
+        taken_s = find_other_duration(start, end, promised_s, step.clock_ppm)
+        if taken_s is not None:
+            found[axis] = (
+                f"axis {axis} took {taken_s:.3f} s, promised {promised_s:.3f} s: another client has changed its "
+                "settings or its position; it must be homed again"
+            )
+    return found
+
+
+def _without_axes(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:
+    return {axis: each for axis, each in evidence.items() if axis not in axes}
+
+
+def _start_evidence(span: HostInterval, scale: FleetScale) -> AxisEvidence:
+    return AxisEvidence(start=_fleet_interval(span, scale), late_ns=span.late_ns)
+
+
+def _fleet_interval(span: HostInterval, scale: FleetScale) -> TimeInterval:
+    """Convert an interval of host time to fleet time, widened by the uncertainty of the scale."""
+    return TimeInterval(
+        earliest_ns=scale.to_fleet_ns(span.earliest_ns) - scale.bound_ns,
+        latest_ns=scale.to_fleet_ns(span.latest_ns) + scale.bound_ns,
+    )
