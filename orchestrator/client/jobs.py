@@ -6,7 +6,8 @@ from typing import Self
 
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
-from orchestrator.client.connection import ANSWER_S, FleetConnection
+from orchestrator.client.connection import ANSWER_S
+from orchestrator.client.points import OnPoints, PointRequests
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
@@ -43,6 +44,7 @@ from orchestrator.model.service import (
     RetryJob,
     SubmitJob,
 )
+from orchestrator.model.step_order import StepOrder
 
 POLL_S = 1.0  # period of reading the journal while the bus is silent
 DRY_RUN_STEPS = 50  # in one request, so that other requests get their turn
@@ -52,11 +54,11 @@ PRUNE_S = 60.0
 MAX_RECORDINGS = 100
 
 
-class JobRequests(FleetConnection):
+class JobRequests(PointRequests):
     """Submit jobs, follow them, and change the queue."""
 
     async def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> "SubmittedJob":
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`.
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file of points.
 
         job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
         often it is submitted. terms: priority, repeats, predecessor and start time.
@@ -94,8 +96,18 @@ class JobRequests(FleetConnection):
         """A job by its id, to follow it."""
         return SubmittedJob(job_id, self)
 
-    async def enqueue_job(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> QueueEntry:
-        """Submit a job and return its place in the queue. Raises `Refusal`."""
+    async def enqueue_job(
+        self,
+        job: Job,
+        client_key: str | None = None,
+        terms: QueueTerms | None = None,
+        on_points: OnPoints | None = None,
+    ) -> QueueEntry:
+        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points.
+
+        on_points: called with the progress of reading and sending points.
+        """
+        job = await self.send_points(job, on_points)
         if job.actor == UNKNOWN_ACTOR:
             job = job.model_copy(update={"actor": self.actor})
         request = SubmitJob(
@@ -113,6 +125,7 @@ class JobRequests(FleetConnection):
 
         on_steps: called with the number of steps that are done. The work ends with this call: the job is sent in parts.
         """
+        job = await self.send_points(job)
         steps: list[StepForecast] = []
         problems: list[StepProblem] = []
         conditions: dict[str, None] = {}
@@ -192,23 +205,26 @@ class JobRequests(FleetConnection):
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         await self.request_service("resume", JobReference(**self.request_fields(), job_id=job_id), Reply)
 
-    async def retry_job(
+    async def retry_job(  # noqa: PLR0913 - the fields of the request
         self,
         job_id: str,
         from_step: int = 0,
         *,
+        from_point: int | None = None,
         dry_run: bool = False,
         terms: QueueTerms | None = None,
         client_key: str | None = None,
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
+        from_point: of the scan that `from_step` belongs to, from 1; only its points from there on are run.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
         request = RetryJob(
             **self.request_fields(),
             job_id=job_id,
             from_step=from_step,
+            from_point=from_point,
             dry_run=dry_run,
             terms=terms,
             client_key=client_key or self.new_id(),
@@ -254,7 +270,7 @@ class JobRequests(FleetConnection):
                     return shown.report
                 entry, job = shown.entry, shown.job
                 if on_progress is not None and entry is not None and job is not None and entry.state == "queued":
-                    steps = len(job.steps) * entry.terms.repeat
+                    steps = len(StepOrder(job.steps, entry.terms.repeat))
                     on_progress(make_queued_progress(entry, "queued", entry.reason, entry.submitted_utc, steps))
                 changed.clear()
                 try:

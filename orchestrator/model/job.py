@@ -321,9 +321,24 @@ def named_axes(step: Step) -> list[str]:
     return list(step.axes) if isinstance(step, SetPosition) else []
 
 
+def find_scans(steps: Iterable[Step]) -> list[Scan]:
+    """All scans as they are written."""
+    return [step for step in iterate_steps(steps) if isinstance(step, Scan)]
+
+
+def replace_scans(steps: Iterable[Step], replacements: Mapping[int, Scan]) -> list[Step]:
+    """The steps with other scans. replacements: by the `id` of the scan."""
+    return [
+        step.model_copy(update={"steps": replace_scans(step.steps, replacements)})
+        if isinstance(step, Repeat)
+        else replacements.get(id(step), step)
+        for step in steps
+    ]
+
+
 def find_digests(steps: Iterable[Step]) -> list[str]:
     """The digests of stored points that steps name, each once."""
-    tables = [step.points for step in iterate_steps(steps) if isinstance(step, Scan)]
+    tables = [scan.points for scan in find_scans(steps)]
     return list(dict.fromkeys(each.digest for each in tables if each is not None and each.digest is not None))
 
 

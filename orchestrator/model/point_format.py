@@ -3,12 +3,11 @@
 import json
 from collections.abc import Sequence
 
-import numpy as np
-
 from orchestrator.model.base import Model
 from orchestrator.model.units import Unit
 
-ROW_TYPE = np.dtype("<f8")
+ROW_TYPE = "<f8"  # of a value, for numpy: a double, little-endian
+VALUE_BYTES = 8
 PART_BYTES = 700_000  # of points in one request; some 0.95 MB as text
 
 
@@ -26,4 +25,4 @@ def make_header(axes: Sequence[PointAxis]) -> bytes:
 
 def find_row_bytes(axes: Sequence[PointAxis]) -> int:
     """The bytes of one point."""
-    return len(axes) * ROW_TYPE.itemsize
+    return len(axes) * VALUE_BYTES

@@ -4,21 +4,45 @@ Positions that only the machine knows are carried as distances from there, so th
 with the soft limits although nothing is known about its beginning.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import singledispatchmethod
+from functools import partial, singledispatchmethod
 from typing import Literal, NamedTuple
 
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
-from orchestrator.model.job import Disable, Dwell, Enable, Home, Move, SetOutput, SetPosition, Step, WaitInput
+from orchestrator.model.job import (
+    Disable,
+    Dwell,
+    Enable,
+    Home,
+    MotionOptions,
+    Move,
+    Repeat,
+    Scan,
+    SetOutput,
+    SetPosition,
+    Step,
+    WaitInput,
+)
 from orchestrator.model.names import controller_of
 from orchestrator.model.step_words import describe_step
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.plan.forecast_passes import (
+    RUN_PASSES,
+    LaterTarget,
+    TargetCheck,
+    find_first_pass,
+    find_last_state,
+    find_later_targets,
+    find_range,
+    group_by_axis,
+)
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
+from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iterate_ways
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits, explain_beyond_range, make_axis_move
@@ -41,6 +65,33 @@ class _Span(NamedTuple):
     least: float = 0.0
     most: float | None = 0.0
 
+    def followed_by(self, other: "_Span", times: int = 1) -> "_Span":
+        """The duration of this and then `other`, so many times."""
+        most = None if self.most is None or other.most is None else self.most + other.most * times
+        return _Span(self.least + other.least * times, most)
+
+
+@dataclass(slots=True)
+class _MoveWays:
+    """The ways of the axes of a motion, in counts. farthest: bounds of them, where the beginning is not known; bounded:
+    whether there is a bound."""
+
+    nearest: list[AxisMove] = field(default_factory=list[AxisMove])
+    farthest: list[AxisMove] = field(default_factory=list[AxisMove])
+    exact: dict[str, tuple[Fraction, int]] = field(default_factory=dict[str, tuple[Fraction, int]])
+    bounded: bool = True
+    plan: StepPlan | None = None
+
+    def add_known(self, move: AxisMove) -> None:
+        self.nearest.append(move)
+        self.farthest.append(move)
+
+    def add_unknown(self, longest: AxisMove | None) -> None:
+        if longest is None:
+            self.bounded = False
+        else:
+            self.farthest.append(longest)
+
 
 class JobForecaster:
     """Takes the steps of a job one by one; `problems` and `conditions` grow, `axes` is the state after the last one."""
@@ -59,19 +110,27 @@ class JobForecaster:
         self.motion: ForecastMotion | None = None
         """The step that was taken last, if it moves and all its positions are known."""
         self._index = 0
-        self._notes: list[str] = []
+        self._place: tuple[str | int, ...] = ()
+        self._notes: dict[str, None] = {}
+        self._checks: list[TargetCheck] = []
+        """The targets that were compared with limits."""
+        self._when = ""
+        """The pass of a repeat, or the point of a scan, in words."""
 
     def take(self, index: int, step: Step) -> StepForecast:
         """Run one step forward. index: its number in the job file."""
-        self._index, self._notes, self.motion = index, [], None
+        self._index, self._notes, self.motion = index, {}, None
+        self._place, self._checks = ("steps", index), []
         span = self._run(step)
+        if not isinstance(step, Move):
+            self.motion = None
         return StepForecast(
             index=index,
             do=step.do,
             text=describe_step(step),
             least_s=round(span.least, 6),
             most_s=None if span.most is None else round(span.most, 6),
-            conditions=self._notes,
+            conditions=list(self._notes),
         )
 
     def finish(self, steps: Iterable[StepForecast] = ()) -> JobForecast:
@@ -88,10 +147,7 @@ class JobForecaster:
 
     @_run.register
     def _(self, step: Move) -> _Span:
-        nearest: list[AxisMove] = []
-        farthest: list[AxisMove] = []
-        exact: dict[str, tuple[Fraction, int]] = {}
-        bounded = True
+        ways = _MoveWays()
         for name, value in (step.to | step.by).items():
             place = ("by" if name in step.by else "to", name)
             axis = self._find_axis(name, place)
@@ -99,22 +155,40 @@ class JobForecaster:
             if axis is None or amount is None:
                 continue
             self._require_ready(name, place)
-            before = self._state(name)
-            after, distance_known = self._find_target(place, axis, amount)
-            self.axes[name] = after
-            order = self._orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)
-            if distance_known:
-                start, target = axis.to_counts(before.motor), axis.to_counts(after.motor)
-                move = make_axis_move(name, axis, start, target, order)
-                nearest.append(move)
-                farthest.append(move)
-                if before.known and after.known:
-                    exact[name] = (after.motor, target)
-            elif (most := _longest_move(name, axis, after, order)) is not None:
-                farthest.append(most)
-            else:
-                bounded = False
-        return self._plan_move(step, nearest, farthest if bounded else None, exact)
+            self._take_target(ways, place, axis, amount)
+        span = self._plan_ways(step, ways)
+        if ways.plan is not None and len(ways.exact) == len(step.to) + len(step.by):
+            self.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
+        return span
+
+    @_run.register
+    def _(self, step: Scan) -> _Span:
+        axes = {name: self._find_axis(name, ("axes", name)) for name in step.axis_names}
+        known = {name: axis for name, axis in axes.items() if axis is not None}
+        if len(known) < len(axes):
+            return _Span()
+        units = [axis.unit for axis in known.values()]
+        for column in step.points.columns if step.points is not None else ():
+            if column.unit != known[column.axis].unit:
+                text = f"the points of {column.axis} are in {column.unit}, and the axis is in {known[column.axis].unit}"
+                self._add_problem(("points",), "bad-unit", text, "submit the job again", column.axis)
+                return _Span()
+        try:
+            corners, kinds = find_corners(step, units), list(iterate_ways(step, units))
+        except UnitError as error:
+            self._add_problem((), "bad-unit", str(error), "correct the unit")
+            return _Span()
+        first = _MoveWays()
+        for name, axis in known.items():
+            self._take_corners(first, name, axis, corners[name], step.point_count)
+        span = self._plan_ways(step, first)
+        for kind in kinds:
+            span = span.followed_by(self._plan_kind(step, known, kind), kind.count)
+        return span.followed_by(self._run_passes(step.at_each, "at_each", step.point_count, "at point"))
+
+    @_run.register
+    def _(self, step: Repeat) -> _Span:
+        return self._run_passes(step.steps, "steps", step.times, "in pass")
 
     @_run.register
     def _(self, step: Home) -> _Span:
@@ -141,7 +215,7 @@ class JobForecaster:
             )
         entries = [*order.entries, *([axis] for axis in order.loners)]
         most = sum(max(self._fleet.axis(axis).homing.timeout_s for axis in entry) for entry in entries)
-        self._notes.append(f"the reference is found within {most:g} s")
+        self._notes[f"the reference is found within {most:g} s"] = None
         return _Span(0.0, most)
 
     @_run.register
@@ -185,12 +259,13 @@ class JobForecaster:
                 "use another output, or remove that use from the fleet file",
             )
         elif self._outputs.get(step.output) == step.value:
-            self._notes.append(f"{step.output} is {'active' if step.value else 'inactive'} already")
+            self._notes[f"{step.output} is {'active' if step.value else 'inactive'} already"] = None
         wired = [end for wire in self._fleet.wiring if wire.from_ == step.output for end in wire.to]
         if step.value and wired:
-            self._notes.append(f"no controller waits for {', '.join(wired)}, which the output is wired to")
-        self._outputs[step.output] = step.value
-        return _Span()
+            self._notes[f"no controller waits for {', '.join(wired)}, which the output is wired to"] = None
+        self._outputs[step.output] = step.value if step.pulse is None else not step.value
+        pulse_s = (step.pulse or 0) / 1e9
+        return _Span(pulse_s, pulse_s)
 
     @_run.register
     def _(self, step: WaitInput) -> _Span:
@@ -198,10 +273,133 @@ class JobForecaster:
         if text is not None:
             self._add_problem(("input",), "unknown-name", text, "correct the name")
         state = "active" if step.value else "inactive"
-        self._notes.append(f"input {step.input} becomes {state} within {format_ns(step.timeout)}")
+        self._notes[f"input {step.input} becomes {state} within {format_ns(step.timeout)}"] = None
         return _Span(0.0, step.timeout / 1e9)
 
+    # Passes
+
+    def _run_passes(self, steps: Sequence[Step], key: str, times: int, word: str) -> _Span:
+        """Run steps forward `times` times: the first passes, and the others by what these differ in. key: of the steps
+        in their own step. word: what a pass is called in messages."""
+        place, when, outer = self._place, self._when, self._checks
+        passes: list[tuple[list[TargetCheck], dict[str, AxisForecast]]] = []
+        whole, last = _Span(), _Span()
+        for number in range(1, min(times, RUN_PASSES) + 1):
+            problems = len(self.problems)
+            self._checks = []
+            self._when = f", {word} {number} of {times}{when}" if number > 1 else when
+            last = _Span()
+            for index, step in enumerate(steps):
+                self._place = (*place, key, index)
+                last = last.followed_by(self._run(step))
+            whole = whole.followed_by(last)
+            outer += self._checks
+            passes.append((self._checks, dict(self.axes)))
+            if len(self.problems) > problems:
+                break  # it would be there in every pass
+        self._place, self._when, self._checks = place, when, outer
+        if len(passes) < RUN_PASSES or times == RUN_PASSES:
+            return whole
+        self._skip_passes(passes, times, lambda number: f", {word} {number} of {times}{when}")
+        return whole.followed_by(last, times - RUN_PASSES)
+
+    def _skip_passes(
+        self,
+        passes: Sequence[tuple[list[TargetCheck], dict[str, AxisForecast]]],
+        times: int,
+        describe: Callable[[int], str],
+    ) -> None:
+        """Go on from the third pass to the last one. describe: a pass in words."""
+        (_, (second, before), (third, after)) = passes
+        place, when = self._place, self._when
+        for name, targets in group_by_axis(find_later_targets(second, third)).items():
+            axis, state = self._fleet.axis(name), after[name]
+            problems = len(self.problems)
+            for number, check in self._find_leaving_targets(axis, targets, times).values():
+                self._place, self._when = check.place[:-2], describe(number)
+                self._check_target(check.place[-2:], axis, check.target, check.offset)
+            apart = [each for each in targets if not each.check.known]
+            number = find_first_pass(times, partial(self._leaves_room, axis, state, apart)) if apart else None
+            if number is not None:
+                self._place, self._when = apart[-1].check.place[:-2], describe(number)
+                lowest, highest = find_range(state, apart, number)
+                reached = state.model_copy(update={"lowest": lowest, "highest": highest})
+                self._check_room(apart[-1].check.place[-2:], axis, reached)
+            self.axes[name] = find_last_state(before[name], state, targets, times)
+            if len(self.problems) > problems:
+                self.axes[name] = state.model_copy(update=self._unknown_position())
+            self._checks += [each.in_pass(times) for each in targets]
+        self._place, self._when = place, when
+
+    def _find_leaving_targets(
+        self, axis: Axis, targets: Sequence[LaterTarget], times: int
+    ) -> dict[tuple[str | int, ...], tuple[int, TargetCheck]]:
+        """By place: the first pass in which a target is out of reach, and that target."""
+        found: dict[tuple[str | int, ...], tuple[int, TargetCheck]] = {}
+        for each in targets:
+            if each.check.known and (each.drift or each.offset_drift):
+                number = find_first_pass(times, partial(self._leaves_limits, axis, each))
+                if number is not None and number < found.get(each.check.place, (times + 1, None))[0]:
+                    found[each.check.place] = number, each.in_pass(number)
+        return found
+
+    def _leaves_limits(self, axis: Axis, target: LaterTarget, number: int) -> bool:
+        check = target.in_pass(number)
+        beyond = explain_beyond_limits(check.axis, axis, check.target, check.offset)
+        return (beyond or explain_beyond_range(check.axis, axis, check.target)) is not None
+
+    def _leaves_room(self, axis: Axis, state: AxisForecast, targets: Sequence[LaterTarget], number: int) -> bool:
+        return self._exceeds_room(axis, find_range(state, targets, number))
+
     # Parts of steps
+
+    def _take_target(self, ways: "_MoveWays", place: tuple[str, str], axis: Axis, amount: Fraction) -> None:
+        """Move one axis, and add its way."""
+        name = place[1]
+        before = self._state(name)
+        after, distance_known = self._find_target(place, axis, amount)
+        self.axes[name] = after
+        order = self._order_of(name, axis)
+        if distance_known:
+            start, target = axis.to_counts(before.motor), axis.to_counts(after.motor)
+            ways.add_known(make_axis_move(name, axis, start, target, order))
+            if before.known and after.known:
+                ways.exact[name] = (after.motor, target)
+        else:
+            ways.add_unknown(_longest_move(name, axis, after, order))
+
+    def _take_corners(
+        self, first: "_MoveWays", name: str, axis: Axis, corners: Sequence[ScanCorner], points: int
+    ) -> None:
+        """Move one axis of a scan to its extremes. first: gets the way to the first point."""
+        self._require_ready(name, ("axes", name))
+        when, ways, seen = self._when, first, set[Fraction]()
+        for number, corner in enumerate(corners):
+            last = number == len(corners) - 1
+            if corner.position in seen and not last:
+                continue
+            problems = () if corner.position not in seen else tuple(self.problems)
+            seen.add(corner.position)
+            words = ", ".join(f"{axis} {value:g}" for axis, value in corner.positions.items())
+            self._when = f", at point {corner.point} of {points} ({words}){when}"
+            self._take_target(ways, ("axes", name), axis, corner.position)
+            if problems:
+                self.problems = list(problems)  # the corner was reported before
+            ways = _MoveWays()
+        self._when = when
+
+    def _plan_kind(self, step: Scan, axes: Mapping[str, Axis], kind: ScanWays) -> _Span:
+        """The duration of one kind of way between points."""
+        ways = _MoveWays()
+        for name, axis in axes.items():
+            for found, moves in ((kind.nearest, ways.nearest), (kind.farthest, ways.farthest)):
+                if name in found:
+                    start, target = (axis.to_counts(each) for each in found[name])
+                    moves.append(make_axis_move(name, axis, start, target, self._order_of(name, axis)))
+        return self._plan_ways(step, ways)
+
+    def _order_of(self, name: str, axis: Axis) -> Order:
+        return self._orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)
 
     def _switch(self, step: Enable | Disable, *, on: bool) -> _Span:
         axes = self._expand(step.axes, ("axes",))
@@ -223,12 +421,14 @@ class JobForecaster:
         elif state.offset_kind == "motor" and not state.known:
             self._note_room(name, state)
             target = choose_turn(axis, amount - state.offset, amount - state.offset, state.offset)
+            self._note_check(place, target, state.offset, known=True)
             self._check_target(place, axis, target, state.offset)
             self.conditions["user offsets (`set-position`) are 0 where no step sets them"] = None
             return state.model_copy(update={"motor": target, "known": True}), False
         else:
             target = choose_turn(axis, state.motor, amount - state.offset, state.offset)
         update: dict[str, object] = {"motor": target}
+        self._note_check(place, target, state.offset, known=state.known)
         if state.known:
             if not self._check_target(place, axis, target, state.offset) and relative:
                 update |= self._unknown_position()  # further moves by a distance would repeat the same mistake
@@ -248,30 +448,37 @@ class JobForecaster:
             "highest": Fraction(0),
         }
 
-    def _check_target(self, place: tuple[str, str], axis: Axis, target: Fraction, offset: Fraction) -> bool:
-        name, code, remedy = place[1], "soft-limit", "change the target, or the soft limits in the fleet file"
+    def _note_check(self, place: tuple[str, str], target: Fraction, offset: Fraction, *, known: bool) -> None:
+        self._checks.append(TargetCheck((*self._place, *place), place[1], target, offset, known))
+
+    def _check_target(self, place: Sequence[str | int], axis: Axis, target: Fraction, offset: Fraction) -> bool:
+        name, code, remedy = str(place[1]), "soft-limit", "change the target, or the soft limits in the fleet file"
         text = explain_beyond_limits(name, axis, target, offset)
         if text is None:
             code, remedy = "position-range", "move the other way, or home the axis, which begins to count again"
             text = explain_beyond_range(name, axis, target)
         if text is not None:
-            self._add_problem(place, code, text, remedy, name)
+            self._add_problem(tuple(place), code, text, remedy, name)
         return text is None
 
-    def _check_room(self, place: tuple[str, str], axis: Axis, state: AxisForecast) -> bool:
+    def _exceeds_room(self, axis: Axis, reached: tuple[Fraction, Fraction]) -> bool:
+        """Whether the soft limits are too near to each other for all positions in a range."""
+        limits = axis.soft_limits_counts
+        return limits is not None and abs(axis.to_counts(reached[1] - reached[0])) > limits[1] - limits[0]
+
+    def _check_room(self, place: Sequence[str | int], axis: Axis, state: AxisForecast) -> bool:
         """Whether the moves by a distance from an unknown position can stay inside the soft limits at all."""
         limits = axis.soft_limits_counts
-        if limits is None:
+        if limits is None or not self._exceeds_room(axis, (state.lowest, state.highest)):
             return True
-        room, needed = limits[1] - limits[0], abs(axis.to_counts(state.highest - state.lowest))
-        if needed <= room:
-            return True
-        span, apart = abs(axis.to_unit(needed)), abs(axis.to_unit(room))
+        span = abs(axis.to_unit(axis.to_counts(state.highest - state.lowest)))
+        apart = abs(axis.to_unit(limits[1] - limits[0]))
         text = (
             f"axis {place[1]}: the moves from step {state.since} on cover {span:g} {axis.unit}; its soft limits are "
             f"{apart:g} {axis.unit} apart"
         )
-        self._add_problem(place, "soft-limit", text, "move less far, or change the soft limits", place[1])
+        remedy = "move less far, or change the soft limits"
+        self._add_problem(tuple(place), "soft-limit", text, remedy, str(place[1]))
         return False
 
     def _note_room(self, name: str, state: AxisForecast) -> None:
@@ -287,23 +494,17 @@ class JobForecaster:
             f"{name} stands between {begin:g} and {end:g} {axis.unit} (motor position) before step {state.since}"
         ] = None
 
-    def _plan_move(
-        self,
-        step: Move,
-        nearest: list[AxisMove],
-        farthest: list[AxisMove] | None,
-        exact: dict[str, tuple[Fraction, int]],
-    ) -> _Span:
+    def _plan_ways(self, step: MotionOptions, ways: "_MoveWays") -> _Span:
+        """The duration of a motion; its plan stays in `ways`."""
         try:
-            plan = longest = plan_step(nearest, step.sync, step.speed, step.ramps)
-            if farthest is not None and farthest != nearest:
-                longest = plan_step(farthest, step.sync, step.speed, step.ramps)
+            plan = longest = plan_step(ways.nearest, step.sync, step.speed, step.ramps)
+            if ways.bounded and ways.farthest != ways.nearest:
+                longest = plan_step(ways.farthest, step.sync, step.speed, step.ramps)
         except PlanError as error:
             self._add_problem((), "plan", str(error), "")
             return _Span()
-        if len(exact) == len(step.to) + len(step.by):
-            self.motion = ForecastMotion(nearest, exact, plan)
-        return _Span(plan.duration_s, None if farthest is None else longest.duration_s)
+        ways.plan = plan
+        return _Span(plan.duration_s, longest.duration_s if ways.bounded else None)
 
     # Names and states
 
@@ -364,7 +565,7 @@ class JobForecaster:
     ) -> None:
         controller = None if axis is None else controller_of(axis)
         problem = StepProblem(
-            place=["steps", self._index, *place], code=code, text=text, remedy=remedy, controller=controller
+            place=[*self._place, *place], code=code, text=text + self._when, remedy=remedy, controller=controller
         )
         if problem not in self.problems:
             self.problems.append(problem)

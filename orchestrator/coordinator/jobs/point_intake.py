@@ -6,8 +6,8 @@ import binascii
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.journal.point_store import UploadState
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job, Repeat, Scan, Step
-from orchestrator.model.point_format import ROW_TYPE
+from orchestrator.model.job import Job, Scan, find_scans, replace_scans
+from orchestrator.model.point_format import VALUE_BYTES
 from orchestrator.model.scan import PointTable
 from orchestrator.model.service import PointsPut, PutPoints
 
@@ -42,15 +42,14 @@ class PointIntake:
     async def resolve_points(self, job: Job) -> Job:
         """The job with the extremes of its stored points as the store has found them. Raises `Refusal`, code
         `unknown-points`, for points that are not stored."""
-        steps = [await self._resolve_step(step) for step in job.steps]
-        return job if steps == job.steps else job.model_copy(update={"steps": steps})
+        stored = [scan for scan in find_scans(job.steps) if not scan.axes and not (scan.points and scan.points.rows)]
+        if not stored:
+            return job
+        found = {id(scan): await self._resolve_scan(scan) for scan in stored}
+        return job.model_copy(update={"steps": replace_scans(job.steps, found)})
 
-    async def _resolve_step(self, step: Step) -> Step:
-        if isinstance(step, Repeat):
-            return step.model_copy(update={"steps": [await self._resolve_step(each) for each in step.steps]})
-        if not isinstance(step, Scan) or step.axes or (step.points is not None and step.points.rows is not None):
-            return step
-        digest = None if step.points is None else step.points.digest
+    async def _resolve_scan(self, scan: Scan) -> Scan:
+        digest = None if scan.points is None else scan.points.digest
         if digest is None:
             text = "the points of a scan are in a file of the client, which has to read and send them"
             raise Refusal("unknown-points", text, "send them first: `svc/put-points`, as `tutti submit` does")
@@ -60,12 +59,12 @@ class PointIntake:
         if table is None:
             text = f"the points {digest[:15]}… are not stored"
             raise Refusal("unknown-points", text, "submit the job again, with its file of points")
-        return step.model_copy(update={"points": table})
+        return scan.model_copy(update={"points": table})
 
 
 def _make_table(digest: str, state: UploadState) -> PointTable | None:
     """The stored points; None while they are not complete."""
     if state.columns is None:
         return None
-    count = state.size // (len(state.columns) * ROW_TYPE.itemsize)
+    count = state.size // (len(state.columns) * VALUE_BYTES)
     return PointTable(digest=digest, count=count, columns=state.columns)

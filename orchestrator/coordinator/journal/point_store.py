@@ -23,7 +23,7 @@ from pydantic import TypeAdapter
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.model.errors import Refusal
-from orchestrator.model.point_format import ROW_TYPE, PointAxis, find_row_bytes, make_header
+from orchestrator.model.point_format import ROW_TYPE, VALUE_BYTES, PointAxis, find_row_bytes, make_header
 from orchestrator.model.point_summary import ColumnSummary
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.scan import PointColumn
@@ -163,7 +163,7 @@ class PointStore:
         if not found or found[0][1] is None:
             raise JournalError(f"the points {digest[:15]}… are not stored any more", "submit the job again")
         width = len(_AXES.validate_json(found[0][0]))
-        row_bytes = width * ROW_TYPE.itemsize
+        row_bytes = width * VALUE_BYTES
         begin, end = first * row_bytes, (first + count) * row_bytes
         data = b"".join(self._read_parts(digest, begin, end))
         return [tuple(row) for row in np.frombuffer(data, ROW_TYPE).reshape(-1, width).tolist()]
