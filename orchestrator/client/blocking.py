@@ -19,6 +19,7 @@ from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.client.manual import VALID_MS, ManualControl
+from orchestrator.client.points import OnPoints
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.worker import BlockingObject, LoopThread, Worker
 from orchestrator.model.errors import Refusal
@@ -33,6 +34,7 @@ from orchestrator.model.report import (
     JobState,
     JobTransition,
     LeaseState,
+    PointRecord,
     QueueEntry,
     StepRecording,
 )
@@ -250,7 +252,7 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._run(self._wrapped.dwell(seconds))
 
     def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> BlockingJob:
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`.
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file of points.
 
         job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
         often it is submitted. terms: priority, repeats, predecessor and start time.
@@ -280,9 +282,18 @@ class BlockingTutti(BlockingObject[Tutti]):
         """A job by its id, to follow it."""
         return BlockingJob(self._wrapped.job(job_id), self._worker)
 
-    def enqueue_job(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> QueueEntry:
-        """Submit a job and return its place in the queue. Raises `Refusal`."""
-        return self._run(self._wrapped.enqueue_job(job, client_key, terms))
+    def enqueue_job(
+        self,
+        job: Job,
+        client_key: str | None = None,
+        terms: QueueTerms | None = None,
+        on_points: OnPoints | None = None,
+    ) -> QueueEntry:
+        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points.
+
+        on_points: called with the progress of reading and sending points.
+        """
+        return self._run(self._wrapped.enqueue_job(job, client_key, terms, on_points))
 
     def dry_run(self, job: Job, on_steps: Callable[[int], None] | None = None) -> JobForecast:
         """Run a job forward from the present positions, each step from where the one before it leaves its axes, and
@@ -342,16 +353,20 @@ class BlockingTutti(BlockingObject[Tutti]):
         job_id: str,
         from_step: int = 0,
         *,
+        from_point: int | None = None,
         dry_run: bool = False,
         terms: QueueTerms | None = None,
         client_key: str | None = None,
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
+        from_point: of the scan that `from_step` belongs to, from 1; only its points from there on are run.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
         return self._run(
-            self._wrapped.retry_job(job_id, from_step, dry_run=dry_run, terms=terms, client_key=client_key)
+            self._wrapped.retry_job(
+                job_id, from_step, from_point=from_point, dry_run=dry_run, terms=terms, client_key=client_key
+            )
         )
 
     def prune_jobs(self, older_s: float, keep: int) -> int:
@@ -368,6 +383,24 @@ class BlockingTutti(BlockingObject[Tutti]):
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
         return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s))
+
+    def send_points(self, job: Job, on_points: OnPoints | None = None) -> Job:
+        """Read the points of all scans that are in files or specs, and send them; return the job that names what is
+        stored. Points that are stored already are not sent again.
+
+        on_points: called with the progress. Raises `FileError` with every wrong line, and `Refusal`: codes
+        `point-store-full`, `no-scanspec`, `bad-scanspec`.
+        """
+        return self._run(self._wrapped.send_points(job, on_points))
+
+    def iterate_points(self, job_id: str) -> Iterator[PointRecord]:
+        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`."""
+        return self._iterate(self._wrapped.iterate_points(job_id))
+
+    def load_points(self, job_id: str) -> list[PointRecord]:
+        """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises
+        `Refusal`."""
+        return self._run(self._wrapped.load_points(job_id))
 
     def manual_control(
         self, axes: Sequence[str], what: str = "manual control", ttl_s: float = 3.0

@@ -24,6 +24,7 @@ from orchestrator.model.report import (
     StepRecording,
     make_queued_progress,
 )
+from orchestrator.model.scans.step_order import StepOrder
 from orchestrator.model.service import (
     DryRun,
     DryRunDone,
@@ -44,7 +45,6 @@ from orchestrator.model.service import (
     RetryJob,
     SubmitJob,
 )
-from orchestrator.model.step_order import StepOrder
 
 POLL_S = 1.0  # period of reading the journal while the bus is silent
 DRY_RUN_STEPS = 50  # in one request, so that other requests get their turn

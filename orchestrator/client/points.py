@@ -12,9 +12,8 @@ from orchestrator.client.connection import FleetConnection
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Scan, find_scans, named_axes, replace_scans
 from orchestrator.model.messages import Request
-from orchestrator.model.point_format import PART_BYTES, PointAxis, find_row_bytes, make_header
 from orchestrator.model.report import PointRecord
-from orchestrator.model.scan import PointTable
+from orchestrator.model.scan import PART_BYTES, PointAxis, PointTable, find_row_bytes, make_header
 from orchestrator.model.service import FleetNames, PointsPut, PointsRead, PutPoints, ReadPoints
 from orchestrator.model.units import Unit
 
@@ -107,8 +106,8 @@ class PointRequests(FleetConnection):
 def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
     """The points of a scan that is in a file, or a spec. units: of all axes of the fleet. Raises `Refusal`."""
     # Imported here, because most jobs need neither.
-    from orchestrator.model.point_file import PointFile
-    from orchestrator.model.scanspec_points import SpecPoints
+    from orchestrator.model.scans.point_file import PointFile
+    from orchestrator.model.scans.spec_points import SpecPoints
 
     if scan.scanspec is not None:
         return SpecPoints(scan.scanspec, units)

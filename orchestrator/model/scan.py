@@ -1,8 +1,9 @@
-"""The points of a scan: nested axes, or a table; which point comes when, by arithmetic.
+"""The points of a scan: nested axes, or a table; which point comes when, and the form in which they are sent.
 
 Points are counted from 0 here, and from 1 in everything that people read.
 """
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from math import prod
@@ -16,6 +17,9 @@ from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, 
 MAX_POINTS = 10_000_000  # of one scan
 MAX_LISTED = 10_000  # points, or values of an axis, that stand in the job itself
 MAX_SCAN_AXES = 32
+ROW_TYPE = "<f8"  # of a value in sent and stored points, for numpy: a double, little-endian
+VALUE_BYTES = 8
+PART_BYTES = 700_000  # of points in one request; some 0.95 MB as text
 DIGEST_PATTERN = r"^sha256:[0-9a-f]{64}$"
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -92,6 +96,23 @@ def _count_steps(first: float | str, last: float | str, step: float | str) -> in
 def _in_step_unit(value: float | str, step: float | str) -> Fraction:
     """The value in the unit of the text `step`; a number as it is."""
     return parse_with_unit(value, step) if isinstance(step, str) else Fraction(str(value))
+
+
+class PointAxis(Model):
+    """A column of points: an axis, and the unit of its values."""
+
+    axis: str
+    unit: Unit
+
+
+def make_header(axes: Sequence[PointAxis]) -> bytes:
+    """The line before the rows of sent points; it belongs to the digest: points fit only these axes and units."""
+    return json.dumps([each.to_plain() for each in axes], separators=(",", ":")).encode() + b"\n"
+
+
+def find_row_bytes(axes: Sequence[PointAxis]) -> int:
+    """The bytes of one sent point."""
+    return len(axes) * VALUE_BYTES
 
 
 class PointColumn(Model):

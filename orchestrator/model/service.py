@@ -9,10 +9,9 @@ from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import controller_of
-from orchestrator.model.point_format import PART_BYTES, PointAxis
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, Utc
 from orchestrator.model.report import JobReport, JobState, JobTransition, PointRecord, QueueEntry, StepRecording
-from orchestrator.model.scan import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PointTable
+from orchestrator.model.scan import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
 from orchestrator.model.units import Unit
 
 MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one
@@ -187,7 +186,7 @@ class PointsRead(Reply):
 class PutPoints(Request):
     """Store points of a scan, before the job that names them. First without `data`, then part by part, in order.
 
-    digest: SHA-256 of the header (`point_format.make_header`) and all rows. count: of all points. begin: how many bytes
+    digest: SHA-256 of the header (`scan.make_header`) and all rows. count: of all points. begin: how many bytes
     come before `data`, which is base64 of whole rows: doubles, little-endian, one for each of `axes`.
     """
 

@@ -4,7 +4,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
+from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import BusSample
 from orchestrator.model.errors import Refusal
@@ -52,5 +52,140 @@ def test_a_snake_scan_visits_its_points_in_order_and_pulses_at_each() -> None:
         assert (1, 7, 12) in within
         # Of the scan only the first point is in the history.
         assert len(report.transitions) < 30
+
+    run_fleet(main)
+
+
+def test_a_scan_is_paused_between_points_and_rerun_from_a_point() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        await outcome(fleet, PREPARE)
+        before = "{do: dwell, duration: 1 ms}"
+        job_id = await client.submit(job(f"[{before}, {GRID}]"))
+        await _wait_for_point(fleet, job_id, 4)
+        await client.pause_job(job_id)
+        await _wait_for_state(fleet, job_id, "paused")
+        shown = await client.show_job(job_id)
+        assert "step 1, point 4 of 12" in shown.transitions[-1].reason
+        await client.resume_job(job_id)
+        await _wait_for_point(fleet, job_id, 6)
+        await client.cancel_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "cancelled"
+        done = await client.load_points(job_id)
+        assert [each.point for each in done if each.state == "done"][:5] == [1, 2, 3, 4, 5]
+        scan = report.steps[1]
+        assert scan.do == "scan" and scan.scan is not None and 5 <= scan.scan.done <= 6
+        with pytest.raises(Refusal, match="has the points 1 to 12"):
+            await client.retry_job(job_id, 1, from_point=13)
+        with pytest.raises(Refusal, match=r"step 0 .* is no scan"):
+            await client.retry_job(job_id, 0, from_point=1)
+        again = await client.retry_job(job_id, 1, from_point=7)
+        assert again.steps == ["19 " + again.steps[0].partition(" ")[2]] and "12 points" in again.steps[0]
+        repeated = await client.wait_for_job(again.job_id)
+        assert repeated.state == "done" and repeated.from_step == 1 + 6 * 3
+        assert [tuple(each.target.values()) for each in await client.load_points(again.job_id)] == SNAKE[6:]
+        # It was never recorded as queued again, although it began inside a scan.
+        states = [each.state for each in repeated.transitions]
+        assert states[:2] == ["queued", "planning"] and states[-1] == "done"
+
+    run_fleet(main)
+
+
+async def _wait_for_point(fleet: VirtualFleet, job_id: str, point: int) -> None:
+    client, reached = fleet.make_client(), asyncio.Event()
+
+    def look(sample: BusSample) -> None:
+        if JobProgress.model_validate_json(sample.payload).point == point:
+            reached.set()
+
+    subscription = await client.bus.subscribe(client.keys.job_state(job_id), look)
+    async with asyncio.timeout(60):
+        await reached.wait()
+    await subscription.undeclare()
+
+
+async def _wait_for_state(fleet: VirtualFleet, job_id: str, state: str) -> None:
+    client = fleet.make_client()
+    async with asyncio.timeout(60):
+        while (entry := (await client.show_job(job_id)).entry) is None or entry.state != state:
+            await asyncio.sleep(0.02)
+
+
+def test_a_coordinator_that_is_killed_in_a_scan_leaves_the_points_so_far() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        await outcome(fleet, PREPARE)
+        job_id = await client.submit(job(f"[{GRID}]"))
+        await _wait_for_point(fleet, job_id, 9)
+        fleet.kill("coordinator/first")
+        fleet.start_coordinator("second")
+        report = await client.wait_for_job(job_id)
+        assert report.state == "interrupted"
+        points = [each.point for each in await client.load_points(job_id)]
+        # Rows are written once a second, and with the last point.
+        assert points == list(range(1, len(points) + 1)) and 1 <= len(points) <= 9
+
+    run_fleet(main)
+
+
+def write_points(path: Path, lines: list[str]) -> str:
+    path.write_text("gantry.x,stage.u\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    return f"{{do: scan, points: {{file: '{path}'}}}}"
+
+
+def test_points_of_a_file_are_sent_once_and_run_in_their_order(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        await outcome(fleet, PREPARE)
+        step = write_points(tmp_path / "p.csv", ["0.1,0", "1 mm, 500 um", "", "0.3,0.25"])
+        report = await outcome(fleet, job(f"[{step}]"))
+        assert report.state == "done", report.reason
+        points = await client.load_points(report.job_id)
+        assert [each.target for each in points] == [
+            {"gantry.x": 0.1, "stage.u": 0.0},
+            {"gantry.x": 1.0, "stage.u": 0.5},
+            {"gantry.x": 0.3, "stage.u": 0.25},
+        ]
+        stored = (await client.show_job(report.job_id)).job
+        assert stored is not None and stored.steps[0].do == "scan"
+        table = stored.steps[0].points
+        assert table is not None and table.count == 3 and table.columns[0].most_at == 2
+        used = fleet.journal.points.used_bytes
+        assert used == 3 * 2 * 8
+        again = await client.submit(job(f"[{step}]"))
+        assert (await client.wait_for_job(again)).state == "done" and fleet.journal.points.used_bytes == used
+        # With the last job that names them they are deleted.
+        await client.prune_jobs(0, 0)
+        assert fleet.journal.points.used_bytes == 0 and await client.load_points(report.job_id) == []
+
+    run_fleet(main)
+
+
+def test_bad_points_are_refused_before_anything_moves(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        beyond = write_points(tmp_path / "beyond.csv", ["0,0", "1,1", "401,2", "5,3"])
+        with pytest.raises(Refusal, match=r"target 401 mm is beyond its soft limits -10 to 400 mm, at point 3 of 4"):
+            await client.submit(job(f"[{beyond}]"))
+        corner = "{do: scan, axes: {gantry.x: {from: 0, to: 10, points: 11}, stage.u: {from: 0, to: -1.5, points: 4}}}"
+        with pytest.raises(Refusal, match=r"stage.u: target -1.5 mm .* at point 4 of 44 \(gantry.x 0, stage.u -1.5\)"):
+            await client.submit(job(f"[{corner}]"))
+        endless = write_points(tmp_path / "nan.csv", ["0,0", "nan,1", "3,inf"])
+        with pytest.raises(FileError) as wrong:
+            await client.submit(job(f"[{endless}]"))
+        assert [(each.line, each.field, each.text) for each in wrong.value.problems] == [
+            (3, "column 1 (gantry.x)", "found 'nan'; the number must be finite"),
+            (4, "column 2 (stage.u)", "found 'inf'; the number must be finite"),
+        ]
+        moved = "{do: scan, axes: {gantry.x: {values: [0, 1]}}, at_each: [{do: move, by: {stage.v: 1}}]}"
+        with pytest.raises(Refusal, match=r"steps\[0\].steps\[0\].at_each\[0\] \(move\): .* stage.v.* cover 52 mm"):
+            await client.submit(job(f"[{{do: repeat, times: 40, steps: [{moved}]}}]"))
+        fleet.journal.points.quota_bytes = 64
+        many = write_points(tmp_path / "many.csv", ["0,0"] * 5)
+        with pytest.raises(Refusal, match="the points need 80 B; 64 B of 64 B for points are in use") as full:
+            await client.submit(job(f"[{many}]"))
+        assert full.value.code == "point-store-full" and "tutti job prune" in full.value.remedy
+        assert (await client.list_jobs()).jobs == []
 
     run_fleet(main)

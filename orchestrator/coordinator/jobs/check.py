@@ -8,7 +8,7 @@ from orchestrator.model.files import format_place
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import StepProblem
 from orchestrator.model.job import Repeat, Scan, Step
-from orchestrator.model.step_order import RemainingStep
+from orchestrator.model.scans.step_order import RemainingStep
 from orchestrator.plan.forecast import JobForecaster
 
 STEPS_AT_ONCE = 20  # that are checked before other work gets its turn

@@ -13,8 +13,8 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Move, Scan, iterate_steps
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import FINISHED_STATES
+from orchestrator.model.scans.step_order import RemainingStep, StepOrder, count_point_steps, count_reports
 from orchestrator.model.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
-from orchestrator.model.step_order import RemainingStep, StepOrder, count_point_steps, count_reports
 from orchestrator.model.step_words import describe_step
 
 MAX_DESCRIBED_STEPS = 20  # remaining steps that are described in words

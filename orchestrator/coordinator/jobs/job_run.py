@@ -30,7 +30,7 @@ from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
 from orchestrator.model.report import FeedHold, JobProgress, JobReport, JobState, JobTransition, PointRecord, StepReport
-from orchestrator.model.step_order import StepOrder
+from orchestrator.model.scans.step_order import StepOrder
 
 PROGRESS_NS = NS_PER_S // 5
 REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show rest

@@ -7,8 +7,7 @@ from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.journal.point_store import UploadState
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Scan, find_scans, replace_scans
-from orchestrator.model.point_format import VALUE_BYTES
-from orchestrator.model.scan import PointTable
+from orchestrator.model.scan import VALUE_BYTES, PointTable
 from orchestrator.model.service import PointsPut, PutPoints
 
 

@@ -11,7 +11,7 @@ from orchestrator.coordinator.jobs.skew_histogram import SkewHistogram
 from orchestrator.coordinator.motion.budget import worse_verdict
 from orchestrator.model.job import Scan
 from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
-from orchestrator.model.step_order import StepPlace, count_point_steps
+from orchestrator.model.scans.step_order import StepPlace, count_point_steps
 
 MAX_FINDINGS = 10  # points that are not green and stand in the report
 ROWS_AT_ONCE = 100  # in a transaction

@@ -35,7 +35,7 @@ from orchestrator.model.job import Job
 from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import QueueTerms, parse_utc
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry, QueueState, make_queued_progress
-from orchestrator.model.step_order import StepOrder
+from orchestrator.model.scans.step_order import StepOrder
 
 P = ParamSpec("P")
 

@@ -9,7 +9,7 @@ from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Scan, Step
 from orchestrator.model.scan import GridPoints
-from orchestrator.model.step_order import StepOrder, StepPlace
+from orchestrator.model.scans.step_order import StepOrder, StepPlace
 from orchestrator.model.units import Unit, parse_quantity
 
 ROWS_AT_ONCE = 4096  # that are read of stored points; 32 kB an axis

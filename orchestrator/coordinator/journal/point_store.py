@@ -23,10 +23,9 @@ from pydantic import TypeAdapter
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.model.errors import Refusal
-from orchestrator.model.point_format import ROW_TYPE, VALUE_BYTES, PointAxis, find_row_bytes, make_header
-from orchestrator.model.point_summary import ColumnSummary
 from orchestrator.model.queue import format_utc, parse_utc
-from orchestrator.model.scan import PointColumn
+from orchestrator.model.scan import ROW_TYPE, VALUE_BYTES, PointAxis, PointColumn, find_row_bytes, make_header
+from orchestrator.model.scans.point_summary import ColumnSummary
 
 QUOTA_BYTES = 512_000_000  # of all stored points
 UNUSED_AFTER = timedelta(hours=1)  # then points that no job names are deleted, also parts of an upload that broke off
@@ -89,9 +88,10 @@ class PointStore:
         if used + size > self.quota_bytes:
             raise Refusal(
                 "point-store-full",
-                f"the points need {size / 1e6:.1f} MB; {used / 1e6:.1f} of {self.quota_bytes / 1e6:.0f} MB for points "
-                "are in use",
-                "delete finished jobs, and their points with them: `tutti job prune --older 7d --keep 0`",
+                f"the points need {_format_size(size)}; {_format_size(used)} of {_format_size(self.quota_bytes)} for "
+                "points are in use",
+                "delete finished jobs, and their points with them: `tutti job prune --older 7d --keep 0`; points that "
+                "no job names are deleted after an hour",
             )
         with self._transaction():
             values = (digest, make_header(axes).decode(), size, 0, None, utc)
@@ -207,3 +207,7 @@ class PointStore:
 
     def _transaction(self) -> Transaction:
         return Transaction(self._db, self._path)
+
+
+def _format_size(size: int) -> str:
+    return f"{size} B" if size < 1_000_000 else f"{size / 1e6:.1f} MB"

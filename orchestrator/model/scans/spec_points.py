@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.point_format import PointAxis
-from orchestrator.model.scan import MAX_POINTS
+from orchestrator.model.scan import MAX_POINTS, PointAxis
 from orchestrator.model.units import Unit
 
 ROWS_AT_ONCE = 4096  # points in a block

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from orchestrator.model.files import MAX_PROBLEMS, FileError, FileProblem
 from orchestrator.model.numbers import MAX_TEXT
-from orchestrator.model.point_format import PointAxis
-from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES
+from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, PointAxis
 from orchestrator.model.units import MAX_QUANTITY, Unit, UnitError, parse_quantity
 
 ROWS_AT_ONCE = 4096  # points in a block

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.point_format import PointAxis
-from orchestrator.model.scan import PointColumn
+from orchestrator.model.scan import PointAxis, PointColumn
 
 Rows = NDArray[np.float64]
 
