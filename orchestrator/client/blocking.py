@@ -282,18 +282,9 @@ class BlockingTutti(BlockingObject[Tutti]):
         """A job by its id, to follow it."""
         return BlockingJob(self._wrapped.job(job_id), self._worker)
 
-    def enqueue_job(
-        self,
-        job: Job,
-        client_key: str | None = None,
-        terms: QueueTerms | None = None,
-        on_points: OnPoints | None = None,
-    ) -> QueueEntry:
-        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points.
-
-        on_points: called with the progress of reading and sending points.
-        """
-        return self._run(self._wrapped.enqueue_job(job, client_key, terms, on_points))
+    def enqueue_job(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> QueueEntry:
+        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points."""
+        return self._run(self._wrapped.enqueue_job(job, client_key, terms))
 
     def dry_run(self, job: Job, on_steps: Callable[[int], None] | None = None) -> JobForecast:
         """Run a job forward from the present positions, each step from where the one before it leaves its axes, and
@@ -351,22 +342,19 @@ class BlockingTutti(BlockingObject[Tutti]):
     def retry_job(
         self,
         job_id: str,
-        from_step: int = 0,
+        from_step: int | tuple[int, int] = 0,
         *,
-        from_point: int | None = None,
         dry_run: bool = False,
         terms: QueueTerms | None = None,
         client_key: str | None = None,
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
-        from_point: of the scan that `from_step` belongs to, from 1; only its points from there on are run.
+        from_step: its number, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
         return self._run(
-            self._wrapped.retry_job(
-                job_id, from_step, from_point=from_point, dry_run=dry_run, terms=terms, client_key=client_key
-            )
+            self._wrapped.retry_job(job_id, from_step, dry_run=dry_run, terms=terms, client_key=client_key)
         )
 
     def prune_jobs(self, older_s: float, keep: int) -> int:
@@ -393,9 +381,12 @@ class BlockingTutti(BlockingObject[Tutti]):
         """
         return self._run(self._wrapped.send_points(job, on_points))
 
-    def iterate_points(self, job_id: str) -> Iterator[PointRecord]:
-        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`."""
-        return self._iterate(self._wrapped.iterate_points(job_id))
+    def iterate_points(self, job_id: str, step: int | None = None) -> Iterator[PointRecord]:
+        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`.
+
+        step: only of the scan that begins with this step.
+        """
+        return self._iterate(self._wrapped.iterate_points(job_id, step))
 
     def load_points(self, job_id: str) -> list[PointRecord]:
         """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises

@@ -7,7 +7,7 @@ from typing import Self
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
-from orchestrator.client.points import OnPoints, PointRequests
+from orchestrator.client.points import PointRequests
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
@@ -101,13 +101,9 @@ class JobRequests(PointRequests):
         job: Job,
         client_key: str | None = None,
         terms: QueueTerms | None = None,
-        on_points: OnPoints | None = None,
     ) -> QueueEntry:
-        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points.
-
-        on_points: called with the progress of reading and sending points.
-        """
-        job = await self.send_points(job, on_points)
+        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points."""
+        job = await self.send_points(job)
         if job.actor == UNKNOWN_ACTOR:
             job = job.model_copy(update={"actor": self.actor})
         request = SubmitJob(
@@ -205,26 +201,26 @@ class JobRequests(PointRequests):
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         await self.request_service("resume", JobReference(**self.request_fields(), job_id=job_id), Reply)
 
-    async def retry_job(  # noqa: PLR0913 - the fields of the request
+    async def retry_job(
         self,
         job_id: str,
-        from_step: int = 0,
+        from_step: int | tuple[int, int] = 0,
         *,
-        from_point: int | None = None,
         dry_run: bool = False,
         terms: QueueTerms | None = None,
         client_key: str | None = None,
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
-        from_point: of the scan that `from_step` belongs to, from 1; only its points from there on are run.
+        from_step: its number, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
+        step, point = from_step if isinstance(from_step, tuple) else (from_step, None)
         request = RetryJob(
             **self.request_fields(),
             job_id=job_id,
-            from_step=from_step,
-            from_point=from_point,
+            from_step=step,
+            from_point=point,
             dry_run=dry_run,
             terms=terms,
             client_key=client_key or self.new_id(),

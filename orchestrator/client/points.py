@@ -13,7 +13,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Scan, find_scans, named_axes, replace_scans
 from orchestrator.model.messages import Request
 from orchestrator.model.report import PointRecord
-from orchestrator.model.scan import PART_BYTES, PointAxis, PointTable, find_row_bytes, make_header
+from orchestrator.model.scan import PART_BYTES, ROW_TYPE, PointAxis, PointTable, find_row_bytes, make_header
 from orchestrator.model.service import FleetNames, PointsPut, PointsRead, PutPoints, ReadPoints
 from orchestrator.model.units import Unit
 
@@ -85,22 +85,50 @@ class PointRequests(FleetConnection):
                 if not data:
                     raise Refusal("bad-points", "the points cannot be stored: their size has changed", "submit again")
 
-    async def iterate_points(self, job_id: str) -> AsyncGenerator[PointRecord]:
-        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`."""
-        after = {"after_step": -1, "after_point": 0}
+    async def iterate_points(self, job_id: str, step: int | None = None) -> AsyncGenerator[PointRecord]:
+        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`.
+
+        step: only of the scan that begins with this step.
+        """
+        last = (-1, 0) if step is None else (step, 0)
         while True:
-            request = ReadPoints(**self.request_fields(), job_id=job_id, limit=RECORDS_AT_ONCE, **after)
+            request = ReadPoints(
+                **self.request_fields(), job_id=job_id, limit=RECORDS_AT_ONCE, after_step=last[0], after_point=last[1]
+            )
             points = (await self.request_service("points", request, PointsRead)).points
             for each in points:
+                if step is not None and each.step != step:
+                    return
                 yield each
             if len(points) < RECORDS_AT_ONCE:
                 return
-            after = {"after_step": points[-1].step, "after_point": points[-1].point}
+            last = points[-1].step, points[-1].point
 
     async def load_points(self, job_id: str) -> list[PointRecord]:
         """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises
         `Refusal`."""
         return [each async for each in self.iterate_points(job_id)]
+
+
+def read_points(job: Job, units: Mapping[str, Unit]) -> Job:
+    """The job with the extremes of the points of its files and specs, as the coordinator would find them; nothing is
+    sent. Raises `FileError`, `Refusal`."""
+    from orchestrator.model.scans.point_summary import ColumnSummary
+
+    found: dict[int, Scan] = {}
+    for scan in filter(_is_unread, find_scans(job.steps)):
+        source, digest = make_point_source(scan, units), hashlib.sha256()
+        summary: ColumnSummary | None = None
+        for block in source.read_blocks():
+            if summary is None:
+                summary = ColumnSummary(source.axes)
+                digest.update(make_header(source.axes))
+            summary.add_rows(block)
+            digest.update(block.astype(ROW_TYPE).tobytes())
+        assert summary is not None  # a source without points is refused
+        columns, name = summary.make_columns(), f"sha256:{digest.hexdigest()}"
+        found[id(scan)] = place_points(scan, PointTable(digest=name, count=summary.count, columns=columns))
+    return job.model_copy(update={"steps": replace_scans(job.steps, found)})
 
 
 def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
@@ -131,7 +159,7 @@ async def _spool_points(source: PointSource, rows: IO[bytes], on_points: OnPoint
     for block in source.read_blocks():
         if not count:
             digest.update(make_header(source.axes))
-        data = block.astype("<f8").tobytes()
+        data = block.astype(ROW_TYPE).tobytes()
         digest.update(data)
         rows.write(data)
         count += len(block)

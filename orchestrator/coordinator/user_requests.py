@@ -187,6 +187,7 @@ class UserRequests:
             job=job,
             report=report,
             transitions=await execute(journal.list_transitions, record.id),
+            progress=self._scheduler.find_progress(record.id),
         )
 
     async def _load_recording(self, request: RecordingReference) -> RecordingReply:

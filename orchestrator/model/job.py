@@ -225,8 +225,9 @@ class Scan(MotionOptions, ScanPoints):
     @field_validator("at_each", mode="before")
     @classmethod
     def _allowed_at_points(cls, value: Any) -> Any:
-        for number, each in enumerate(value if isinstance(value, list | tuple) else ()):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-            kind = str(each.get("do") if isinstance(each, Mapping) else getattr(each, "do", ""))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+        steps: list[Any] = list(value) if isinstance(value, list | tuple) else []  # pyright: ignore[reportUnknownArgumentType]
+        for number, each in enumerate(steps):
+            kind = str(each.get("do") if isinstance(each, dict) else getattr(each, "do", ""))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
             if kind in _NOT_AT_EACH:
                 raise ValueError(f"step {number}: `do: {kind}` cannot stand in `at_each`: {_NOT_AT_EACH[kind]}")
         return value  # pyright: ignore[reportUnknownVariableType]

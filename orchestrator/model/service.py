@@ -10,7 +10,15 @@ from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import controller_of
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, Utc
-from orchestrator.model.report import JobReport, JobState, JobTransition, PointRecord, QueueEntry, StepRecording
+from orchestrator.model.report import (
+    JobProgress,
+    JobReport,
+    JobState,
+    JobTransition,
+    PointRecord,
+    QueueEntry,
+    StepRecording,
+)
 from orchestrator.model.scan import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
 from orchestrator.model.units import Unit
 
@@ -148,12 +156,13 @@ class JobsPruned(Reply):
 
 
 class JobShown(Reply):
-    """All that the journal has of a job; `report` once it has ended."""
+    """All that the journal has of a job; `report` once it has ended, `progress` while it runs."""
 
     entry: QueueEntry | None = None
     job: Job | None = None
     report: JobReport | None = None
     transitions: list[JobTransition] = Field(default=[])
+    progress: JobProgress | None = None
 
 
 class RecordingReference(JobReference):

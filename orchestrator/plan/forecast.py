@@ -183,7 +183,7 @@ class JobForecaster:
             self._take_corners(first, name, axis, corners[name], step.point_count)
         span = self._plan_ways(step, first)
         for kind in kinds:
-            span = span.followed_by(self._plan_kind(step, known, kind), kind.count)
+            span = span.followed_by(self._plan_kind(step, known, kind), kind.often)
         return span.followed_by(self._run_passes(step.at_each, "at_each", step.point_count, "at point"))
 
     @_run.register

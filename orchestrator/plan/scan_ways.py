@@ -23,10 +23,10 @@ class ScanCorner(NamedTuple):
 
 
 class ScanWays(NamedTuple):
-    """Ways between neighbouring points. count: how many. nearest, farthest: by axis, bounds of them; without the axes
+    """Ways between neighbouring points. often: how many. nearest, farthest: by axis, bounds of them; without the axes
     that stand."""
 
-    count: int
+    often: int
     nearest: Mapping[str, Way]
     farthest: Mapping[str, Way]
 

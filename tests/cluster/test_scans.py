@@ -77,10 +77,10 @@ def test_a_scan_is_paused_between_points_and_rerun_from_a_point() -> None:
         scan = report.steps[1]
         assert scan.do == "scan" and scan.scan is not None and 5 <= scan.scan.done <= 6
         with pytest.raises(Refusal, match="has the points 1 to 12"):
-            await client.retry_job(job_id, 1, from_point=13)
+            await client.retry_job(job_id, (1, 13))
         with pytest.raises(Refusal, match=r"step 0 .* is no scan"):
-            await client.retry_job(job_id, 0, from_point=1)
-        again = await client.retry_job(job_id, 1, from_point=7)
+            await client.retry_job(job_id, (0, 1))
+        again = await client.retry_job(job_id, (1, 7))
         assert again.steps == ["19 " + again.steps[0].partition(" ")[2]] and "12 points" in again.steps[0]
         repeated = await client.wait_for_job(again.job_id)
         assert repeated.state == "done" and repeated.from_step == 1 + 6 * 3

@@ -57,7 +57,7 @@ class JobIntake:
         await self._check_terms(terms, request.client_key)
         axes = find_axes(services.view.fleet, [each.step for each in remaining])
         reply = JobRetried(
-            steps=[f"{each.index} {describe_step(each.step)}" for each in remaining[:MAX_DESCRIBED_STEPS]],
+            steps=[f"{each.first} {describe_step(each.step)}" for each in remaining[:MAX_DESCRIBED_STEPS]],
             axes=[self._axis_position(axis) for axis in axes],
             warnings=_find_warnings(remaining),
         )

@@ -34,7 +34,15 @@ from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Job
 from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import QueueTerms, parse_utc
-from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry, QueueState, make_queued_progress
+from orchestrator.model.report import (
+    FINISHED_STATES,
+    JobProgress,
+    JobReport,
+    JobState,
+    QueueEntry,
+    QueueState,
+    make_queued_progress,
+)
 from orchestrator.model.scans.step_order import StepOrder
 
 P = ParamSpec("P")
@@ -585,6 +593,11 @@ class Scheduler:
             run.abandon(JobInterrupted("aborted", reason, actor))
         self._conditions.note_estop(reason)
         self.gate.stop_queue(reason, actor)
+
+    def find_progress(self, job_id: str) -> JobProgress | None:
+        """The progress of a job while it runs."""
+        run = self._running.get(job_id)
+        return None if run is None else run.make_progress()
 
     def make_queue_state(self, total: int, rows: Iterable[JobRecord]) -> QueueState:
         """Jobs as a list shows them, with the state of the queue."""

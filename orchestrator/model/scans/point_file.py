@@ -7,6 +7,7 @@ with a unit of its own. Empty lines are skipped.
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,17 @@ from orchestrator.model.units import MAX_QUANTITY, Unit, UnitError, parse_quanti
 ROWS_AT_ONCE = 4096  # points in a block
 
 Rows = NDArray[np.float64]
+
+
+class _RowReader(Protocol):
+    """A reader of the module `csv`. line_num: lines that were read."""
+
+    @property
+    def line_num(self) -> int: ...
+
+    def __iter__(self) -> Iterator[list[str]]: ...
+
+    def __next__(self) -> list[str]: ...
 
 
 class PointFile:
@@ -37,8 +49,8 @@ class PointFile:
         `MAX_PROBLEMS`, when it has read the file."""
         try:
             with self._path.open(encoding="utf-8-sig", newline="") as file:
-                reader = csv.reader(self._watch_lines(file))
-                self._read_header(next(reader, []))
+                reader: _RowReader = csv.reader(self._watch_lines(file))
+                self._read_header(next(reader, list[str]()))
                 yield from self._read_rows(reader)
         except OSError as error:
             raise self._make_error(0, f"cannot be read: {error.strerror}") from None
@@ -71,7 +83,7 @@ class PointFile:
             raise FileError(FileProblem(str(self._path), 1, "", text) for text in problems)
         self.axes = [PointAxis(axis=name, unit=self._units[name]) for name in names]
 
-    def _read_rows(self, reader: "csv._reader") -> Iterator[Rows]:  # pyright: ignore[reportPrivateUsage]
+    def _read_rows(self, reader: _RowReader) -> Iterator[Rows]:
         width, count = len(self.axes), 0
         rows: list[list[float]] = []
         lines: list[int] = []

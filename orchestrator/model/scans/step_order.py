@@ -15,9 +15,9 @@ from orchestrator.model.job import Repeat, Scan, Step
 
 
 class RemainingStep(NamedTuple):
-    """What is left of a written step. index: the number of the first step left of it; number: in the job file."""
+    """What is left of a written step. first: the number of the first step left of it; number: in the job file."""
 
-    index: int
+    first: int
     number: int
     step: Step
 
