@@ -69,7 +69,7 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
         off = [seen - meant for seen, meant in zip(measured[axis], planned[axis], strict=True)]
         difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
         difference.plot(numbers, off, ".-", color=COLOUR_SEEN, markersize=4, linewidth=0.6)
-        difference.set_ylabel(f"{axis}: measured - planned")
+        difference.set_ylabel(f"{axis}: off plan")
         difference.grid(alpha=0.3)
     differences[-1].set_xlabel("point")
     if path is not None:

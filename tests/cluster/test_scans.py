@@ -147,6 +147,7 @@ def test_points_of_a_file_are_sent_once_and_run_in_their_order(tmp_path: Path) -
             {"gantry.x": 1.0, "stage.u": 0.5},
             {"gantry.x": 0.3, "stage.u": 0.25},
         ]
+        assert [each.measured for each in points] == [pytest.approx(each.target, abs=0.001) for each in points]
         stored = (await client.show_job(report.job_id)).job
         assert stored is not None and stored.steps[0].do == "scan"
         table = stored.steps[0].points
