@@ -58,7 +58,10 @@ def test_positions_are_exact_whatever_their_unit() -> None:
     ("scan", "text"),
     [
         ("axes: {gantry.x: {from: 0, to: 1}}", "steps[0].axes.gantry.x: needs either `points`"),
-        ("axes: {gantry.x: {from: 0, to: 1, step: 0.3}}", "does not divide the way from `from` to `to`; write `points`"),
+        (
+            "axes: {gantry.x: {from: 0, to: 1, step: 0.3}}",
+            "does not divide the way from `from` to `to`; write `points`",
+        ),
         ("axes: {gantry.x: {from: 0, to: 1, step: -0.5}}", "must lead from `from` towards `to`"),
         ("axes: {gantry.x: {from: 0, to: 1 mm, step: 0.5}}", "either all as numbers or all with a unit"),
         ("axes: {gantry.x: {values: [0], points: 3}}", "has `values`, so"),
@@ -78,7 +81,10 @@ def test_positions_are_exact_whatever_their_unit() -> None:
             "at_each[0] moves gantry.x, which the scan positions; move other axes there",
         ),
         ("axes: {gantry.x: {from: 0, to: 1, points: 9000000}, stage.u: {values: [1, 2]}}", "has 18000000 points; the"),
-        ("axes: {gantry.x: {values: [0]}}, at_each: [{do: output, output: a.b, value: true, pulse: 0 s}]", "longer than 0"),
+        (
+            "axes: {gantry.x: {values: [0]}}, at_each: [{do: output, output: a.b, value: true, pulse: 0 s}]",
+            "longer than 0",
+        ),
     ],
 )
 def test_wrong_scans_are_named_with_their_place(scan: str, text: str) -> None:
