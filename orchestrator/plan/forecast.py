@@ -71,6 +71,15 @@ class _Span(NamedTuple):
         return _Span(self.least + other.least * times, most)
 
 
+class _Pass(NamedTuple):
+    """One pass of repeated steps: the targets that were checked, the axes after it, its duration, new problems."""
+
+    checks: list[TargetCheck]
+    axes: dict[str, AxisForecast]
+    span: _Span
+    problems: int
+
+
 @dataclass(slots=True)
 class _MoveWays:
     """The ways of the axes of a motion, in counts. farthest: bounds of them, where the beginning is not known; bounded:
@@ -279,38 +288,54 @@ class JobForecaster:
     # Passes
 
     def _run_passes(self, steps: Sequence[Step], key: str, times: int, word: str) -> _Span:
-        """Run steps forward `times` times: the first passes, and the others by what these differ in. key: of the steps
-        in their own step. word: what a pass is called in messages."""
-        place, when, outer = self._place, self._when, self._checks
-        passes: list[tuple[list[TargetCheck], dict[str, AxisForecast]]] = []
-        whole, last = _Span(), _Span()
+        """Run steps forward `times` times: the first passes, the others by what these differ in, and the last one. key:
+        of the steps in their own step. word: what a pass is called in messages."""
+        when = self._when
+        passes: list[_Pass] = []
+        whole = _Span()
         for number in range(1, min(times, RUN_PASSES) + 1):
-            problems = len(self.problems)
-            self._checks = []
-            self._when = f", {word} {number} of {times}{when}" if number > 1 else when
-            last = _Span()
-            for index, step in enumerate(steps):
-                self._place = (*place, key, index)
-                last = last.followed_by(self._run(step))
-            whole = whole.followed_by(last)
-            outer += self._checks
-            passes.append((self._checks, dict(self.axes)))
-            if len(self.problems) > problems:
-                break  # it would be there in every pass
-        self._place, self._when, self._checks = place, when, outer
-        if len(passes) < RUN_PASSES or times == RUN_PASSES:
+            passes.append(self._run_pass(steps, key, f", {word} {number} of {times}{when}" if number > 1 else when))
+            whole = whole.followed_by(passes[-1].span)
+            if passes[-1].problems:
+                return whole  # it would be there in every pass
+        if times <= RUN_PASSES:
             return whole
-        self._skip_passes(passes, times, lambda number: f", {word} {number} of {times}{when}")
-        return whole.followed_by(last, times - RUN_PASSES)
+        third, problems = passes[-1].span, len(self.problems)
+        self._skip_passes(passes, times - 1, lambda number: f", {word} {number} of {times}{when}")
+        if len(self.problems) > problems:
+            return whole
+        targets = find_later_targets(passes[1].checks, passes[2].checks)
+        if not any(each.drift or each.offset_drift for each in targets):
+            return whole.followed_by(third, times - RUN_PASSES)
+        last = self._run_pass(steps, key, f", {word} {times} of {times}{when}").span
+        between = third
+        if last != third:
+            # A way that changes from pass to pass is longest at one end; it may be nothing in between.
+            most = None if third.most is None or last.most is None else max(third.most, last.most)
+            between = _Span(0.0, most)
+        return whole.followed_by(between, times - RUN_PASSES - 1).followed_by(last)
+
+    def _run_pass(self, steps: Sequence[Step], key: str, when: str) -> "_Pass":
+        """Run steps forward once."""
+        place, outer = self._place, (self._checks, self._when)
+        problems, span = len(self.problems), _Span()
+        self._checks, self._when = [], when
+        for index, step in enumerate(steps):
+            self._place = (*place, key, index)
+            span = span.followed_by(self._run(step))
+        made = _Pass(self._checks, dict(self.axes), span, len(self.problems) - problems)
+        self._place, (self._checks, self._when) = place, outer
+        self._checks += made.checks
+        return made
 
     def _skip_passes(
         self,
-        passes: Sequence[tuple[list[TargetCheck], dict[str, AxisForecast]]],
+        passes: Sequence["_Pass"],
         times: int,
         describe: Callable[[int], str],
     ) -> None:
-        """Go on from the third pass to the last one. describe: a pass in words."""
-        (_, (second, before), (third, after)) = passes
+        """Go on from the third pass to pass `times`. describe: a pass in words."""
+        _, (second, before, _, _), (third, after, _, _) = passes
         place, when = self._place, self._when
         for name, targets in group_by_axis(find_later_targets(second, third)).items():
             axis, state = self._fleet.axis(name), after[name]
@@ -318,14 +343,16 @@ class JobForecaster:
             for number, check in self._find_leaving_targets(axis, targets, times).values():
                 self._place, self._when = check.place[:-2], describe(number)
                 self._check_target(check.place[-2:], axis, check.target, check.offset)
-            apart = [each for each in targets if not each.check.known]
+            # A position that was lost in each pass is no common beginning.
+            lost = state.since > self._index
+            apart = [each for each in targets if not each.check.known and not lost]
             number = find_first_pass(times, partial(self._leaves_room, axis, state, apart)) if apart else None
             if number is not None:
                 self._place, self._when = apart[-1].check.place[:-2], describe(number)
                 lowest, highest = find_range(state, apart, number)
                 reached = state.model_copy(update={"lowest": lowest, "highest": highest})
                 self._check_room(apart[-1].check.place[-2:], axis, reached)
-            self.axes[name] = find_last_state(before[name], state, targets, times)
+            self.axes[name] = find_last_state(before[name], state, apart, times)
             if len(self.problems) > problems:
                 self.axes[name] = state.model_copy(update=self._unknown_position())
             self._checks += [each.in_pass(times) for each in targets]

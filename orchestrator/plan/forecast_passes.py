@@ -70,7 +70,8 @@ def find_range(state: AxisForecast, targets: Sequence[LaterTarget], number: int)
 def find_last_state(
     before: AxisForecast, after: AxisForecast, targets: Sequence[LaterTarget], times: int
 ) -> AxisForecast:
-    """The state after the last pass. before, after: after the second and the third; targets: of this axis."""
+    """The state after pass `times`. before, after: after the second and the third; targets: from an unknown beginning
+    that all passes have in common."""
     more = times - RUN_PASSES
     if more <= 0 or before.known != after.known or before.since != after.since:
         return after
@@ -79,7 +80,7 @@ def find_last_state(
         "offset": after.offset + more * (after.offset - before.offset),
     }
     if not after.known:
-        lowest, highest = find_range(after, [each for each in targets if not each.check.known], times)
+        lowest, highest = find_range(after, targets, times)
         update |= {"lowest": lowest, "highest": highest}
     return after.model_copy(update=update)
 

@@ -1,7 +1,7 @@
 """Scans and repeats in job files, their order by arithmetic, and files of points."""
 
 from fractions import Fraction
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +44,7 @@ def test_the_last_axis_moves_fastest_and_a_snake_turns_at_the_end_of_each_pass()
     snake = grid(f"{{{x}, {u}, snake: true}}, {r}, snake: true}}}}")
     assert sorted(snake) == list(product((0, 1, 2), (0, Fraction(1, 2), 1), (5, 7)))
     # One axis by one position at a time: no way back anywhere.
-    for before, after in zip(snake, snake[1:], strict=False):
+    for before, after in pairwise(snake):
         assert sum(a != b for a, b in zip(before, after, strict=True)) == 1
 
 
@@ -242,7 +242,7 @@ def test_extremes_are_the_same_however_the_points_are_divided() -> None:
     x, u = found[0]
     assert (x.least, x.least_at, x.most, x.most_at, x.first, x.last) == (0, 1, 3, 2, 0, 0)
     assert (x.least_step, x.most_step, u.least_step, u.most_step) == (2, 3, 0, 5)
-    with pytest.raises(Refusal, match="point 6: the position of stage.u is inf, which is not finite"):
+    with pytest.raises(Refusal, match=r"point 6: the position of stage.u is inf, which is not finite"):
         summary.add_rows(np.array([[0, np.inf]]))
 
 
@@ -263,7 +263,7 @@ def test_a_scanspec_gives_its_midpoints() -> None:
     points = SpecPoints({"type": "Product", "outer": line, "inner": inner}, UNITS)
     assert [each.axis for each in points.axes] == ["gantry.x", "stage.u"]
     assert np.vstack(list(points.read_blocks())).tolist() == [[0, 0], [0, 1], [1, 1], [1, 0], [2, 0], [2, 1]]
-    with pytest.raises(Refusal, match="has no axis gantry.q"):
+    with pytest.raises(Refusal, match=r"has no axis gantry.q"):
         SpecPoints(line | {"axis": "gantry.q"}, UNITS)
     with pytest.raises(Refusal, match="scanspec cannot read the spec"):
         SpecPoints({"type": "Nothing"}, UNITS)
