@@ -4,7 +4,7 @@ Positions that only the machine knows are carried as distances from there, so th
 with the soft limits although nothing is known about its beginning.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial, singledispatchmethod
@@ -128,9 +128,18 @@ class JobForecaster:
 
     def take(self, index: int, step: Step) -> StepForecast:
         """Run one step forward. index: its number in the job file."""
+        work = self.take_in_parts(index, step)
+        while True:
+            try:
+                next(work)
+            except StopIteration as done:
+                return done.value
+
+    def take_in_parts(self, index: int, step: Step) -> Generator[None, None, StepForecast]:
+        """`take`, with a break before each step inside a repeat or a scan, for the other work of a process."""
         self._index, self._notes, self.motion = index, {}, None
         self._place, self._checks = ("steps", index), []
-        span = self._run(step)
+        span = yield from self._run_parts(step)
         if not isinstance(step, Move):
             self.motion = None
         return StepForecast(
@@ -147,6 +156,17 @@ class JobForecaster:
         for name, state in self.axes.items():
             self._note_room(name, state)
         return JobForecast(steps=list(steps), problems=self.problems, conditions=list(self.conditions))
+
+    def _run_parts(self, step: Step) -> Generator[None, None, _Span]:
+        yield
+        if isinstance(step, Repeat):
+            return (yield from self._run_passes(step.steps, "steps", step.times, "in pass"))
+        span = self._run(step)
+        if isinstance(step, Scan):
+            span = span.followed_by(
+                (yield from self._run_passes(step.at_each, "at_each", step.point_count, "at point"))
+            )
+        return span
 
     # Steps
 
@@ -193,11 +213,7 @@ class JobForecaster:
         span = self._plan_ways(step, first)
         for kind in kinds:
             span = span.followed_by(self._plan_kind(step, known, kind), kind.often)
-        return span.followed_by(self._run_passes(step.at_each, "at_each", step.point_count, "at point"))
-
-    @_run.register
-    def _(self, step: Repeat) -> _Span:
-        return self._run_passes(step.steps, "steps", step.times, "in pass")
+        return span
 
     @_run.register
     def _(self, step: Home) -> _Span:
@@ -287,14 +303,15 @@ class JobForecaster:
 
     # Passes
 
-    def _run_passes(self, steps: Sequence[Step], key: str, times: int, word: str) -> _Span:
+    def _run_passes(self, steps: Sequence[Step], key: str, times: int, word: str) -> Generator[None, None, _Span]:
         """Run steps forward `times` times: the first passes, the others by what these differ in, and the last one. key:
         of the steps in their own step. word: what a pass is called in messages."""
         when = self._when
         passes: list[_Pass] = []
         whole = _Span()
         for number in range(1, min(times, RUN_PASSES) + 1):
-            passes.append(self._run_pass(steps, key, f", {word} {number} of {times}{when}" if number > 1 else when))
+            words = f", {word} {number} of {times}{when}" if number > 1 else when
+            passes.append((yield from self._run_pass(steps, key, words)))
             whole = whole.followed_by(passes[-1].span)
             if passes[-1].problems:
                 return whole  # it would be there in every pass
@@ -307,7 +324,7 @@ class JobForecaster:
         targets = find_later_targets(passes[1].checks, passes[2].checks)
         if not any(each.drift or each.offset_drift for each in targets):
             return whole.followed_by(third, times - RUN_PASSES)
-        last = self._run_pass(steps, key, f", {word} {times} of {times}{when}").span
+        last = (yield from self._run_pass(steps, key, f", {word} {times} of {times}{when}")).span
         between = third
         if last != third:
             # A way that changes from pass to pass is longest at one end; it may be nothing in between.
@@ -315,14 +332,14 @@ class JobForecaster:
             between = _Span(0.0, most)
         return whole.followed_by(between, times - RUN_PASSES - 1).followed_by(last)
 
-    def _run_pass(self, steps: Sequence[Step], key: str, when: str) -> "_Pass":
+    def _run_pass(self, steps: Sequence[Step], key: str, when: str) -> Generator[None, None, "_Pass"]:
         """Run steps forward once."""
         place, outer = self._place, (self._checks, self._when)
         problems, span = len(self.problems), _Span()
         self._checks, self._when = [], when
         for index, step in enumerate(steps):
             self._place = (*place, key, index)
-            span = span.followed_by(self._run(step))
+            span = span.followed_by((yield from self._run_parts(step)))
         made = _Pass(self._checks, dict(self.axes), span, len(self.problems) - problems)
         self._place, (self._checks, self._when) = place, outer
         self._checks += made.checks

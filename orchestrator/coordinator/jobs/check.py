@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.files import format_place
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import StepProblem
+from orchestrator.model.forecast import StepForecast, StepProblem
 from orchestrator.model.job import Repeat, Scan, Step
 from orchestrator.model.scans.step_order import RemainingStep
 from orchestrator.plan.forecast import JobForecaster
@@ -22,12 +22,25 @@ async def check_job(fleet: Fleet, steps: Iterable[RemainingStep]) -> None:
     """
     forecaster, written = JobForecaster(fleet), dict[int, Step]()
     for done, (_, number, step) in enumerate(steps):
-        if isinstance(step, Repeat | Scan) or (done and done % STEPS_AT_ONCE == 0):
+        if done and done % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
         written[number] = step
-        forecaster.take(number, step)
+        await forecast_step(forecaster, number, step)
     if forecaster.problems:
         raise _make_refusal(written, forecaster.problems)
+
+
+async def forecast_step(forecaster: JobForecaster, number: int, step: Step) -> StepForecast:
+    """Run one step forward, with breaks for other work."""
+    work, done = forecaster.take_in_parts(number, step), 0
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+        done += 1
+        if done % STEPS_AT_ONCE == 0:
+            await asyncio.sleep(0)
 
 
 def _make_refusal(steps: Mapping[int, Step], problems: list[StepProblem]) -> Refusal:
