@@ -11,7 +11,6 @@ from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
 from orchestrator.cli.job_check import check
 from orchestrator.cli.job_history import list_jobs, prune
-from orchestrator.cli.job_points import points, show_points
 from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
 from orchestrator.cli.job_terms import (
     TermsOptions,
@@ -21,6 +20,7 @@ from orchestrator.cli.job_terms import (
     resolve_after,
     terms_options,
 )
+from orchestrator.cli.points.command import points, show_points
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -197,7 +197,7 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
     Recordings are kept for the newest jobs only. With --out and several steps, the step number is inserted before
     the suffix.
     """
-    from orchestrator.cli.job_points import plot_scans
+    from orchestrator.cli.points.command import plot_scans
     from orchestrator.client import Tutti
     from orchestrator.monitor.job_plot import plot_recordings
 
