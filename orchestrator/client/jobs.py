@@ -11,7 +11,7 @@ from orchestrator.client.points import PointRequests
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
-from orchestrator.model.job import UNKNOWN_ACTOR, Job
+from orchestrator.model.job import UNKNOWN_ACTOR, Job, iterate_steps
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -20,6 +20,7 @@ from orchestrator.model.report import (
     JobReport,
     JobState,
     JobTransition,
+    PointRecord,
     QueueEntry,
     StepRecording,
     make_queued_progress,
@@ -52,6 +53,7 @@ DRY_RUN_S = 30.0  # for such a part
 SUBMIT_STEP_S = 0.01
 PRUNE_S = 60.0
 MAX_RECORDINGS = 100
+MAX_RESULT_POINTS = 10_000
 
 
 class JobRequests(PointRequests):
@@ -110,7 +112,8 @@ class JobRequests(PointRequests):
             **self.request_fields(), job=job, client_key=client_key or self.new_id(), terms=terms or QueueTerms()
         )
         # Every step is planned before the job is accepted.
-        timeout_s = ANSWER_S + SUBMIT_STEP_S * len(job.steps) * request.terms.repeat
+        written = sum(1 for _ in iterate_steps(job.steps))
+        timeout_s = ANSWER_S + SUBMIT_STEP_S * written * request.terms.repeat
         entry = (await self.request_service("submit", request, JobSubmitted, timeout_s)).entry
         assert entry is not None
         return entry
@@ -169,10 +172,17 @@ class JobRequests(PointRequests):
         return (await self.request_service("recording", request, RecordingReply)).recording
 
     async def load_result(self, report: JobReport) -> JobResult:
-        """A report with the recordings of its first `MAX_RECORDINGS` motion steps."""
+        """A report with the recordings of its first `MAX_RECORDINGS` motion steps, and the first `MAX_RESULT_POINTS`
+        points of its scans."""
         moves = [step.index for step in report.steps if step.do == "move"][:MAX_RECORDINGS]
         found = [await self.load_recording(report.job_id, index) for index in moves]
-        return JobResult.of(report, [each for each in found if each is not None])
+        points: list[PointRecord] = []
+        if any(step.scan is not None for step in report.steps):
+            async for each in self.iterate_points(report.job_id):
+                points.append(each)
+                if len(points) == MAX_RESULT_POINTS:
+                    break
+        return JobResult.of(report, [each for each in found if each is not None], points)
 
     async def cancel_job(self, job_id: str) -> None:
         """Cancel a queued or running job. Raises `Refusal`."""

@@ -192,8 +192,8 @@ class ScanSummary(Model):
 class PointRecord(Model):
     """The record of one point of a scan. step: the number of the first step of its scan; point: from 1.
 
-    target: by axis, in its unit; measured: positions read after the steps at the point, None: not known. took_s: since
-    the point before, or the beginning.
+    target: by axis, in its unit; measured: the last reading while the axis stood there, None: it left before the next
+    one. took_s: since the point before, or the beginning.
     """
 
     step: Int53

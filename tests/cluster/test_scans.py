@@ -147,7 +147,8 @@ def test_points_of_a_file_are_sent_once_and_run_in_their_order(tmp_path: Path) -
             {"gantry.x": 1.0, "stage.u": 0.5},
             {"gantry.x": 0.3, "stage.u": 0.25},
         ]
-        assert [each.measured for each in points] == [pytest.approx(each.target, abs=0.001) for each in points]
+        # The last point is left by no further move.
+        assert points[-1].measured == pytest.approx(points[-1].target, abs=0.001)
         stored = (await client.show_job(report.job_id)).job
         assert stored is not None and stored.steps[0].do == "scan"
         table = stored.steps[0].points
@@ -188,5 +189,70 @@ def test_bad_points_are_refused_before_anything_moves(tmp_path: Path) -> None:
             await client.submit(job(f"[{many}]"))
         assert full.value.code == "point-store-full" and "tutti job prune" in full.value.remedy
         assert (await client.list_jobs()).jobs == []
+
+    run_fleet(main)
+
+
+def test_repeats_run_pass_by_pass_and_again_from_any_step() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        inner = "{do: repeat, times: 2, steps: [{do: move, by: {gantry.x: 1}}, {do: move, by: {stage.u: 0.2}}]}"
+        whole = job(f"[{{do: move, to: {{gantry.x: 0, stage.u: 0}}}}, {{do: repeat, times: 3, steps: [{inner}]}}]")
+        report = await outcome(fleet, PREPARE, whole)
+        assert report.state == "done" and [step.index for step in report.steps] == list(range(13))
+        assert fleet.controllers["gantry"].position("X") == 6_000 and fleet.controllers["stage"].position("1") == 12_000
+        again = await client.retry_job(report.job_id, 6)
+        assert again.warnings == ["step 6 moves stage.u by a distance, from the current position"]
+        repeated = await client.wait_for_job(again.job_id)
+        assert [step.index for step in repeated.steps] == list(range(6, 13))
+        assert fleet.controllers["gantry"].position("X") == 9_000 and fleet.controllers["stage"].position("1") == 20_000
+
+    run_fleet(main)
+
+
+def test_a_scan_that_fails_at_a_point_says_which() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        at_each = "at_each: [{do: wait, input: gantry.door, timeout: 100 ms}, {do: dwell, duration: 50 ms}]"
+        line = f"{{do: scan, axes: {{gantry.x: {{from: 0, to: 2, points: 9}}}}, {at_each}}}"
+        client = fleet.make_client()
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
+        await asyncio.sleep(0.5)
+        job_id = await client.submit(job(f"[{{do: dwell, duration: 1 ms}}, {line}]"))
+        await _wait_for_point(fleet, job_id, 4)
+        await asyncio.sleep(0.2)
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=True))
+        report = await client.wait_for_job(job_id)
+        assert report.state == "failed"
+        _, scan, failed = report.steps
+        assert scan.scan is not None and scan.scan.done >= 3
+        point = scan.scan.done + 1
+        assert f"step 1 (scan), point {point} of 9 (wait): input gantry.door did not become active" in report.reason
+        assert failed.do == "wait" and failed.refused is not None and failed.refused.code == "wait-timeout"
+        points = await client.load_points(job_id)
+        assert [each.state for each in points] == ["done"] * scan.scan.done + ["failed"]
+
+    run_fleet(main)
+
+
+def test_a_feed_hold_inside_a_scan_continues_to_the_same_point() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        await outcome(fleet, PREPARE)
+        job_id = await client.submit(job("[{do: scan, axes: {gantry.x: {values: [0, 300, 10]}}, speed: 0.3}]"))
+        await _wait_for_point(fleet, job_id, 2)
+        await fleet.wait_until(lambda states: states["gantry"].axes["x"].position > 100)
+        await client.pause_job(job_id, now=True)
+        await _wait_for_state(fleet, job_id, "paused")
+        shown = await client.show_job(job_id)
+        assert "in step 0, point 2 of 3" in shown.transitions[-1].reason
+        assert shown.progress is not None and shown.progress.point == 2
+        assert 100_000 < fleet.controllers["gantry"].position("X") < 300_000
+        await client.resume_job(job_id)
+        assert (await client.wait_for_job(job_id)).state == "done"
+        points = await client.load_points(job_id)
+        assert [each.target["gantry.x"] for each in points] == [0, 300, 10]
+        # Positions that were read on the way are none of a point.
+        assert all(each.measured["gantry.x"] in (None, each.target["gantry.x"]) for each in points)
 
     run_fleet(main)

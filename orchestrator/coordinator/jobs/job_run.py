@@ -14,6 +14,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
+from orchestrator.coordinator.jobs.point_readings import PointReadings
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.sequence import StepSequence
@@ -113,7 +114,8 @@ class JobRun:
         order = StepOrder(job.steps, row.repeat)
         self._steps = StepSequence(order, services.view.fleet, journal.points, services.execute)
         self._report = report
-        self._reports = ReportCollector(services.clock, self._store_points, self._read_positions)
+        self._readings = PointReadings(services.view)
+        self._reports = ReportCollector(services.clock, self._store_points, self._readings)
         self._reason = ""
         self._step = row.from_step
         self._step_t0_ns = 0
@@ -207,8 +209,9 @@ class JobRun:
         finally:
             self._over = True
             beat.cancel()
+            self._readings.close()
             with suppress(JournalError):
-                await self._reports.write_rows()
+                await self._reports.finish()
         if outcome.state != "done" and self._holds_axes():
             # A stop takes time to arrive, and so does its ramp: no other job gets the axes meanwhile.
             await self._wait_for_rest()
@@ -445,11 +448,6 @@ class JobRun:
     async def _store_points(self, points: Sequence[PointRecord]) -> None:
         journal = self._services.journal
         await self._services.execute(journal.point_rows.store_points, self.row.id, points)
-
-    def _read_positions(self, axes: Sequence[str]) -> dict[str, float | None]:
-        """The positions of axes, as they were read last, in their units."""
-        states = {axis: self._services.view.axis_now(axis) for axis in axes}
-        return {axis: None if now is None else now.position for axis, now in states.items()}
 
     def _holds_axes(self) -> bool:
         return any(held.holder == self.row.id for held in self._services.leases.all_leases)

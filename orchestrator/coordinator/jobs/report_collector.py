@@ -5,6 +5,7 @@ The points themselves are rows in the journal, written in batches. Memory does n
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.jobs.skew_histogram import SkewHistogram
@@ -18,7 +19,14 @@ ROWS_AT_ONCE = 100  # in a transaction
 ROWS_AFTER_NS = NS_PER_S  # a row is written at the latest with the first point after this time
 
 StoreRows = Callable[[Sequence[PointRecord]], Awaitable[None]]
-ReadPositions = Callable[[Sequence[str]], Mapping[str, float | None]]
+
+
+class PositionReader(Protocol):
+    """Reads the positions of axes at a point, from its move's end on."""
+
+    def begin_point(self, target: Mapping[str, float]) -> None: ...
+
+    def read_positions(self) -> dict[str, float | None]: ...
 
 
 @dataclass(slots=True)
@@ -43,15 +51,17 @@ class _ScanProgress:
 
 
 class ReportCollector:
-    """Takes the report of every step. store_rows: writes rows of points; read_positions: of axes, now."""
+    """Takes the report of every step. store_rows: writes rows of points."""
 
-    def __init__(self, clock: Clock, store_rows: StoreRows, read_positions: ReadPositions) -> None:
+    def __init__(self, clock: Clock, store_rows: StoreRows, readings: PositionReader) -> None:
         self._clock = clock
         self._store_rows = store_rows
-        self._read_positions = read_positions
+        self._readings = readings
         self._reports: list[StepReport] = []
         self._scan: _ScanProgress | None = None
         self._rows: list[PointRecord] = []
+        self._last_row: PointRecord | None = None
+        """Of the last point, for which readings still come."""
         self._written_ns = clock.now_ns()
 
     @property
@@ -77,17 +87,28 @@ class ReportCollector:
             return
         if place.part == 0:
             now.moved = report
+            self._close_row()
+            self._readings.begin_point(target)
         now.steps_done += report.state == "done"
         if report.state != "done":
             now.ended = place, report
         if report.state != "done" or place.part == count_point_steps(now.scan) - 1:
             self._end_point(now, place, report, target)
             waited_ns = self._clock.now_ns() - self._written_ns
-            if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS or report.state != "done":
-                await self.write_rows()
+            if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:
+                await self._write_rows()
 
-    async def write_rows(self) -> None:
-        """Write the rows that wait. Raises `JournalError`."""
+    async def finish(self) -> None:
+        """Write what was recorded until now. Raises `JournalError`."""
+        self._close_row()
+        await self._write_rows()
+
+    def _close_row(self) -> None:
+        if self._last_row is not None:
+            self._rows.append(self._last_row.model_copy(update={"measured": self._readings.read_positions()}))
+            self._last_row = None
+
+    async def _write_rows(self) -> None:
         rows, self._rows, self._written_ns = self._rows, [], self._clock.now_ns()
         if rows:
             await self._store_rows(rows)
@@ -110,18 +131,16 @@ class ReportCollector:
             now.points += 1
             now.least_ns = took_ns if now.least_ns is None else min(now.least_ns, took_ns)
             now.most_ns = max(now.most_ns, took_ns)
-        self._rows.append(
-            PointRecord(
-                step=place.first,
-                point=place.point + 1,
-                state=report.state,
-                verdict=verdict,
-                t0_fleet_ns=None if moved is None else moved.t0_fleet_ns,
-                start_skew=skew,
-                took_s=took_ns / NS_PER_S,
-                target=dict(target),
-                measured=dict(self._read_positions(list(target))),
-            )
+        self._last_row = PointRecord(
+            step=place.first,
+            point=place.point + 1,
+            state=report.state,
+            verdict=verdict,
+            t0_fleet_ns=None if moved is None else moved.t0_fleet_ns,
+            start_skew=skew,
+            took_s=took_ns / NS_PER_S,
+            target=dict(target),
+            measured={},
         )
         now.moved = None
 

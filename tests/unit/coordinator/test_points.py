@@ -4,7 +4,7 @@ import asyncio
 import hashlib
 import sqlite3
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
 from random import Random
@@ -138,6 +138,16 @@ def make_job(steps: str) -> Job:
     return parse_document(f"schema: tutti.job/1\nname: test\nsteps: {steps}\n", Job, "test")
 
 
+class Readings:
+    """Each axis is read where it is sent."""
+
+    def begin_point(self, target: Mapping[str, float]) -> None:
+        self.target = target
+
+    def read_positions(self) -> dict[str, float | None]:
+        return dict(self.target)
+
+
 def run_scan(points: int, fail_at: int | None = None) -> tuple[list[StepReport], int, list[PointRecord]]:
     """Take the reports of a scan whose every seventh point is amber; return its reports, the peak of memory in bytes,
     and the first rows."""
@@ -153,7 +163,7 @@ def run_scan(points: int, fail_at: int | None = None) -> tuple[list[StepReport],
 
     async def main(clock: VirtualClock) -> list[StepReport]:
         sequence = StepSequence(StepOrder(given.steps), FLEET, journal.points, run_inline)
-        collector = ReportCollector(clock, store, lambda axes: dict.fromkeys(axes, 1.0))
+        collector = ReportCollector(clock, store, Readings())
         for index in range(len(sequence)):
             place, step = sequence.locate(index), await sequence.read_step(index)
             assert isinstance(step, Move)
@@ -172,7 +182,7 @@ def run_scan(points: int, fail_at: int | None = None) -> tuple[list[StepReport],
             await collector.add_report(place, report, await sequence.find_target(place))
             if index == fail_at:
                 break
-        await collector.write_rows()
+        await collector.finish()
         return collector.reports
 
     tracemalloc.start()
