@@ -134,9 +134,9 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             line = f"  {index} {describe_step(step)}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
-            console.print(line, highlight=False, markup=False)
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
             for inner in iterate_steps([step]) if isinstance(step, Repeat) else ():
-                console.print(f"      {describe_step(inner)}", highlight=False, markup=False)
+                console.print(f"      {describe_step(inner)}", highlight=False, markup=False, soft_wrap=True)
         if shown.progress is not None:
             console.print(f"now: {format_step(shown.progress)}", highlight=False, markup=False)
         for change in shown.transitions:

@@ -249,7 +249,7 @@ class JobRun:
                 self._reports.begin_step(place)
                 report = await self._run_step_with_pauses(index, step)
                 self._seen_ns = None
-                await self._reports.add_report(place, report, await self._steps.find_target(place))
+                await self._reports.add_report(place, report, self._steps.find_target(place))
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
                     reason = f"{place.describe()}: {report.reason}"

@@ -60,6 +60,7 @@ class ReportCollector:
         self._reports: list[StepReport] = []
         self._scan: _ScanProgress | None = None
         self._rows: list[PointRecord] = []
+        self._last_motion: StepReport | None = None
         self._last_row: PointRecord | None = None
         """Of the last point, for which readings still come."""
         self._written_ns = clock.now_ns()
@@ -68,6 +69,11 @@ class ReportCollector:
     def reports(self) -> list[StepReport]:
         """The reports so far, in the order of the steps."""
         return [*self._reports, *self._make_scan_reports()]
+
+    @property
+    def last_motion(self) -> StepReport | None:
+        """The report of the motion step that ended last."""
+        return self._last_motion
 
     def begin_step(self, place: StepPlace) -> None:
         """A step begins."""
@@ -82,6 +88,8 @@ class ReportCollector:
     async def add_report(self, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
         """Take the report of a step that has begun. target: of the point it belongs to. Raises `JournalError`."""
         now = self._scan
+        if report.t0_fleet_ns is not None:
+            self._last_motion = report
         if now is None:
             self._reports.append(report)
             return

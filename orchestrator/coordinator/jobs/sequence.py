@@ -13,27 +13,42 @@ from orchestrator.model.scans.step_order import StepOrder, StepPlace
 from orchestrator.model.units import Unit, parse_quantity
 
 ROWS_AT_ONCE = 4096  # that are read of stored points; 32 kB an axis
+READERS_KEPT = 2  # of the present scan, and the one before or behind it
 
 
 class PointReader(Protocol):
-    """Reads the positions of a scan's axes at a point, in their units."""
+    """The positions of a scan's axes at its points, in their units."""
 
-    async def read_point(self, point: int) -> Sequence[float]: ...
+    async def load_point(self, point: int) -> None:
+        """Have a point, and the next one, in memory. Raises `JournalError`."""
+        ...
+
+    def find_positions(self, point: int) -> Sequence[float]:
+        """Raises `KeyError` for a point that is not in memory."""
+        ...
 
 
 class StepSequence:
-    """The steps of a job by their numbers. `read_step` reads at most a block of points."""
+    """The steps of a job by their numbers. A point of a scan is a move, then the steps at it."""
 
     def __init__(self, order: StepOrder, fleet: Fleet, store: PointStore, execute: Executor) -> None:
         self.order = order
         self._fleet = fleet
         self._store = store
         self._execute = execute
-        self._scan: Scan | None = None
-        self._reader: PointReader | None = None
+        self._readers: dict[int, tuple[Scan, PointReader]] = {}
 
     def __len__(self) -> int:
         return len(self.order)
+
+    def __getitem__(self, index: int) -> Step:
+        """Step number `index`, without reading anything: those of the present point, of the next one, and all that are
+        in the job itself. Raises `IndexError`, and `KeyError` for a stored point that is not in memory."""
+        place = self.locate(index)
+        scan = place.step
+        if not isinstance(scan, Scan) or place.point is None:
+            return scan
+        return scan.at_each[place.part - 1] if place.part else scan.make_move(self.find_target(place))
 
     def locate(self, index: int) -> StepPlace:
         """Where step number `index` stands. Raises `IndexError`."""
@@ -44,27 +59,26 @@ class StepSequence:
         return self.locate(index).describe()
 
     async def read_step(self, index: int) -> Step:
-        """Step number `index`; for a point, the move to it, or a step at it. Raises `JournalError` if stored
-        points cannot be read."""
+        """Step number `index`; at most a block of points is read. Raises `JournalError`."""
         place = self.locate(index)
-        scan = place.step
-        if not isinstance(scan, Scan) or place.point is None:
-            return scan
-        if place.part:
-            return scan.at_each[place.part - 1]
-        return scan.make_move(await self._read_positions(scan, place.point))
+        if isinstance(place.step, Scan) and place.point is not None:
+            await self._find_reader(place.step).load_point(place.point)
+        return self[index]
 
-    async def find_target(self, place: StepPlace) -> Mapping[str, float]:
-        """The positions of the point that a step belongs to; none outside a scan."""
+    def find_target(self, place: StepPlace) -> Mapping[str, float]:
+        """The positions of the point that a step belongs to, in the units of its axes; none outside a scan. Raises
+        `KeyError` for a stored point that is not in memory."""
         if not isinstance(place.step, Scan) or place.point is None:
             return {}
-        return await self._read_positions(place.step, place.point)
+        positions = self._find_reader(place.step).find_positions(place.point)
+        return dict(zip(place.step.axis_names, positions, strict=True))
 
-    async def _read_positions(self, scan: Scan, point: int) -> Mapping[str, float]:
-        """The positions of a scan's axes at a point, in their units."""
-        if self._reader is None or self._scan is not scan:
-            self._scan, self._reader = scan, self._make_reader(scan)
-        return dict(zip(scan.axis_names, await self._reader.read_point(point), strict=True))
+    def _find_reader(self, scan: Scan) -> PointReader:
+        if id(scan) not in self._readers:
+            if len(self._readers) == READERS_KEPT:
+                del self._readers[next(iter(self._readers))]
+            self._readers[id(scan)] = scan, self._make_reader(scan)
+        return self._readers[id(scan)][1]
 
     def _make_reader(self, scan: Scan) -> PointReader:
         units = [self._fleet.axis(name).unit for name in scan.axis_names]
@@ -75,7 +89,7 @@ class StepSequence:
             return _ListedReader(table.rows, units)
         if table.digest is None:
             raise JournalError("the points of the scan were not sent", "submit the job again")
-        return _StoredReader(self._store, self._execute, table.digest, len(units))
+        return _StoredReader(self._store, self._execute, table.digest, table.count)
 
 
 class _GridReader:
@@ -83,7 +97,10 @@ class _GridReader:
         self._grid = grid
         self._units = units
 
-    async def read_point(self, point: int) -> Sequence[float]:
+    async def load_point(self, point: int) -> None:
+        return
+
+    def find_positions(self, point: int) -> Sequence[float]:
         # The shortest decimal of the nearest double: exact again for every position that a file can state.
         return [float(each) for each in self._grid.find_position(point, self._units)]
 
@@ -93,23 +110,30 @@ class _ListedReader:
         self._rows = rows
         self._units = units
 
-    async def read_point(self, point: int) -> Sequence[float]:
+    async def load_point(self, point: int) -> None:
+        return
+
+    def find_positions(self, point: int) -> Sequence[float]:
         return [float(parse_quantity(each, unit)) for each, unit in zip(self._rows[point], self._units, strict=True)]
 
 
 class _StoredReader:
-    """Reads stored points in blocks."""
+    """Reads stored points in blocks, and keeps two of them."""
 
-    def __init__(self, store: PointStore, execute: Executor, digest: str, columns: int) -> None:
+    def __init__(self, store: PointStore, execute: Executor, digest: str, count: int) -> None:
         self._store = store
         self._execute = execute
         self._digest = digest
-        self._columns = columns
-        self._begin = 0
-        self._rows: list[tuple[float, ...]] = []
+        self._count = count
+        self._blocks: dict[int, list[tuple[float, ...]]] = {}
 
-    async def read_point(self, point: int) -> Sequence[float]:
-        if not self._begin <= point < self._begin + len(self._rows):
-            self._begin = point - point % ROWS_AT_ONCE
-            self._rows = await self._execute(self._store.read_rows, self._digest, self._begin, ROWS_AT_ONCE)
-        return self._rows[point - self._begin]
+    async def load_point(self, point: int) -> None:
+        wanted = {each // ROWS_AT_ONCE for each in (point, min(point + 1, self._count - 1))}
+        for number in sorted(wanted - self._blocks.keys()):
+            rows = await self._execute(self._store.read_rows, self._digest, number * ROWS_AT_ONCE, ROWS_AT_ONCE)
+            self._blocks[number] = rows
+        if not wanted >= self._blocks.keys():
+            self._blocks = {number: self._blocks[number] for number in sorted(wanted)}
+
+    def find_positions(self, point: int) -> Sequence[float]:
+        return self._blocks[point // ROWS_AT_ONCE][point % ROWS_AT_ONCE]

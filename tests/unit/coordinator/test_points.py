@@ -179,7 +179,7 @@ def run_scan(points: int, fail_at: int | None = None) -> tuple[list[StepReport],
                 start_skew=skew,
                 verdict="amber" if index % 7 == 6 else "green",
             )
-            await collector.add_report(place, report, await sequence.find_target(place))
+            await collector.add_report(place, report, sequence.find_target(place))
             if index == fail_at:
                 break
         await collector.finish()
@@ -239,7 +239,13 @@ def test_stored_points_are_read_in_blocks() -> None:
         for index in (0, 1, 4095, 4096, 9999, 9998):
             step = await sequence.read_step(index)
             assert isinstance(step, Move) and step.to == {"gantry.x": index * 0.1, "stage.u": float(index % 7)}
+        # The next point is in memory too, for what looks ahead.
         assert reads == [0, 4096, 8192]
+        with pytest.raises(KeyError):
+            sequence[0]
+        await sequence.read_step(4095)
+        ahead = sequence[4096]
+        assert isinstance(ahead, Move) and ahead.to["gantry.x"] == 4096 * 0.1 and reads[3:] == [0, 4096]
 
     run_virtual(main)
     journal.close()
