@@ -206,7 +206,8 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
         shown = await tutti.show_job(job_id)
         assert shown.entry is not None
         scans = await plot_scans(tutti, shown.entry, step, out)
-        wanted = [step] if step is not None else _list_moves(shown)
+        # The first step of a scan is its first point too; the scan is meant.
+        wanted = [each for each in ([step] if step is not None else _list_moves(shown)) if each not in scans]
         found = [each for index in wanted if (each := await tutti.load_recording(shown.entry.id, index)) is not None]
         if not found and not scans:
             text = f"{name_jobs(shown.entry)} has no recording" + ("" if step is None else f" of step {step}")
