@@ -72,6 +72,8 @@ class JobIntake:
         services = self._services
         before = parse_utc(services.clock.utc()) - timedelta(seconds=request.older_s)
         gone = await services.execute(services.journal.prune_jobs, format_utc(before), request.keep)
+        named = await services.execute(services.journal.list_named_points)
+        await services.execute(services.journal.points.delete_unused, named, services.clock.utc())
         services.log.info(f"{gone} jobs submitted before {format_utc(before)} deleted by {request.actor}")
         return gone
 

@@ -66,7 +66,7 @@ class PointStore:
                 create_private_file(Path(path))
             self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self.close = weakref.finalize(self, self._db.close)
-            for setting in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+            for setting in ("auto_vacuum=FULL", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
                 self._db.execute(f"PRAGMA {setting}")
             self._db.executescript(_SCHEMA)
         except (sqlite3.Error, OSError) as error:
