@@ -120,6 +120,7 @@ class DriverCapabilities:
 
     orders: orders of profiles that it can execute: 2 for trapezoids, 3 for jerk-limited profiles.
     independent_axes: axes may move in different steps at the same time, and one can stop without the other.
+    checks_while_moving: `check_settings` may be called while an axis moves.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
     last axis is at rest (transport, and the ramp from full speed).
     """
@@ -128,6 +129,7 @@ class DriverCapabilities:
     orders: tuple[Literal[2, 3], ...]
     independent_axes: bool
     costs: StepCosts
+    checks_while_moving: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +145,8 @@ class Lowered:
     edge: the same for the edge of the trigger line that the controller drives, at its terminal.
     clock_ppm: guaranteed bound by which the controller's own crystal may stretch or shorten all durations.
     can_advance: `go` can move T0 to an earlier instant.
+    gap_ns: with `start.follows`, how long after the end of the present move, at the latest, the controller can begin
+    this one if it is loaded by `load_next` while the present one runs; None: it cannot be loaded then.
     commands: the commands that would be sent, for display.
     """
 
@@ -156,6 +160,7 @@ class Lowered:
     edge: tuple[BudgetTerm, ...] = field(default=(), kw_only=True)
     clock_ppm: float = field(default=100.0, kw_only=True)
     can_advance: bool = field(default=False, kw_only=True)
+    gap_ns: int | None = field(default=None, kw_only=True)
 
     @property
     def window_ns(self) -> tuple[int, int]:
@@ -423,6 +428,41 @@ class Driver(ABC):
     @abstractmethod
     async def wait_for_end(self) -> MoveOutcome:
         """Wait for the end of the started move and return its outcome. `poll` may be called meanwhile."""
+
+    # Back to back
+
+    async def arm_behind(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load a move right behind one that has just ended as planned at the positions where this one starts; like
+        `arm_move`, in no more than the time that `lowered.costs` states for a move that follows."""
+        return await self.arm_move(lowered, t0_ns, mapping)
+
+    # The next move is loaded while the present one runs: only moves with a `gap_ns`.
+
+    async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load the move after the present one, which is released or moves, for a start at `t0_ns`; like `arm_move`.
+
+        The controller starts it only after `release_next`, and only if the present move has then ended at its target on
+        every axis of both moves. `stop` and `disarm_move` unload it too.
+        """
+        raise Refusal("no-next", "the controller cannot load a move while one runs", "")
+
+    async def verify_next(self) -> None:
+        """Check, before the commit, that the next move is still loaded. Raises `Refusal`."""
+        raise Refusal("not-armed", "no next move is loaded", "arm it first")
+
+    async def release_next(self, advance_ns: int = 0) -> None:
+        """Release the next move: it starts at its instant. Raises `Refusal` (code `late`) when it is too late for
+        that. advance_ns: as for `go`."""
+        raise Refusal("not-armed", "no next move is loaded", "arm it first")
+
+    async def unload_next(self) -> None:
+        """Unload the next move; the present one continues. Idempotent."""
+        return
+
+    def take_next(self) -> None:
+        """The present move has ended, `wait_for_end` has returned: the next move is the present one from now on, for
+        every method."""
+        raise Refusal("not-armed", "no next move is loaded", "arm it first")
 
     @abstractmethod
     async def stop(self, *, abort: bool) -> None:

@@ -7,12 +7,13 @@ from typing import Any, Protocol
 
 from pydantic import ValidationError
 
+from adapters.controller.armed_step import StepPhase
 from adapters.controller.context import ControllerContext
 from adapters.controller.fencing import EpochFence
 from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
 from adapters.controller.motors import MotorControl
-from adapters.controller.participant import StepParticipant, StepPhase
+from adapters.controller.participant import StepParticipant
 from adapters.controller.publisher import StatePublisher, first_error_text
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.status import ControllerStatus
@@ -32,6 +33,7 @@ from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
     CommitRequest,
+    CommittedReply,
     ConfigureRequest,
     DisarmedReply,
     DisarmRequest,
@@ -120,7 +122,7 @@ class ControllerCommands:
             "lease": (LeaseRequest, LeaseReply, self._handle_lease),
             "propose": (ProposeRequest, Proposal, components.participant.propose_step),
             "arm": (ArmRequest, ArmedReply, components.participant.arm_step),
-            "commit": (CommitRequest, Reply, self._handle_commit),
+            "commit": (CommitRequest, CommittedReply, self._handle_commit),
             "go": (GoRequest, Reply, self._handle_go),
             "disarm": (DisarmRequest, DisarmedReply, components.participant.disarm_step),
             "stop": (StopRequest, Reply, self._handle_stop),
@@ -199,7 +201,7 @@ class ControllerCommands:
         self._publisher.publish_state()
         return Reply()
 
-    async def _handle_commit(self, request: CommitRequest) -> Reply:
+    async def _handle_commit(self, request: CommitRequest) -> CommittedReply:
         self._fence.require_no_estop()
         return await self._components.participant.commit_step(request)
 

@@ -8,14 +8,15 @@ increment `interruptions`, and a transition that finds the counter changed after
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from adapters.contract import Driver, HostInterval, SettingDifference
+from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
+from adapters.controller.next_step import FollowingStep, NextStepSlot, PreparedMove
 from adapters.controller.settling import SettlingResult
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.latency import MAX_STARTS
 from orchestrator.link.base import LinkClosed
@@ -25,6 +26,7 @@ from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
     CommitRequest,
+    CommittedReply,
     DisarmedReply,
     DisarmRequest,
     GoRequest,
@@ -41,32 +43,9 @@ QUIET_BEFORE_T0_NS = 300 * NS_PER_MS
 # A participant is not polled for this long after a request of a step: arming reads the controller as well, and the
 # fleet waits for it.
 QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
+# A controller that turns from one step to the next by its own program is not polled for this long before the next one.
+QUIET_TURN_NS = 25 * NS_PER_MS
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
-
-
-class StepPhase(Enum):
-    """Progress of an armed step."""
-
-    ARMED = "armed"
-    COMMITTED = "committed"
-    RELEASED = "released"
-    MOVING = "moving"
-
-
-@dataclass(frozen=True, slots=True)
-class ArmedStep:
-    """The step that is loaded in the controller."""
-
-    job: str
-    step: int
-    t0_fleet_ns: int
-    t0_host_ns: int
-    axes: tuple[str, ...]
-    scale: FleetScale
-    can_advance: bool
-    promised_s: Mapping[str, float] = field(default_factory=dict[str, float])
-    clock_ppm: float = 0.0
-    phase: StepPhase = StepPhase.ARMED
 
 
 class StepEventEmitter(Protocol):
@@ -82,18 +61,22 @@ class StepServices:
     """What a participant needs from its supervisor.
 
     check: raises `Refusal` when the profiles must not be executed now.
+    check_following: the same for profiles that begin where the present step ends.
     scale: returns fleet time; raises `Refusal` while it is unknown.
     emit: publishes an event of a step.
     settle: waits until axes are at rest at their targets; a fresh state is on the bus when it returns.
+    must_settle: whether one of the axes must come to rest inside a window.
     doubt_positions: drops the reference of axes, by axis with the reason.
     note_differences: keeps the controller from moving while settings differ.
     spawn: runs a coroutine in the background.
     """
 
     check: Callable[[ProposeRequest | ArmRequest], None]
+    check_following: Callable[[ProposeRequest | ArmRequest], None]
     scale: Callable[[], FleetScale]
     emit: StepEventEmitter
     settle: Callable[[Sequence[str]], Awaitable[SettlingResult]]
+    must_settle: Callable[[Sequence[str]], bool]
     doubt_positions: Callable[[Mapping[str, str]], None]
     note_differences: Callable[[Sequence[SettingDifference]], None]
     spawn: Callable[[Coroutine[Any, Any, None]], object]
@@ -115,9 +98,11 @@ class StepParticipant:
         self._driver = driver
         self._clock = clock
         self._check = services.check
+        self._check_following = services.check_following
         self._scale = services.scale
         self._emit = services.emit
         self._settle = services.settle
+        self._must_settle = services.must_settle
         self._spawn = services.spawn
         self._note_differences = services.note_differences
         self._doubt_positions = services.doubt_positions
@@ -126,10 +111,15 @@ class StepParticipant:
         self._loading_lock = asyncio.Lock()
         self._interruptions = 0
         self._followed_steps = 0
+        self._reading_is_old = False
+        """The last reading is from before the end of a step that another one follows."""
+        self._ended_ns = 0
+        """When the present step should have ended, at the latest; host time."""
         self._requested_ns = -QUIET_AFTER_REQUEST_NS
         self.past_steps: deque[PastStep] = deque(maxlen=MAX_STARTS)
         """The last steps: as many as starts are learned from."""
         self.armed_step: ArmedStep | None = None
+        self._next = NextStepSlot(driver)
         self.stop_pending = False
         """A released step has failed, and its stop could not be sent yet."""
         self.stop_ns = 0
@@ -142,7 +132,8 @@ class StepParticipant:
         """Lower the profiles without accessing the controller."""
         async with self._lowering_lock:
             await asyncio.sleep(0)
-            self._check(request)
+            check = self._check_following if request.start.follows else self._check
+            check(request)
             if not request.rehearsal:
                 self._requested_ns = self._clock.now_ns()
             mapping = self._driver.clock_mapping()
@@ -161,64 +152,175 @@ class StepParticipant:
             edge=list(lowered.edge),
             clock_ppm=lowered.clock_ppm,
             can_advance=lowered.can_advance,
+            gap_ns=lowered.gap_ns if request.start.follows else None,
             commands=list(lowered.commands),
         )
 
     async def arm_step(self, request: ArmRequest) -> ArmedReply:
-        """Load the move for T0, with the present clock mapping frozen into it."""
+        """Load the move for T0, with the present clock mapping frozen into it; behind the present move, if it follows
+        that."""
         async with self._transition_lock:
-            if self.armed_step is not None:
-                raise Refusal(
-                    "busy", f"already {self.armed_step.phase.value} for job {self.armed_step.job}", "disarm it first"
-                )
-            began_ns, interruptions = self._clock.now_ns(), self._interruptions
-            async with self._lowering_lock:
-                # One turn of the event loop, for everything that arrived during the last lowering.
-                await asyncio.sleep(0)
-                self._check(request)
-                self._requested_ns = self._clock.now_ns()
-                scale, mapping = self._scale(), self._driver.clock_mapping()
-                t0_ns = scale.to_host_ns(request.t0_fleet_ns)
-                lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
-                start = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
-                lowered = self._driver.lower_profiles(request.profiles, start, mapping)
-            if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
-                raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
+            present = self.armed_step
+            if present is not None and not self._may_follow(request, present):
+                raise Refusal("busy", f"already {present.phase.value} for job {present.job}", "disarm it first")
+            interruptions = self._interruptions
+            move = await self._prepare_move(request, follows=present is not None)
             if interruptions != self._interruptions:
                 raise Refusal("stopped", "a stop came before arming", "")
-            axes = tuple(request.profiles)
-            armed_step = ArmedStep(
-                request.job,
-                request.step,
-                request.t0_fleet_ns,
-                t0_ns,
-                axes,
-                scale,
-                lowered.can_advance,
-                lowered.durations_s,
-                lowered.clock_ppm,
-            )
-            try:
-                async with self._loading_lock:
+            if self.armed_step is None:
+                return await self._load_at_rest(move)
+            return await self._load_behind(move)
+
+    def _may_follow(self, request: ArmRequest, present: ArmedStep) -> bool:
+        """Whether the step may be loaded behind the present one."""
+        is_behind = (present.job, present.step) == (request.job, request.after_step)
+        return is_behind and present.phase in (StepPhase.RELEASED, StepPhase.MOVING) and self._next.armed_step is None
+
+    async def _prepare_move(self, request: ArmRequest, *, follows: bool) -> PreparedMove:
+        """Lower the move for T0. Raises `Refusal`."""
+        began_ns = self._clock.now_ns()
+        async with self._lowering_lock:
+            # One turn of the event loop, for everything that arrived during the last lowering.
+            await asyncio.sleep(0)
+            check = self._check_following if follows else self._check
+            check(request)
+            self._requested_ns = self._clock.now_ns()
+            scale, mapping = self._scale(), self._driver.clock_mapping()
+            t0_ns = scale.to_host_ns(request.t0_fleet_ns)
+            lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
+            start = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
+            lowered = self._driver.lower_profiles(request.profiles, start, mapping)
+        if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
+            raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
+        armed_step = ArmedStep(
+            request.job,
+            request.step,
+            request.t0_fleet_ns,
+            t0_ns,
+            tuple(request.profiles),
+            scale,
+            lowered.can_advance,
+            lowered.durations_s,
+            lowered.clock_ppm,
+        )
+        return PreparedMove(request, armed_step, lowered, mapping, began_ns)
+
+    async def _load_at_rest(self, move: PreparedMove, following: FollowingStep | None = None) -> ArmedReply:
+        """Load the move into the controller, whose axes are at rest. following: the step before has just ended, and it
+        waited for that."""
+        interruptions, load = self._interruptions, self._driver.arm_move
+        if following is not None:
+            load = self._driver.arm_behind
+        try:
+            async with self._loading_lock:
+                if following is None or not following.checked:
                     await self._require_settings()
-                    stages = await self._driver.arm_move(lowered, t0_ns, mapping)
-            except (Refusal, ControllerFault):
-                await self._driver.disarm_move()
-                raise
-            if interruptions != self._interruptions:
-                await self._driver.disarm_move()
-                raise Refusal("stopped", "a stop came while arming", "")
-            self.armed_step, self.stop_ns = armed_step, lowered.costs.stop_ns
-            self._requested_ns = self._clock.now_ns()  # the commit is next
-            self._spawn(self._unload_at_t0(armed_step))
-            return ArmedReply(
-                durations_s=dict(lowered.durations_s),
-                terms=list(lowered.terms),
-                edge=list(lowered.edge),
-                mapping=None if mapping is None else clock_mapping(self._controller, mapping, began_ns),
-                took_ns=self._clock.now_ns() - began_ns,
-                stages_ns=dict(stages),
-            )
+                stages = await load(move.lowered, move.armed_step.t0_host_ns, move.mapping)
+        except (Refusal, ControllerFault):
+            await self._driver.disarm_move()
+            raise
+        if interruptions != self._interruptions:
+            await self._driver.disarm_move()
+            raise Refusal("stopped", "a stop came while arming", "")
+        self.armed_step, self.stop_ns = move.armed_step, move.lowered.costs.stop_ns
+        self._requested_ns = self._clock.now_ns()  # the commit is next
+        self._spawn(self._unload_at_t0(move.armed_step))
+        return self._make_armed_reply(move, stages)
+
+    def _make_armed_reply(self, move: PreparedMove, stages: Mapping[str, int]) -> ArmedReply:
+        lowered, mapping = move.lowered, move.mapping
+        return ArmedReply(
+            durations_s=dict(lowered.durations_s),
+            terms=list(lowered.terms),
+            edge=list(lowered.edge),
+            mapping=None if mapping is None else clock_mapping(self._controller, mapping, move.began_ns),
+            took_ns=self._clock.now_ns() - move.began_ns,
+            stages_ns=dict(stages),
+        )
+
+    # A step behind the present one
+
+    async def _load_behind(self, move: PreparedMove) -> ArmedReply:
+        """Load the move beside the present one where the controller can hold it; otherwise keep it until that has
+        ended."""
+        present = self.armed_step
+        must_settle = present is not None and self._must_settle(present.axes)
+        if move.lowered.gap_ns is None or must_settle:
+            checked = self._driver.capabilities.checks_while_moving
+            if checked:
+                await self._require_settings()
+            self._next.hold_back(move, checked=checked)
+            self._spawn(self._unload_at_t0(move.armed_step))
+            if self.armed_step is None:
+                self._begin_next()
+            return self._make_armed_reply(move, {}).model_copy(update={"waits": True})
+        interruptions = self._interruptions
+        try:
+            async with self._loading_lock:
+                await self._require_settings()
+                stages = await self._driver.load_next(move.lowered, move.armed_step.t0_host_ns, move.mapping)
+        except (Refusal, ControllerFault):
+            await self._driver.unload_next()
+            raise
+        if interruptions != self._interruptions:
+            await self._driver.unload_next()
+            raise Refusal("stopped", "a stop came while arming", "")
+        self.stop_ns = max(self.stop_ns, move.lowered.costs.stop_ns)
+        self._next.note_loaded(move)
+        self._spawn(self._unload_at_t0(move.armed_step))
+        if self.armed_step is None:
+            self._begin_next()  # the present move has ended meanwhile
+        return self._make_armed_reply(move, stages)
+
+    def _begin_next(self) -> None:
+        """The present step is done: the following one is the present one."""
+        following = self._next.take()
+        if following is None:
+            return
+        self.armed_step = following.armed_step
+        if not following.in_controller:
+            self.armed_step = replace(following.armed_step, phase=StepPhase.LOADING)
+            self._spawn(self._load_following(following))
+        elif following.armed_step.phase is StepPhase.RELEASED:
+            self._spawn(self._follow_step(following.armed_step))
+
+    async def _load_following(self, following: FollowingStep) -> None:
+        """Load the step that waited for the end of the one before."""
+        async with self._transition_lock:
+            if not following.armed_step.is_same(self.armed_step):
+                return
+            try:
+                reply = await self._load_at_rest(replace(following.move, began_ns=self._ended_ns), following)
+            except (Refusal, ControllerFault, LinkClosed) as error:
+                if following.armed_step.is_same(self.armed_step):
+                    self.armed_step = None
+                self._next.finish_loading(following, error)
+                if not isinstance(error, Refusal):
+                    raise
+            else:
+                self._next.finish_loading(following, reply)
+
+    async def _commit_following(self, request: CommitRequest, following: FollowingStep) -> CommittedReply:
+        """Promise a step that is loaded after the present one, as soon as it is."""
+        armed = await asyncio.shield(following.loaded)
+        return (await self._commit_present(request)).model_copy(update={"armed": armed})
+
+    def _drop_following(self, kind: EventKind, reason: str) -> None:
+        """Forget the following step, which the caller unloads or stops, and report that."""
+        dropped = self._next.drop(reason)
+        if dropped is not None:
+            self._emit(kind, reason, dropped)
+
+    async def _withdraw_following(self, reason: str) -> None:
+        """The present step has not ended as planned: nothing follows it. Raises `LinkClosed`, `ControllerFault`."""
+        following = self._next.armed_step
+        if following is None:
+            return
+        if following.phase is StepPhase.RELEASED:
+            await self._stop_failed_step()
+        else:
+            await self._next.unload()
+        self._drop_following("disarmed", f"the step before it has not ended as planned: {reason}")
 
     async def _require_settings(self) -> None:
         """Raise `Refusal` when a setting that the move relies on is not as expected."""
@@ -227,16 +329,26 @@ class StepParticipant:
             self._note_differences(differences)
             raise differences[0].to_refusal()
 
-    async def commit_step(self, request: CommitRequest) -> Reply:
+    async def commit_step(self, request: CommitRequest) -> CommittedReply:
         """Commit to the step after a final check of the controller."""
+        waiting = self._next.find_waiting(request.job, request.step)
+        if waiting is not None:
+            return await self._commit_following(request, waiting)
+        return await self._commit_present(request)
+
+    async def _commit_present(self, request: CommitRequest) -> CommittedReply:
         async with self._transition_lock:
             armed_step = self._require_phase(request, request.t0_fleet_ns, StepPhase.ARMED)
             interruptions = self._interruptions
-            await self._driver.verify_armed()
-            if interruptions != self._interruptions or self.armed_step is not armed_step:
+            if armed_step is self._next.armed_step:
+                await self._next.commit()
+            else:
+                await self._driver.verify_armed()
+                if self.armed_step is armed_step:
+                    self.armed_step = replace(armed_step, phase=StepPhase.COMMITTED)
+            if interruptions != self._interruptions or not armed_step.is_same(self._find_step(request)):
                 raise Refusal("stopped", "a stop came before the commit", "")
-            self.armed_step = replace(armed_step, phase=StepPhase.COMMITTED)
-            return Reply()
+            return CommittedReply()
 
     async def start_step(self, request: GoRequest) -> Reply:
         """Release the move, for the committed T0 or an earlier one."""
@@ -250,10 +362,11 @@ class StepParticipant:
             t0_ns = armed_step.t0_host_ns - advance_ns
             if self._clock.now_ns() >= t0_ns:
                 raise Refusal("late", "T0 has passed", "increase the lead time")
-            self.armed_step = released = replace(
-                armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
-            )
+            released = replace(armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns)
             interruptions = self._interruptions
+            if armed_step is self._next.armed_step:
+                return await self._release_following(released, advance_ns)
+            self.armed_step = released
             try:
                 await self._driver.go(request.start_tolerance_ns, advance_ns)
             except (Refusal, ControllerFault):
@@ -268,8 +381,24 @@ class StepParticipant:
             self._spawn(self._follow_step(released))
             return Reply()
 
+    async def _release_following(self, released: ArmedStep, advance_ns: int) -> Reply:
+        """Release the step that the controller holds beside the present one."""
+        interruptions = self._interruptions
+        try:
+            await self._next.release(released, advance_ns)
+        except (Refusal, ControllerFault):
+            # The controller may have released the move all the same: a lost reply must not let it run.
+            await self.stop("the release of the following step has failed", abort=False)
+            raise
+        if interruptions != self._interruptions:
+            raise Refusal("stopped", "a stop came before the start", "")
+        return Reply()
+
     async def disarm_step(self, request: DisarmRequest) -> DisarmedReply:
         """Unload the step if it is the one that is loaded. A moving step stays untouched."""
+        following = self._next.armed_step
+        if following is not None and (following.job, following.step) == (request.job, request.step):
+            return await self._disarm_following(request, following)
         armed_step, begun = self.armed_step, False
         if armed_step is not None and (armed_step.job, armed_step.step) != (request.job, request.step):
             return DisarmedReply()  # another job's step, which is still in use
@@ -294,6 +423,19 @@ class StepParticipant:
             self._emit("disarmed", "disarmed on request", armed_step)
             return DisarmedReply(may_have_started=begun)
 
+    async def _disarm_following(self, request: DisarmRequest, following: ArmedStep) -> DisarmedReply:
+        """Unload the following step; the present one continues, unless the start of the following one is so near that
+        only a stop prevents it for certain."""
+        if following.phase is StepPhase.RELEASED and self._clock.now_ns() + STOP_LEAD_NS >= following.t0_host_ns:
+            await self.stop("withdrawn at its start", abort=False)
+            return DisarmedReply(may_have_started=True)
+        self._interruptions += 1
+        await self._next.unload()
+        if self._next.armed_step is not following:
+            return await self.disarm_step(request)  # it has become the present one meanwhile
+        self._drop_following("disarmed", "disarmed on request")
+        return DisarmedReply()
+
     # Ways out
 
     async def stop(self, reason: str, *, abort: bool, follow: bool = False) -> None:
@@ -303,12 +445,15 @@ class StepParticipant:
         self._interruptions += 1
         self._requested_ns = -QUIET_AFTER_REQUEST_NS
         if follow and self.armed_step is not None and self.armed_step.phase is StepPhase.MOVING:
+            self._drop_following("stopped", reason)
             await self._driver.stop(abort=abort)
             return
         armed_step, self.armed_step = self.armed_step, None
+        following = self._next.drop(reason)
         await self._driver.stop(abort=abort)
-        if armed_step is not None:
-            self._emit("stopped", reason, armed_step)
+        for each in (armed_step, following):
+            if each is not None:
+                self._emit("stopped", reason, each)
 
     async def abandon_step(self, reason: str) -> None:
         """Handle the loss of the coordinator: unload what has not started, stop what moves."""
@@ -328,6 +473,9 @@ class StepParticipant:
         self.stop_pending = True
         await self._driver.disarm_move()
         self.stop_pending = False
+        if self._reading_is_old:
+            self._reading_is_old = False
+            await self._settle(())  # the next plan begins at what a reading shows
 
     async def fail_step(self, reason: str) -> None:
         """Handle a failure in motion: stop the remaining axes and report the reason to the coordinator."""
@@ -335,6 +483,7 @@ class StepParticipant:
         armed_step, self.armed_step = self.armed_step, None
         if armed_step is not None:
             self._emit("failed", reason, armed_step)
+            self._drop_following("stopped", reason)
             await self._stop_failed_step()
 
     async def _stop_failed_step(self) -> None:
@@ -350,6 +499,7 @@ class StepParticipant:
         armed_step, self.armed_step = self.armed_step, None
         if armed_step is not None:
             self._emit("failed", reason, armed_step)
+        self._drop_following("failed", reason)
 
     @property
     def is_loading(self) -> bool:
@@ -368,20 +518,39 @@ class StepParticipant:
         until_ns = self._requested_ns + QUIET_AFTER_REQUEST_NS
         if armed_step is not None:
             if armed_step.phase is StepPhase.MOVING:
-                return None
+                return self._quiet_turn_until_ns(now_ns)
             if armed_step.t0_host_ns - QUIET_BEFORE_T0_NS <= now_ns <= armed_step.t0_host_ns:
                 until_ns = armed_step.t0_host_ns
         return until_ns if now_ns <= until_ns else None
 
+    def _quiet_turn_until_ns(self, now_ns: int) -> int | None:
+        """Return until when a moving controller is not polled because it begins the following step by itself."""
+        following = self._next.armed_step
+        if following is None or following.phase is not StepPhase.RELEASED:
+            return None
+        return following.t0_host_ns if 0 <= following.t0_host_ns - now_ns <= QUIET_TURN_NS else None
+
     # Internals
 
+    def _find_step(self, request: StepRequest) -> ArmedStep | None:
+        """The present or the following step, if it is the one of the request."""
+        for each in (self.armed_step, self._next.armed_step):
+            if each is not None and (each.job, each.step) == (request.job, request.step):
+                return each
+        return None
+
+    @property
+    def ordered_axes(self) -> tuple[str, ...]:
+        """The axes that may move now: those of the moving step, and of a following one that is released."""
+        present, following = self.armed_step, self._next.armed_step
+        if present is None or present.phase is not StepPhase.MOVING:
+            return ()
+        released = following is not None and following.phase is StepPhase.RELEASED
+        return (*present.axes, *following.axes) if following is not None and released else present.axes
+
     def _require_phase(self, request: StepRequest, t0_fleet_ns: int, phase: StepPhase) -> ArmedStep:
-        armed_step = self.armed_step
-        if armed_step is None or (armed_step.job, armed_step.step, armed_step.t0_fleet_ns) != (
-            request.job,
-            request.step,
-            t0_fleet_ns,
-        ):
+        armed_step = self._find_step(request)
+        if armed_step is None or armed_step.t0_fleet_ns != t0_fleet_ns:
             raise Refusal(
                 "not-armed", f"not armed for job {request.job} step {request.step} at that T0", "arm it first"
             )
@@ -392,14 +561,13 @@ class StepParticipant:
     async def _unload_at_t0(self, armed_step: ArmedStep) -> None:
         """Unload a step whose `go` has not arrived by T0."""
         await sleep_until_ns(self._clock, armed_step.t0_host_ns)
-        now = self.armed_step
-        same = now is not None and (now.job, now.step, now.t0_fleet_ns) == (
-            armed_step.job,
-            armed_step.step,
-            armed_step.t0_fleet_ns,
-        )
-        if same and now is not None and now.phase in (StepPhase.ARMED, StepPhase.COMMITTED):
+        present, following = self.armed_step, self._next.armed_step
+        waiting = (StepPhase.ARMED, StepPhase.COMMITTED)
+        if present is not None and armed_step.is_same(present) and present.phase in waiting:
             await self.abandon_step("T0 passed without a go")
+        elif following is not None and armed_step.is_same(following) and following.phase in waiting:
+            await self._next.unload()
+            self._drop_following("disarmed", "T0 passed without a go")
 
     @property
     def is_following(self) -> bool:
@@ -428,11 +596,21 @@ class StepParticipant:
             text = f"started, {late_ns / 1e6:.1f} ms later than this host guarantees" if late_ns else "started"
             self._emit("started", text, moving, _without_axes(evidence, unseen))
             outcome = await self._driver.wait_for_end()
+            self._ended_ns = moving.t0_host_ns + round(max(moving.promised_s.values(), default=0.0) * NS_PER_S)
             self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
             # The coordinator plans the next step from the state: at the end event it must be the state after the move.
-            settled = await self._settle(armed_step.axes if outcome.state == "done" else ())
+            # The start of a following step, which is planned already, does not wait for that.
+            settles = self._next.armed_step is None or self._must_settle(armed_step.axes)
+            settled = SettlingResult()
+            self._reading_is_old = not settles
+            if settles:
+                settled = await self._settle(armed_step.axes if outcome.state == "done" else ())
             if self.armed_step is not moving:
                 return
+            wrong = _find_wrong_durations(armed_step, started, outcome.ended) if outcome.state == "done" else {}
+            reason = settled.reason or "; ".join(wrong.values())
+            if reason or outcome.state != "done":
+                await self._withdraw_following(reason or outcome.reason)
         except (ControllerFault, LinkClosed, Refusal) as error:
             if self.armed_step is not None and self.armed_step.t0_fleet_ns == armed_step.t0_fleet_ns:
                 self.drop_step(str(error))
@@ -446,7 +624,6 @@ class StepParticipant:
                         )  # a move that did not start as planned must not block the next one
             return
         self.armed_step = None
-        wrong = _find_wrong_durations(armed_step, started, outcome.ended) if outcome.state == "done" else {}
         self._doubt_positions(wrong)
         for axis, span in outcome.ended.items():
             if axis in evidence and span.earliest_ns <= span.latest_ns:
@@ -454,9 +631,10 @@ class StepParticipant:
                 evidence[axis] = evidence[axis].model_copy(update=ended)
         if outcome.state != "done":
             evidence = _without_axes(evidence, unseen)
-        reason = settled.reason or "; ".join(wrong.values())
         kind = "failed" if reason else _KIND_OF_END[outcome.state]
         self._emit(kind, reason or outcome.reason or kind, moving, evidence)
+        if kind == "done":
+            self._begin_next()
 
 
 _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}

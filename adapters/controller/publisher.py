@@ -9,11 +9,11 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from adapters.contract import ControllerReading
+from adapters.controller.armed_step import ArmedStep
 from adapters.controller.clock import PastStep, clock_mapping, learned_crystal, learned_starts
 from adapters.controller.context import ControllerContext
 from adapters.controller.events import EventRing
 from adapters.controller.fencing import EpochFence
-from adapters.controller.participant import ArmedStep, StepPhase
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRefused
@@ -109,7 +109,7 @@ class StatePublisher:
             return "offline"
         armed_step = self._armed_step()
         if armed_step is not None:
-            return "moving" if armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING) else armed_step.phase.value
+            return armed_step.mode
         if status.homing:
             return "homing"
         if status.jogging:

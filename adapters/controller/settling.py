@@ -60,6 +60,10 @@ class SettlingMonitor:
             await sleep_ns(self._clock, REST_POLL_NS)
         return False
 
+    def must_settle(self, axes: Sequence[str]) -> bool:
+        """Whether one of `axes` must come to rest inside its window."""
+        return any(self._status.config.axes[name].done == "in_position" for name in axes)
+
     async def wait_until_settled(self, axes: Sequence[str]) -> SettlingResult:
         """Wait, after the ends of the profiles of `axes`, until those with `done: in_position` are inside their
         windows."""

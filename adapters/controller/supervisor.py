@@ -12,6 +12,7 @@ from zlib import crc32
 from pydantic import ValidationError
 
 from adapters.contract import ControllerReading
+from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.commands import Components, ControllerCommands
 from adapters.controller.context import ControllerContext
 from adapters.controller.defects import DefectRecord
@@ -20,7 +21,7 @@ from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
 from adapters.controller.limits import check_path_limits, check_profiles
 from adapters.controller.motors import MotorControl
-from adapters.controller.participant import ArmedStep, StepParticipant, StepPhase, StepServices
+from adapters.controller.participant import StepParticipant, StepServices
 from adapters.controller.pending_stop import PendingStop
 from adapters.controller.publisher import StatePublisher, StepActivity
 from adapters.controller.readings import require_sound_reading
@@ -72,9 +73,11 @@ class ControllerSupervisor:
             context.clock,
             StepServices(
                 check=self._check_step,
+                check_following=self._check_following_step,
                 scale=self._require_scale,
                 emit=self._emit_step,
                 settle=self._settling.wait_until_settled,
+                must_settle=self._settling.must_settle,
                 doubt_positions=lambda wrong: self._surveillance.doubt_positions(wrong),
                 note_differences=lambda found: self._surveillance.note_differences(found),
                 spawn=self._spawn_task,
@@ -389,7 +392,7 @@ class ControllerSupervisor:
         failure of the step."""
         armed_step = self._participant.armed_step
         moving = armed_step if armed_step is not None and armed_step.phase is StepPhase.MOVING else None
-        outside = self._surveillance.find_outside_motion(() if moving is None else moving.axes, reading)
+        outside = self._surveillance.find_outside_motion(self._participant.ordered_axes, reading)
         if moving is None or before is None:
             return None
         if self._status.faults:
@@ -514,27 +517,38 @@ class ControllerSupervisor:
 
     def _check_step(self, request: ProposeRequest | ArmRequest) -> None:
         """Check everything that must hold before profiles are executed. Raises `Refusal`."""
-        rehearsal = isinstance(request, ProposeRequest) and request.rehearsal
-        if not rehearsal:
-            self._fence.require_no_estop()
+        if isinstance(request, ProposeRequest) and request.rehearsal:
+            self._status.require_online()
+            self._require_same_digest(request)
+            check_path_limits(self._status, request.profiles)
+            return
+        self._require_may_move(request)
+        check_profiles(self._status, request.profiles, drives=request.start.drive is not None)
+
+    def _check_following_step(self, request: ProposeRequest | ArmRequest) -> None:
+        """Check the same for profiles that begin where the present step ends. Raises `Refusal`."""
+        self._require_may_move(request)
+        check_path_limits(self._status, request.profiles)
+
+    def _require_may_move(self, request: ProposeRequest | ArmRequest) -> None:
+        self._fence.require_no_estop()
         status = self._status
         status.require_online()
-        if request.digest != self._config.digest:
-            raise Refusal(
-                "other-configuration",
-                f"the coordinator uses configuration {request.digest}, the adapter {self._config.digest}",
-                "use the same fleet file on all hosts and restart",
-            )
-        if rehearsal:
-            check_path_limits(status, request.profiles)
-            return
+        self._require_same_digest(request)
         if isinstance(request, ArmRequest):
             self._leases.require_lease(request.job, request.profiles)
         if status.homing | status.jogging:
             doing = "homing" if status.homing else "jogging"
             raise Refusal(doing, f"{min(status.homing | status.jogging)} is {doing}", "wait for its end")
         status.require_no_fault()
-        check_profiles(status, request.profiles, drives=request.start.drive is not None)
+
+    def _require_same_digest(self, request: ProposeRequest | ArmRequest) -> None:
+        if request.digest != self._config.digest:
+            raise Refusal(
+                "other-configuration",
+                f"the coordinator uses configuration {request.digest}, the adapter {self._config.digest}",
+                "use the same fleet file on all hosts and restart",
+            )
 
     def replace_configuration(self, config: Controller) -> None:
         """Let the host replace this supervisor by one with another configuration."""

@@ -15,6 +15,7 @@ from orchestrator.model.state import EventKind
 
 CHECK_PERIOD_NS = NS_PER_S
 JUMP_COUNTS = 2  # a larger change of the commanded position is not rounding
+RESTING_NS = NS_PER_S // 2  # an axis of the step before may settle for this long
 DEADBAND_COUNTS = 10  # an axis at rest whose encoder moves by less does not move
 
 
@@ -47,6 +48,7 @@ class Surveillance:
         self._checked_ns = 0
         self._outside: dict[str, AxisReading] = {}
         """Axes outside the step under way, as they were when it began to move."""
+        self._resting_until_ns: dict[str, int] = {}
 
     # Positions
 
@@ -76,8 +78,7 @@ class Surveillance:
         if not moved:
             self._outside = {}
             return None
-        if not self._outside:
-            self._outside = {name: axis for name, axis in reading.axes.items() if name not in moved}
+        self._note_outside_axes(moved, reading)
         for name, began in self._outside.items():
             now, axis = reading.axes[name], self._status.config.axes[name]
             if not (now.enabled and began.enabled):
@@ -87,6 +88,18 @@ class Surveillance:
                 by = axis.to_unit(now.actual_counts - began.actual_counts)
                 return f"axis {name} has moved by {by:g} {axis.unit}, although this step does not move it"
         return None
+
+    def _note_outside_axes(self, moved: Sequence[str], reading: ControllerReading) -> None:
+        """Note where the axes outside the step are. One that the step before has moved may come to rest first."""
+        fresh = not self._outside
+        for name, axis in reading.axes.items():
+            if name in moved:
+                self._outside.pop(name, None)
+                continue
+            if name not in self._outside and not fresh:
+                self._resting_until_ns[name] = reading.at_ns + RESTING_NS
+            if name not in self._outside or reading.at_ns < self._resting_until_ns.get(name, 0):
+                self._outside[name] = axis
 
     def doubt_positions(self, wrong: Mapping[str, str]) -> None:
         """Drop the reference of axes whose motion was not as it was loaded. wrong: by axis, what was found."""

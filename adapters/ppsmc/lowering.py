@@ -10,6 +10,7 @@ from adapters.ppsmc.fleetaxes import axis_bounds, axis_number
 from adapters.ppsmc.lines import LOWEST_POINT, edge_terms, starting_terms, switch_text, wait_text
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.trapezoid import POSITION_MAX, PpSmcTrapezoid, fit_trapezoid
+from adapters.toolkit.host_start import withdrawable_costs
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import (
     WiredInput,
@@ -24,6 +25,7 @@ from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions
 from orchestrator.model.profile import Profile
 
+_POLL_LINES = 5  # of a poll that is under way when a step is released
 _START_CLASS_REASONS = {
     "line": "the i/o port is an option of the controller, and `options.io_port` is not set; or no input was named",
     "clock": "the SMC has no readable clock to start by",
@@ -110,6 +112,9 @@ def lower_step(
     running = tuple(each for each in moves if each.shape is not None)
     durations_s = {each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves}
     ramps_s = max((each.shape.stop_s for each in running if each.shape is not None), default=0.0)
+    costs = step_costs(options, traits.char_ns, traits.installed, ramps_s, waits=wait is not None)
+    if start_options.follows and wait is None and drive is None:
+        costs = withdrawable_costs(costs, start.usual_ns, _POLL_LINES * options.decode_ns[1])
     return PpSmcLowered(
         start_class="host" if wait is None else "line",
         durations_s=durations_s,
@@ -119,7 +124,7 @@ def lower_step(
         else _line_start_terms(options, wait),
         tick_ns=0.0,
         clock_ppm=known.bound_ppm(max(durations_s.values(), default=0.0)),
-        costs=step_costs(options, traits.char_ns, traits.installed, ramps_s, waits=wait is not None),
+        costs=costs,
         commands=_display_commands(running, wait, drive),
         edge=() if drive is None else edge_terms(options, start),
         can_advance=True,

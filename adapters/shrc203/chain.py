@@ -25,8 +25,7 @@ from adapters.shrc203.replies import (
     parse_status,
     pulse_list,
 )
-from adapters.shrc203.session import ShrcLine
-from adapters.shrc203.standby import COMPLETION_LATE_NS
+from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcLine
 from adapters.shrc203.status import ERRORS, stop_reason
 from adapters.shrc203.trapezoid import ShrcTrapezoid
 from adapters.shrc203.unitstate import ShrcState

@@ -1,7 +1,8 @@
 """Upper bounds of arming, disarming and stopping, from transmitted characters and the controller's decoding time."""
 
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.standby import COMPLETION_LATE_NS
+from adapters.shrc203.session import COMPLETION_LATE_NS
+from adapters.toolkit.host_start import withdrawable_costs
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.state import StepCosts
 
@@ -10,6 +11,7 @@ _CHECK = (7 + 90, 1)  # Q:SPC
 _BUFFERS = (6 * 7 + 2 * 36 + 2 * 16 + 2 * 6, 6)  # ?:MPW ?:APW ?:WTW ?:WIW ?:EP ?:KP
 _WATCH = (2 * 6 + 36 + 7, 2)  # ?:PW, ?:FW
 _LOAD = (120 + 6 + 7 + 125 + 7 + 6, 3)  # MP:, ?:CMD, GC:
+_ECHO = (6 + 7 + 4, 2)  # replies, ?:CMD, and line ends, beside the command and its echo
 _CLEAR = (3 * (8 + 6), 3)  # MP:a+P0
 _STANDBY = (2 * (4 + 4) + 11 + 4 + 7 + 36 + 5 + 4, 4)  # I: twice, WI:, ?:WIW, G:
 _RELEASE = (3 * (8 + 6) + 7 + 36 + 3 * (8 + 4), 7)  # MP:a+P0, ?:MPW, WI:a,C
@@ -19,9 +21,23 @@ _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, for each exchange
 _RAMP_MAX_NS = NS_PER_S  # R is 1000 ms at the most (L3157), and a stop uses the ramp of the move
 
 
+def following_costs(options: ShrcOptions, char_ns: int, load: str, costs: StepCosts) -> StepCosts:
+    """Return upper bounds in ns of a step that is loaded by `load` right behind the one before: its end is queried, the
+    move loaded and read back."""
+    characters = 2 * len(load) + _ECHO[0] + _CHECK[0]
+    arm_ns = characters * char_ns + (_ECHO[1] + _CHECK[1]) * _exchange_ns(options)
+    lead_ns = options.decode_us * NS_PER_US + len("G:123\r\n") * char_ns
+    return withdrawable_costs(costs.model_copy(update={"arm_ns": arm_ns}), lead_ns)
+
+
+def _exchange_ns(options: ShrcOptions) -> int:
+    """Return the duration of an exchange without its characters."""
+    return (options.decode_us + options.decode_spread_us + 2 * options.wire_jitter_us) * NS_PER_US + _HOST_NS
+
+
 def step_costs(options: ShrcOptions, char_ns: int, *, line: bool = False) -> StepCosts:
     """Return upper bounds in ns for links with this character time. line: for a step with a trigger line."""
-    exchange_ns = (options.decode_us + options.decode_spread_us + 2 * options.wire_jitter_us) * NS_PER_US + _HOST_NS
+    exchange_ns = _exchange_ns(options)
 
     def take_ns(*parts: tuple[int, int]) -> int:
         return sum(characters * char_ns + exchanges * exchange_ns for characters, exchanges in parts)

@@ -125,6 +125,8 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
             orders=(2,),
             independent_axes=False,
             costs=self._costs,
+            # With one axis, replies to these queries look like completion lines.
+            checks_while_moving=self._connection is not None and len(self._connection.state.controllable) > 1,
         )
 
     @property
@@ -170,6 +172,11 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         assert isinstance(lowered, ShrcLowered)
         with log_refusals(self._log, "arming"):
             return await self.connection.mover.arm_move(lowered, t0_ns)
+
+    async def arm_behind(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        assert isinstance(lowered, ShrcLowered)
+        with log_refusals(self._log, "arming"):
+            return await self.connection.mover.arm_behind(lowered, t0_ns)
 
     async def stop(self, *, abort: bool) -> None:
         """Stop by `L:E`, which is never refused; or by `L:` to the axes whose motors are on, and then to each axis

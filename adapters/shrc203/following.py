@@ -7,8 +7,7 @@ from adapters.shrc203.ending import ShrcEndTimes
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
 from adapters.shrc203.replies import STATUS, parse_status
-from adapters.shrc203.session import ShrcSession
-from adapters.shrc203.standby import COMPLETION_LATE_NS
+from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcSession
 from adapters.shrc203.status import ERRORS, UNSETTLED, stop_reason
 from adapters.shrc203.timing import ShrcTiming
 from adapters.shrc203.timing import make_timing as timing_of

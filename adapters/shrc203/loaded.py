@@ -19,7 +19,9 @@ class ArmedMove:
     order: the timed write.
     pending, switching: the expected replies to the starting and the switching command.
     started: interval of the start, when known.
-    answered_ns: the latest instant at which its `OK` began to be sent."""
+    answered_ns: the latest instant at which its `OK` began to be sent.
+    read_back_ns: when the controller has confirmed it right behind the move before; 0 for one that was loaded at rest.
+    """
 
     lowered: ShrcLowered
     t0_ns: int
@@ -32,6 +34,7 @@ class ArmedMove:
     stopped_ns: int | None = None
     cancelled: bool = False
     answered_ns: int | None = None
+    read_back_ns: int = 0
     seen: dict[int, AxisStatus] = field(default_factory=dict[int, AxisStatus])
 
     @property

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from adapters.contract import Lowered, ends_too_early, require_start_class
+from adapters.shrc203.costs import following_costs
 from adapters.shrc203.fleetaxes import axis_bounds, motor_number
 from adapters.shrc203.interpolation import SteadyAxis, StraightPath, fit_straight_path
 from adapters.shrc203.options import LOWEST_POINT, ShrcOptions, edge_terms
@@ -143,6 +144,9 @@ def lower_step(
     rate, lead_ns = traits.known.rate, traits.known.latency.usual_ns
     durations_s = {each.name: each.shape.duration_s / rate.clock_factor if each.shape else 0.0 for each in moves}
     behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * traits.char_ns if running and wait is None else 0
+    costs = traits.line_costs if wait is not None or drive is not None else traits.costs
+    if start_options.follows and wait is None and drive is None:
+        costs = following_costs(options, traits.char_ns, load, costs)
     return ShrcLowered(
         start_class="host" if wait is None else "line",
         durations_s=durations_s,
@@ -150,7 +154,7 @@ def lower_step(
         terms=start_terms(options, traits.known.latency) if wait is None else _line_start_terms(options, wait),
         tick_ns=0.0,
         clock_ppm=traits.known.bound_ppm(max(durations_s.values(), default=0.0)),
-        costs=traits.line_costs if wait is not None or drive is not None else traits.costs,
+        costs=costs,
         commands=(*_display_commands(running, load, go, wait, drive), *([load_second] if seconds else [])),
         edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
         can_advance=True,

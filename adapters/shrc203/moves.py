@@ -18,7 +18,10 @@ from adapters.shrc203.unitstate import ShrcState
 from adapters.toolkit.driven_output import DrivenOutput
 from adapters.toolkit.firing import missed_write_fault
 from adapters.toolkit.host_start import MoverTools, moving_intervals, require_time_left, unmoved_outcome, wait_for_write
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import Refusal
+
+CONFIRMED_NS = 100 * NS_PER_MS  # a move that was read back so recently needs no further check before the commit
 
 
 class ShrcMover:
@@ -34,6 +37,8 @@ class ShrcMover:
         self._input_wait = InputWait(unit, tools.clock)
         self._output: DrivenOutput[ShrcOutput] | None = None  # the last output that a step drove
         self.move: ArmedMove | None = None
+        self._rests: dict[int, int] = {}
+        """Where the last move has left the motors, counts; only until anything else may have moved them."""
 
     @property
     def _session(self) -> ShrcSession:
@@ -48,6 +53,7 @@ class ShrcMover:
 
     async def _load_and_verify(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         began_ns = self._clock.now_ns()
+        self._rests = {}
         if self._unit.untidy and self.move is None and not self._unit.chaining:
             await self._overwrite_queued()
         if self.is_busy:
@@ -72,12 +78,7 @@ class ShrcMover:
                 raise Refusal("stopped", "a stop came while arming", "")
         text = await self._session.set_and_echo(lowered.load)
         loaded_ns = self._clock.now_ns()
-        if text != lowered.load:
-            raise Refusal(
-                "load-garbled",
-                f"sent {lowered.load!r}, the controller has understood {text!r}",
-                "check the cable; arm again",
-            )
+        _require_same(lowered.load, text)
         if lowered.wait is not None:
             await self._input_wait.check_wait(lowered.wait)
             checks.compare_moves(move.lowered, await self._unit.prebuffers.read_moves())
@@ -88,6 +89,29 @@ class ShrcMover:
             raise Refusal("stopped", "a stop came while arming", "")
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
+    async def arm_behind(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
+        """Load a move right behind one that has just ended: its execution buffer is executed, the prebuffers are empty,
+        and the last query has shown the axes at rest where this one starts. Raises `Refusal`."""
+        starts = {each.motor: each.start_counts for each in lowered.moves}
+        rests = starts.items() <= self._rests.items()
+        usual = lowered.wait is None and lowered.drive is None and rests and not self._unit.untidy
+        if not usual or self.is_busy:
+            return await self.arm_move(lowered, t0_ns)
+        async with self._unit.loading:
+            began_ns = self._clock.now_ns()
+            move = self.move = ArmedMove(lowered, t0_ns)
+            self._unit.jogging_motors -= move.motor_numbers
+
+            def require_not_stopped() -> None:
+                if self.move is not move:
+                    raise Refusal("stopped", "a stop came while arming", "")
+
+            text = await self._session.set_and_echo(lowered.load, require_not_stopped)
+            require_not_stopped()
+            _require_same(lowered.load, text)
+            move.read_back_ns = self._clock.now_ns()
+            return {"wire": move.read_back_ns - began_ns}
+
     @property
     def is_busy(self) -> bool:
         """Whether a move is loaded, waiting or in progress."""
@@ -96,7 +120,7 @@ class ShrcMover:
     async def verify_armed(self) -> None:
         """Check that the move is still loaded and the axes are where the plan starts. Raises `Refusal`."""
         move = self._require_move()
-        if not move.lowered.moves:
+        if not move.lowered.moves or self._clock.now_ns() - move.read_back_ns < CONFIRMED_NS:
             return
         if move.lowered.wait is not None:
             await self._input_wait.check_wait(move.lowered.wait)
@@ -184,6 +208,7 @@ class ShrcMover:
     def record_stop(self, at_ns: int) -> None:
         """Record a stop that was written at that instant."""
         self._unit.untidy = True
+        self._rests = {}
         self._session.changed.set()
         move = self.move
         if move is None:
@@ -253,7 +278,10 @@ class ShrcMover:
             stopped = move.stopped_ns is not None
             return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=stopped)
         unloaded = await self._load_followup(move) if move.lowered.followup_moves else ""
-        return await self._follower.follow_to_end(move, unloaded, lambda: self._forget_move(move))
+        outcome = await self._follower.follow_to_end(move, unloaded, lambda: self._forget_move(move))
+        if outcome.state == "done":
+            self._rests = {motor: axis.counts for motor, axis in move.seen.items()}
+        return outcome
 
     async def _load_followup(self, move: ArmedMove) -> str:
         """Load the follow-up moves; return why they will not run, "" if they will. On a failure all axes are stopped
@@ -287,3 +315,12 @@ class ShrcMover:
         if self.move is None:
             raise Refusal("not-armed", "no move is loaded", "arm it first")
         return self.move
+
+
+def _require_same(sent: str, understood: str) -> None:
+    if understood != sent:
+        raise Refusal(
+            "load-garbled",
+            f"sent {sent!r}, the controller has understood {understood!r}",
+            "check the cable; arm again",
+        )

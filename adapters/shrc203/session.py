@@ -20,6 +20,7 @@ from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 EOL = "\r\n"
 COMPLETIONS = ("1", "2", "3")
 PROGRAM_EVENTS = ("COMP", "TRIG")
+COMPLETION_LATE_NS = 100 * NS_PER_MS  # a completion line is considered lost after this time
 LONGEST_REPLY = 128  # characters that a reply may take to arrive, beyond the time allowed for answering
 _QUIET_NS = 30 * NS_PER_MS  # silence for this long: no late reply is under way
 _TRIES = 3

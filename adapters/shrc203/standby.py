@@ -5,13 +5,13 @@ the pattern. Ending a wait starts the move queued after it (L219): that move is 
 """
 
 from adapters.shrc203.replies import BITS, STATUS, axis_argument, parse_status
+from adapters.shrc203.session import COMPLETION_LATE_NS
 from adapters.shrc203.status import ERRORS
 from adapters.shrc203.unitstate import ShrcState
 from adapters.toolkit.wired_points import WiredInput
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.errors import ControllerFault, Refusal
 
-COMPLETION_LATE_NS = 100 * NS_PER_MS  # a completion line is considered lost after this time
 _NEVER_NS = NS_PER_S  # a wait that is cancelled has ended by then
 _TRIES = 2
 

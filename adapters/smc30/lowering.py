@@ -16,6 +16,7 @@ from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.ramp import Smc30Shape, fit_shape
 from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, axis_bounds, only_axis
 from adapters.toolkit.firing import learned_terms
+from adapters.toolkit.host_start import withdrawable_costs
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import find_driven_output, find_wait_input
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -142,6 +143,9 @@ def lower_step(
         terms = edge
     scale = 1 / known.rate.clock_factor
     duration_s = 0.0 if shape is None else shape.duration_s * scale
+    costs = traits.costs
+    if start.follows and wait is None and drive is None:
+        costs = withdrawable_costs(costs, lead_ns, schedule.each_ns)
     return Smc30Lowered(
         start_class=start_class,
         durations_s={} if profile is None else {axis: duration_s},
@@ -151,7 +155,7 @@ def lower_step(
         tick_ns=0.0,
         clock_ppm=known.bound_ppm(duration_s),
         can_advance=True,
-        costs=traits.costs,
+        costs=costs,
         commands=("PO", *program, "PX", "Q", "E") if program else (),
         axis=axis,
         start_counts=start_counts,

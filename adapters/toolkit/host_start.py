@@ -5,9 +5,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from adapters.contract import HostInterval, MoveOutcome, TimedWrite, TimedWriter, WriteResult
-from orchestrator.clock.base import Clock
+from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.clock.inferred import InferredClock
 from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.state import StepCosts
+
+WITHDRAW_NS = 10 * NS_PER_MS  # a request that comes this long before the start is still executed in time
+
+
+def withdrawable_costs(costs: StepCosts, lead_ns: int, exchange_ns: int = 0) -> StepCosts:
+    """Return the costs of a step that the host starts behind another one: until the starting command is written, it is
+    withdrawn by not writing it.
+
+    lead_ns: how long before T0 that is. exchange_ns: an exchange that may be under way."""
+    return costs.model_copy(update={"disarm_ns": lead_ns + exchange_ns + WITHDRAW_NS})
 
 
 @dataclass(frozen=True, slots=True)

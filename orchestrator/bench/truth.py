@@ -16,6 +16,14 @@ class NothingHappened(TuttiError):
     """An expected event did not happen. The text names it."""
 
 
+def read_motions(path: Path, motor: str) -> list[tuple[int, int]]:
+    """Return start and end of each completed motion of a motor, ns, from a simulator's log."""
+    entries = map(json.loads, path.read_text(encoding="utf-8").splitlines())
+    return sorted(
+        (entry["start_ns"], entry["end_ns"]) for entry in entries if entry["event"] == "end" and entry["axis"] == motor
+    )
+
+
 class TruthLog:
     """The ground truth log of one simulated controller, from now on."""
 

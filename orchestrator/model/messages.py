@@ -186,6 +186,8 @@ class StartOptions(Model):
     end_ns: how long after T0 a member that ends at its own ticks should end: at most a few ticks after the plan, where
     the ticks of all members coincide best; 0: with the plan.
     early_ns: how much before the plan an axis may end if it cannot move as slowly as planned.
+    follows: the move begins where the member's present move ends, and is loaded while that one runs, as far as the make
+    can.
     """
 
     start_class: StartWish = "auto"
@@ -194,6 +196,7 @@ class StartOptions(Model):
     brake_s: float = 0.0
     end_ns: Int53 = 0
     early_ns: Int53 = 0
+    follows: bool = False
     wait: TriggerWait | None = None
     drive: TriggerDrive | None = None
 
@@ -252,22 +255,37 @@ class Proposal(Reply):
     )
     clock_ppm: float = Field(default=100.0, description="Guaranteed bound of the controller's rate error.")
     can_advance: bool = Field(default=False, description="Whether T0 can be brought forward after it was armed.")
+    gap_ns: Int53 | None = Field(
+        default=None,
+        description="Of a move that follows, and that the controller can hold beside its present one: how long after "
+        "the promised end of that it can begin. Without it, the member loads the move then.",
+    )
     commands: list[str] = Field(default=[], description="The commands that the controller would receive, for people.")
 
 
 class ArmRequest(StepRequest):
-    """Load the move for a start at T0; do not move."""
+    """Load the move for a start at T0; do not move.
+
+    after_step: the step of the same job that may still be moving the member; the new move begins where that one ends,
+    and only if it ends as planned. None: the member is at rest.
+    """
 
     digest: str
     t0_fleet_ns: Int53
+    after_step: int | None = None
     profiles: dict[str, Profile]
     start: StartOptions = StartOptions()
 
 
 class ArmedReply(Reply):
     """The step is loaded. durations_s, terms, edge: as in the proposal, for the clock mapping that is frozen into it,
-    at T0."""
+    at T0.
 
+    waits: the controller cannot load the move while its present one runs. The adapter loads it as soon as that has
+    ended, and answers the commit after that.
+    """
+
+    waits: bool = False
     durations_s: dict[str, float] = Field(default={})
     terms: list[BudgetTerm] = Field(default=[])
     edge: list[BudgetTerm] = Field(default=[])
@@ -280,6 +298,12 @@ class CommitRequest(StepRequest):
     """Promise to start at T0 if `go` comes; a member that can advance promises each earlier T0 by whole ticks, too."""
 
     t0_fleet_ns: Int53
+
+
+class CommittedReply(Reply):
+    """The member promises. armed: what it has loaded since it answered that the move waits for the present one."""
+
+    armed: ArmedReply | None = None
 
 
 class GoRequest(StepRequest):

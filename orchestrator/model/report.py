@@ -207,6 +207,16 @@ class PointRecord(Model):
     measured: dict[str, float | None]
 
 
+class StepChain(Model):
+    """How a motion step followed the one before it. kept: it was loaded while that one moved, and began at the T0 that
+    was agreed then. gap_s: from the end of that one to its start, by evidence. broken: why it began from rest."""
+
+    step: int
+    kept: bool
+    gap_s: float | None = None
+    broken: str = ""
+
+
 class StepReport(Model):
     """The record of one step, or of a whole scan (`scan`), followed by that of its point that was not done.
     After feed holds it describes the last part, and lists the holds before.
@@ -244,6 +254,8 @@ class StepReport(Model):
     def steps_done(self) -> int:
         """The number of steps that are done, with those of a scan."""
         return self.scan.steps_done if self.scan is not None else int(self.state == "done")
+
+    chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
 
 class AxisRecording(Model):

@@ -189,6 +189,12 @@ class ExactTargets:
         """Record that `axis` was moved to `target`, which is `counts`."""
         self._exact[axis] = (target, counts)
 
+    def expect_targets(self, exact: Mapping[str, tuple[Fraction, int]]) -> "ExactTargets":
+        """A copy after moves to these targets: by axis, the exact one and its count."""
+        expected = ExactTargets()
+        expected._exact = {**self._exact, **exact}
+        return expected
+
     def forget_target(self, axis: str) -> None:
         """Forget the target of an axis that moved otherwise (homed, jogged, power-cycled)."""
         self._exact.pop(axis, None)

@@ -16,7 +16,7 @@ from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.requests import MemberRequests
-from orchestrator.model.messages import BatchReply, CommitRequest, EnableRequest, Reply, TraceReply
+from orchestrator.model.messages import BatchReply, CommitRequest, CommittedReply, EnableRequest, Reply, TraceReply
 from orchestrator.model.messages import Request as Asked
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -174,7 +174,7 @@ def test_an_answer_missing_from_a_host_is_a_refusal_that_names_the_member(monkey
             name: CommitRequest(**asks.request_fields("tester"), job="j", step=0, t0_fleet_ns=0)
             for name in ("gantry", "stage")
         }
-        said = await asks.request_all("commit", commits, Reply, 0.2)
+        said = await asks.request_all("commit", commits, CommittedReply, 0.2)
         codes = {name: each.refused.code for name, each in said.items() if each.refused}
         assert codes == {"gantry": "not-armed", "stage": "no-answer"}
         refused = said["stage"].refused
@@ -184,7 +184,7 @@ def test_an_answer_missing_from_a_host_is_a_refusal_that_names_the_member(monkey
         said = await asks.request_all("nothing", commits, Reply, 0.2)
         assert {each.refused.code for each in said.values() if each.refused} == {"bad-request"}
         fleet.kill("host/local")
-        said = await asks.request_all("commit", commits, Reply, 0.2)
+        said = await asks.request_all("commit", commits, CommittedReply, 0.2)
         codes = {name: each.refused.code for name, each in said.items() if each.refused}
         assert codes == {"gantry": "absent", "stage": "absent"}
 

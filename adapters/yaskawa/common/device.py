@@ -16,7 +16,7 @@ from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     EDGE_THREAD,
     OUTPUT_PASSIVE,
-    STEP_THREAD,
+    STEP_THREADS,
     VARIABLES,
     WATCHDOG_THREAD,
     axis_letters,
@@ -194,8 +194,7 @@ class SmcDevice:
                 raise ControllerFault(
                     "program-differs", "the program read back is not the one that was sent", "check the link; try again"
                 )
-        for name in VARIABLES:
-            await session.send_command(f"{name}=0")
+        await session.send_settings(f"{name}=0" for name in VARIABLES)
         await arrays.free_arrays(session)
 
     @property
@@ -209,7 +208,7 @@ class SmcDevice:
 
     async def unload_program(self) -> None:
         """Halt the resident program and leave contour mode: nothing starts, now or later."""
-        threads = (STEP_THREAD, WATCHDOG_THREAD, EDGE_THREAD)
+        threads = (*STEP_THREADS, WATCHDOG_THREAD, EDGE_THREAD)
         # Outside contour mode, or without a driven trigger line, the controller refuses the respective command.
         with suppress(SmcCommandRefused):
             await self.session.send_settings((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, OUTPUT_PASSIVE))
@@ -251,6 +250,11 @@ class SmcDevice:
         if self._format is None:
             raise LinkClosed("the controller is not connected")
         return self._format
+
+    @property
+    def axes_count(self) -> int:
+        """The number of axes of the controller; 0 until it was connected once."""
+        return 0 if self._format is None else self._format.axes
 
     async def read_record(self) -> DataRecord:
         """Return the whole changing state in one exchange; it also updates the clock estimate."""
@@ -397,8 +401,8 @@ def stop_commands(*, abort: bool) -> tuple[str, ...]:
     Motion first, then the program, and motion again: the program may have begun a motion in between. ST without letters
     stops all axes and sequences (L10119) and may halt programs too; AB aborts motion and program at once (L2191).
     """
-    halt = (f"HX{STEP_THREAD}", f"HX{WATCHDOG_THREAD}")
-    after = (*LEAVE_CONTOUR, f"HX{EDGE_THREAD}", OUTPUT_PASSIVE)
+    steps = tuple(f"HX{thread}" for thread in STEP_THREADS)
+    after = (f"HX{WATCHDOG_THREAD}", *LEAVE_CONTOUR, f"HX{EDGE_THREAD}", OUTPUT_PASSIVE)
     if abort:
-        return ("AB", *halt, *after)
-    return ("ST", halt[0], "ST", halt[1], *after)
+        return ("AB", *steps, *after)
+    return ("ST", *steps, "ST", *after)

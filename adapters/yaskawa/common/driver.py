@@ -4,12 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Generic, Literal, TypeVar
 
-from adapters.contract import ControllerIdentity, DriverSetup, JogMove, SettingDifference
+from adapters.contract import ControllerIdentity, DriverSetup, JogMove, Lowered, SettingDifference
 from adapters.toolkit.connection import MoverDriver
+from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common import homing
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.dialect import send_raw
 from adapters.yaskawa.common.jogging import YaskawaJogging
+from adapters.yaskawa.common.lowering import YaskawaLowered
 from adapters.yaskawa.common.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
 from adapters.yaskawa.common.settings import load_soft_limits
 from adapters.yaskawa.common.start import SampleStart
@@ -106,6 +108,27 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
     @property
     def mover(self) -> SampleStart:
         return self._start
+
+    async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        if not isinstance(lowered, YaskawaLowered):
+            raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
+        with log_refusals(self._log, "arming"):
+            async with self._device.exclusive_turn():
+                return await self._start.load_next(lowered, t0_ns, mapping)
+
+    async def verify_next(self) -> None:
+        with log_refusals(self._log, "the check before the commit"):
+            await self._start.verify_next()
+
+    async def release_next(self, advance_ns: int = 0) -> None:
+        with log_refusals(self._log, "the start"):
+            await self._start.release_next(advance_ns)
+
+    async def unload_next(self) -> None:
+        await self._start.unload_next()
+
+    def take_next(self) -> None:
+        self._start.take_next()
 
     async def stop(self, *, abort: bool) -> None:
         self._device.stop_all(abort=abort)

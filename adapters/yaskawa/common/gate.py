@@ -8,9 +8,18 @@ from dataclasses import dataclass
 from math import ceil
 
 from adapters.yaskawa.common.options import YaskawaOptions
+from adapters.yaskawa.common.program_turns import (
+    BEGIN_TICKS,
+    FOLLOWING_COMMANDS,
+    FOLLOWING_STEP_TICKS,
+    RELEASED_COMMANDS,
+    SHORT_CHECK_AXES,
+    SPARE_TICKS,
+    STAMP_COMMANDS,
+    STEP_TICKS,
+)
 from orchestrator.clock.base import NS_PER_US
 
-STEP_TICKS = 4  # between two checks
 COMMAND_US = 500  # about half a millisecond (SMC-4000: L1626); no gate assumes less
 ROOM, SEEN, SOON, RELEASE = 16, 11, 3, 15  # commands
 
@@ -24,6 +33,8 @@ class GateTiming:
     usual_delay: typical delay until then (the wait, the jump, and the line after it).
     decided_before: before the start; a release at the last moment is still noticed, and the wait is reached in time.
     release_before: before the start; the latest time at which the release must be sent.
+    follow_before: the same for a step that follows another one, once that has ended.
+    command_ns: duration of a command.
     """
 
     wait_after_gate: int
@@ -31,6 +42,8 @@ class GateTiming:
     longest_delay: int
     decided_before: int
     release_before: int
+    follow_before: int
+    command_ns: int
 
     @classmethod
     def for_options(cls, options: YaskawaOptions, interleaved: int = 0) -> "GateTiming":
@@ -44,4 +57,12 @@ class GateTiming:
 
         room, seen = to_ticks(ROOM), STEP_TICKS + to_ticks(SEEN)
         decided = room + seen + to_ticks(interleaved)
-        return cls(room, STEP_TICKS + to_ticks(SOON), seen, decided, decided + to_ticks(RELEASE))
+        follow = FOLLOWING_STEP_TICKS + to_ticks(RELEASED_COMMANDS + RELEASED_COMMANDS // 2) + BEGIN_TICKS
+        release = decided + to_ticks(RELEASE)
+        return cls(room, STEP_TICKS + to_ticks(SOON), seen, decided, release, follow, command_ns)
+
+    def gap_ticks(self, moved: int, axes: int, tick_ns: float) -> int:
+        """Return how many samples after the end of a step that moved `moved` of `axes` axes another one can begin that
+        follows it."""
+        commands = FOLLOWING_COMMANDS + (axes > SHORT_CHECK_AXES) + STAMP_COMMANDS * moved
+        return 1 + ceil(commands * self.command_ns / tick_ns) + BEGIN_TICKS + SPARE_TICKS

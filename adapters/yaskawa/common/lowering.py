@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from adapters.contract import Lowered, require_start_class
 from adapters.yaskawa.common import arrays, lines
 from adapters.yaskawa.common.contour import Contour, ContourLimits, axis_increments, fit_contour, least_interval
+from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT, ModelTraits
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array_name, axis_letters, entry_label
@@ -143,7 +144,8 @@ def format_fields(values: Mapping[int, int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LoweringContext:
-    """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded."""
+    """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded. gate:
+    the timing of its program; None for one that cannot hold a following step. axes: of the controller."""
 
     config: Controller
     motors: Mapping[str, int]
@@ -151,6 +153,8 @@ class LoweringContext:
     costs: StepCosts
     model: ModelTraits = SMC4000
     packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER
+    gate: GateTiming | None = None
+    axes: int = 0
 
 
 def lower_moves(
@@ -399,6 +403,11 @@ def _make_lowered(
     waits = None if start.wait is None else lines.resolve_wait_input(config, start.wait)
     drives = None if start.drive is None else lines.resolve_driven_output(config, start.drive, tick_ns)
     contour = isinstance(load, ContourLoad)
+    gap_ns, disarm_ns = None, costs.disarm_ns
+    if start.follows and context.gate is not None and not contour and waits is None and drives is None:
+        # T0 of both steps is rounded to a sample.
+        gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
+        disarm_ns = math.ceil(context.gate.follow_before * tick_ns)
     begin = f"CD of {axis_letters(mask)}" if contour else f"BG{axis_letters(mask)}"
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",
@@ -412,11 +421,13 @@ def _make_lowered(
         clock_ppm=mapping.drift_ppm,
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
         can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
+        gap_ns=gap_ns,
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
                 # Uploads of controllers on one line add up.
                 "interleaved": costs.interleaved and not loading_ns,
+                "disarm_ns": disarm_ns,
                 "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
             }
         ),

@@ -12,6 +12,11 @@ that the whole length of a record is available for it. `#DOG`, the watchdog, run
 start of a step to its end: it stops the axes when the deadline XDL has not been extended in time, or when the program
 has died.
 
+A step that follows the present one (`#F<mask>`) waits in the other of two threads: for the end of the present one, then
+at its own release, with its registers loaded; and begins at its sample if all axes are where the present one was to end
+(`@ABS` of the differences, so that a limit switch or a stop leaves it waiting for ever). Only after its begin are the
+variables of the present step kept in XZ.. and those of the following one put in their place.
+
 Names begin with X, which begins no op-code, so that no assignment can be mistaken for a command (L15737).
 
     XT0    sample after which to begin      XGO    1: the gate is open
@@ -22,17 +27,32 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XDL    sample of the watchdog deadline  XDOG   1: the watchdog has fired
     XN     records of full length           XM     all records
     XDT    DT of the full ones              XI     next record
+    XFT    XT0 of the following step        XFGO   1: it is released
+    XFARM  XFT, once it waits               XFL    1: it was not started
+    XFA    its XACT                         XOFF   counts that axes are off the end of the present step
+    XP1..4 its targets                      XS1..4 its speeds
+    XU1..4 its accelerations                XW1..4 its decelerations
+    XB1..4 where it begins, of all axes     XZT, XZA, XZ1..4  XT0, XACT, XE1..4 of the step before
     XLI    input to begin by, as AI takes it; 0: by XT0
     XLO    output to drive at XT0           XLV    its active level
     XLH    samples until it is passive again
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
-from adapters.yaskawa.common.gate import STEP_TICKS, GateTiming
+from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.common.program_turns import (
+    BEGIN_TICKS,
+    FOLLOWING_STEP_TICKS,
+    LAST_LOOK_TICKS,
+    SHORT_CHECK_AXES,
+    STEP_TICKS,
+)
 from adapters.yaskawa.common.record import AXIS_LETTERS
 
 STEP_THREAD = 0
 WATCHDOG_THREAD = 1
+SECOND_STEP_THREAD = 2  # a step that follows another one runs in the thread that the other one does not use
+STEP_THREADS = (STEP_THREAD, SECOND_STEP_THREAD)
 EDGE_THREAD = 3
 WATCHDOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # one round per record: WC, CD, count, jump
@@ -41,9 +61,13 @@ TAIL_LENGTH = 8  # a tail has at most one record of each length below the full o
 LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
 OUTPUT_PASSIVE = "OB XLO,1-XLV"  # of the trigger line; XLO is 0, and this command refused, while no line is driven
 CONTOUR_VARIABLES = ("XN", "XM", "XDT", "XI")
+REGISTER_VARIABLES = {"PA": "XP", "SP": "XS", "AC": "XU", "DC": "XW"}
+BEGIN_VARIABLE = "XB"
+FOLLOWING_VARIABLES = ("XFT", "XFGO", "XFARM", "XFL", "XFA", "XFOK", "XOFF", "XZT", "XZA")
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
-    *("XDL", "XDOG", *LINE_VARIABLES, *CONTOUR_VARIABLES),
+    *("XDL", "XDOG", *LINE_VARIABLES, *CONTOUR_VARIABLES, *FOLLOWING_VARIABLES),
+    *(f"{name}{number}" for name in (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ") for number in range(1, 5)),
 )
 TAIL = "XTD"
 
@@ -58,6 +82,11 @@ def entry_label(mask: int, *, contour: bool) -> str:
     return f"#{'C' if contour else 'S'}{mask}"
 
 
+def following_label(mask: int) -> str:
+    """Return the label of the axes of `mask` as a step that follows another one."""
+    return f"#F{mask}"
+
+
 def axis_letters(mask: int) -> str:
     """Return the axes of `mask` in the controller's notation."""
     return "".join(letter for index, letter in enumerate(AXIS_LETTERS) if mask >> index & 1)
@@ -70,11 +99,15 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         moving = axis_letters(mask)
         begin = (f"BG{moving};" if moving else "") + "XACT=TIME"
         lines += [entry_label(mask, contour=False), *_gate_lines(), f"JP #L{mask},XLI<>0", f"WT XT0-TIME;{begin}"]
-        lines.append(f"#A{mask};XQ #DOG,{WATCHDOG_THREAD}")
+        # The watchdog of the step before may still run.
+        lines.append(f"#A{mask};HX{WATCHDOG_THREAD};XQ #DOG,{WATCHDOG_THREAD}")
         lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in moving]
         lines += ["XDONE=1;EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
+    for mask in range(1, 1 << axes):
+        lines += following_lines(mask, axes)
     for mask in range(1, 1 << axes) if contours else ():
         lines += contour_lines(mask, axes)
+    halts = ";".join(f"HX{thread}" for thread in STEP_THREADS)
     lines += [
         *edge_lines(),
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
@@ -82,12 +115,49 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         f"XOK=XGO&((XT0-TIME)>{gate.wait_after_gate})",
         "XLATE=1-XOK;EN",
         "#SHUT;EN",
-        f"#DOG;WT {WATCHDOG_STEP_TICKS};JP #DOG,(TIME<XDL)&(_HX{STEP_THREAD}>0)",
+        *take_lines(axes),
+        f"#DOG;WT {WATCHDOG_STEP_TICKS};JP #DOG,(TIME<XDL)&((_HX{STEP_THREAD}+_HX{SECOND_STEP_THREAD})>0)",
         "JP #SHUT,XDONE=1",
         # The program first, or it would begin the contour again.
-        f"HX{STEP_THREAD};ST{axis_letters((1 << axes) - 1)};XDOG=1;DT 0;CD 0;EN",
+        f"{halts};ST{axis_letters((1 << axes) - 1)};XDOG=1;DT 0;CD 0;EN",
     ]
     return tuple(lines)
+
+
+def following_lines(mask: int, axes: int) -> list[str]:
+    """Return the lines of the axes of `mask` as a step that follows another one. It is the last command before the wait
+    that decides, so that a turn that takes too long ends without a start."""
+    chosen = [index for index in range(axes) if mask >> index & 1]
+    letters, everything = axis_letters(mask), axis_letters((1 << axes) - 1)
+    registers = ";".join(
+        f"{command} " + ",".join(f"{name}{k + 1}" if k in chosen else "" for k in range(chosen[-1] + 1))
+        for command, name in REGISTER_VARIABLES.items()
+    )
+    off = "+".join(f"@ABS[_RP{AXIS_LETTERS[k]}-{BEGIN_VARIABLE}{k + 1}]" for k in range(axes))
+    separate = axes > SHORT_CHECK_AXES
+    checked = "XOFF=0" if separate else f"({off})=0"
+    return [
+        f"{following_label(mask)};XFARM=XFT",
+        f"#G{mask};WT {FOLLOWING_STEP_TICKS};JP #G{mask},(XACT=0)&((XFT-TIME)>{LAST_LOOK_TICKS})",
+        f"AM{everything}",
+        registers,
+        f"#H{mask};JP #R{mask},XFGO=1;WT {FOLLOWING_STEP_TICKS};JP #H{mask},(XFT-TIME)>{LAST_LOOK_TICKS}",
+        f"#R{mask}" + (f";XOFF={off}" if separate else ""),
+        f"XFOK=XFGO&XDONE&({checked})&((XFT-TIME)>{BEGIN_TICKS})",
+        f"JP #MISS,XFOK=0;WT XFT-TIME;BG{letters};XFA=TIME",
+        f"JS #TAKE;JP #A{mask}",
+    ]
+
+
+def take_lines(axes: int) -> list[str]:
+    """Return the lines that put the following step in the place of the present one, after its begin. XT0 is last: what
+    it stands for is complete whenever it is read."""
+    kept = ";".join(["XZA=XACT", *(f"XZ{k + 1}=XE{k + 1}" for k in range(axes)), "XZT=XT0"])
+    return [
+        f"#TAKE;{kept}",
+        "XDONE=0;XACT=XFA;XLI=0;XLATE=0;XARM=XFT;XT0=XFT;EN",
+        "#MISS;XFL=1;EN",
+    ]
 
 
 def _gate_lines() -> tuple[str, str]:

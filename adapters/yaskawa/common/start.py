@@ -6,13 +6,18 @@ from dataclasses import dataclass
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.lowering import ContourLoad, YaskawaAxisMove, YaskawaLowered, format_fields
+from adapters.yaskawa.common.lowering import ContourLoad, RegisterLoad, YaskawaAxisMove, YaskawaLowered, format_fields
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
+    BEGIN_VARIABLE,
     EDGE_THREAD,
+    REGISTER_VARIABLES,
+    SECOND_STEP_THREAD,
     STEP_THREAD,
+    STEP_THREADS,
     WATCHDOG_THREAD,
     entry_label,
+    following_label,
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord
 from adapters.yaskawa.common.words import stop_code_meaning
@@ -26,21 +31,32 @@ WATCH_NS = 100 * NS_PER_MS
 # controllers on one line of 19,200 baud whose watchdogs can be extended within half of the watchdog time
 WATCHDOG_SHARED_MOST = 3
 SETTLE_NS = 5 * NS_PER_MS
+LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then its variables are in their place
 
 
 @dataclass(slots=True)
 class _LoadedMove:
-    """The loaded move. ticks: XT0. started: by axis, once known."""
+    """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
+    another one. released: it starts by itself. taken: its variables are those of the present step."""
 
     lowered: YaskawaLowered
     ticks: int
     t0_ns: int
     mapping: TickMapping
     started: dict[str, HostInterval]
+    thread: int = STEP_THREAD
+    follows: bool = False
+    released: bool = False
+    taken: bool = True
+
+    @property
+    def end_ticks(self) -> int:
+        """The sample in which its last axis ends."""
+        return self.ticks + max((move.samples for move in self.lowered.moves), default=0)
 
 
 class SampleStart:
-    """The single move that the resident program can execute."""
+    """The move that the resident program executes, and one that follows it."""
 
     LATE_TICKS = 4
     """Of a contour's stamps: two commands separate the last record from its stamp."""
@@ -50,6 +66,7 @@ class SampleStart:
         self._clock = clock
         self._options = options
         self._loaded: _LoadedMove | None = None
+        self._next: _LoadedMove | None = None
 
     # Before T0
 
@@ -147,6 +164,9 @@ class SampleStart:
     async def verify_armed(self) -> None:
         """Wait, before the commit, until the program is at its gate."""
         loaded, asked = self._require_loaded(), ("XARM", f"_HX{STEP_THREAD}", "XLATE")
+        if loaded.follows:
+            await self._verify_following(loaded)
+            return
         record, (armed, running, late) = await self._device.read_record_with(*asked)
         self._require_ready(record, loaded.lowered)
         while True:
@@ -169,6 +189,9 @@ class SampleStart:
         """
         del start_tolerance_ns
         loaded, session = self._require_loaded(), self._device.session
+        if loaded.follows:
+            await self._release_following(loaded, advance_ns)
+            return
         sent, asked = ["XGO=1"], ["XOK", "XLATE", f"_HX{STEP_THREAD}"]
         if advance_ns:
             loaded.ticks -= round(advance_ns / loaded.mapping.tick_ns)
@@ -193,22 +216,136 @@ class SampleStart:
 
     async def disarm_move(self) -> None:
         """Ensure that the program starts nothing, now or later."""
-        self._loaded = None
+        self._loaded = self._next = None
         session = self._device.session
         await self._device.unload_program()
-        await session.send_command("XGO=0")
-        (running,), _ = await session.read_numbers(f"_HX{STEP_THREAD}")
-        if running:
+        await session.send_settings(("XGO=0", "XFGO=0"))
+        running, _ = await session.read_numbers(*(f"_HX{thread}" for thread in STEP_THREADS))
+        if any(running):
             raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
 
     def drop_move(self) -> None:
-        """Drop the loaded move: the controller no longer has it."""
-        self._loaded = None
+        """Drop the loaded moves: the controller no longer has them."""
+        self._loaded = self._next = None
 
     def _require_loaded(self) -> _LoadedMove:
         if self._loaded is None:
             raise Refusal("not-armed", "no move is loaded", "arm it first")
         return self._loaded
+
+    # A move behind the present one
+
+    async def load_next(self, lowered: YaskawaLowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load the registers of the following move into variables, read them back, and start its program, which waits
+        for the end of the present move. Raises `Refusal`."""
+        if mapping is None:
+            raise Refusal("no-clock", "the controller's clock is not known yet", "wait a second")
+        present, load, began_ns = self._require_loaded(), lowered.load, self._clock.now_ns()
+        if not isinstance(load, RegisterLoad) or isinstance(present.lowered.load, ContourLoad):
+            raise Refusal("no-room", "the program holds one contour at a time", "")
+        first, _ = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
+        ticks = round(mapping.to_ticks(t0_ns)) - first
+        if ticks > TICKS_MAX:
+            raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
+        if ticks - present.end_ticks < self._gap_ticks(present):
+            raise Refusal("late", "the step begins too soon after the one before it", "increase the lead time")
+        await self._wait_until_taken(present)
+        positions = await self._end_positions(present)
+        for move in lowered.moves:
+            if positions[move.index] != move.start:
+                text = f"axis {move.axis} ends at {positions[move.index]} counts; the plan starts at {move.start}"
+                raise Refusal("other-start", text, "plan again from the present position")
+        wanted = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
+        wanted |= {f"{BEGIN_VARIABLE}{index + 1}": at for index, at in enumerate(positions)}
+        for command, values in {"PA": load.ends, **load.register_values}.items():
+            wanted |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
+        following = _LoadedMove(
+            lowered, ticks, t0_ns, mapping, {}, thread=_other_thread(present.thread), follows=True, taken=False
+        )
+        self._next = following
+        held = await self._device.session.set_and_read(
+            [f"{name}={value}" for name, value in wanted.items()],
+            list(wanted),
+            f"XQ {following_label(lowered.mask)},{following.thread}",
+        )
+        for (name, value), found in zip(wanted.items(), held, strict=True):
+            if found != value and name != "XFARM":
+                raise Refusal("read-back", f"{name} reads back as {found:.0f}, not {value}", "try again")
+        return {"wire": self._clock.now_ns() - began_ns}
+
+    def _gap_ticks(self, move: _LoadedMove) -> int:
+        axes, moved = self._device.record_format.axes, len(move.lowered.moving_axes)
+        return self._device.gate.gap_ticks(moved, axes, move.mapping.tick_ns)
+
+    async def _wait_until_taken(self, present: _LoadedMove) -> None:
+        """Wait until the program no longer uses the variables of the following move for the present one."""
+        until_ns = present.t0_ns + EVIDENCE_WAIT_NS
+        while not present.taken:
+            (ticks,), _ = await self._device.session.read_numbers("XT0")
+            present.taken = int(ticks) == present.ticks
+            if not present.taken:
+                if self._clock.now_ns() > until_ns:
+                    raise Refusal("not-begun", "the present step has not begun", "")
+                await sleep_ns(self._clock, SETTLE_NS)
+
+    async def _end_positions(self, present: _LoadedMove) -> list[int]:
+        """Return where each axis is when the present move has ended, counts."""
+        record = await self._device.read_record()
+        positions = [axis.commanded for axis in record.axes]
+        for move in present.lowered.moves:
+            positions[move.index] = move.end
+        return positions
+
+    async def verify_next(self) -> None:
+        """Check, before the commit, that the following move waits. Raises `Refusal`."""
+        await self._verify_following(self._require_next())
+
+    async def _verify_following(self, following: _LoadedMove) -> None:
+        (armed, running, missed), _ = await self._device.session.read_numbers("XFARM", f"_HX{following.thread}", "XFL")
+        if missed or self._clock.now_ns() > following.t0_ns:
+            raise Refusal("late", "the step before has not ended in time", "increase the lead time")
+        if not running or int(armed) != following.ticks:
+            raise Refusal("not-armed", "the controller does not wait for this start", "arm it again")
+
+    async def release_next(self, advance_ns: int) -> None:
+        """Release the following move; its program begins it at its sample if the present one has ended as planned."""
+        await self._release_following(self._require_next(), advance_ns)
+
+    async def _release_following(self, following: _LoadedMove, advance_ns: int) -> None:
+        session, sent = self._device.session, list[str]()
+        if advance_ns:
+            following.ticks -= round(advance_ns / following.mapping.tick_ns)
+            following.t0_ns -= advance_ns
+            sent = [f"XFT={following.ticks}", f"XFARM={following.ticks}"]
+        if following.mapping.to_ticks(self._clock.now_ns()) > following.ticks - self._device.gate.follow_before:
+            raise Refusal("late", "it is too late to release the start", "increase the lead time")
+        await session.send_settings([*sent, self._watchdog_command(following.ticks), "XFGO=1"])
+        (ticks, released, missed, running), _ = await session.read_numbers(
+            "XFT", "XFGO", "XFL", f"_HX{following.thread}"
+        )
+        if missed or not running:
+            raise Refusal("late", "the controller no longer waits for this start", "increase the lead time")
+        if int(ticks) != following.ticks or not released:
+            raise Refusal("read-back", f"XFT reads back as {ticks:.0f}, not {following.ticks}", "try again")
+        following.released = True
+
+    async def unload_next(self) -> None:
+        """Unload the following move; the present one continues."""
+        following, self._next = self._next, None
+        if following is not None:
+            await self._device.session.send_settings(("XFGO=0", f"HX{following.thread}"))
+            (running,), _ = await self._device.session.read_numbers(f"_HX{following.thread}")
+            if running:
+                raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
+
+    def take_next(self) -> None:
+        """The present move has ended: the following one is the present one."""
+        self._loaded, self._next = self._require_next(), None
+
+    def _require_next(self) -> _LoadedMove:
+        if self._next is None:
+            raise Refusal("not-armed", "no move is loaded behind the present one", "arm it first")
+        return self._next
 
     # After T0
 
@@ -227,8 +364,11 @@ class SampleStart:
         await sleep_until_ns(
             self._clock, mapping.to_host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns)
         )
+        asked = ("XACT", "XFL" if loaded.follows else "XLATE", f"_HX{loaded.thread}", "XT0")
         while True:
-            (acted, late, running), _ = await self._device.session.read_numbers("XACT", "XLATE", f"_HX{STEP_THREAD}")
+            (acted, late, running, ticks), _ = await self._device.session.read_numbers(*asked)
+            if int(ticks) != loaded.ticks:
+                acted = 0  # of the step before: this one has not taken its place yet
             if late:
                 raise ControllerFault("late", "the gate was shut before the release came; nothing started", "try again")
             if acted:
@@ -238,6 +378,7 @@ class SampleStart:
                 text = f"the controller did not start; its last error: {words}"
                 raise ControllerFault("not-started", text, "try again")
             await sleep_ns(self._clock, SETTLE_NS)
+        loaded.taken = True
         bound_ns = mapping.bound_at_ns(loaded.t0_ns)
         not_before = int(acted) - 1 if waits is not None else max(int(acted) - 1, loaded.ticks)
         span = HostInterval(mapping.to_host_ns(not_before) - bound_ns, mapping.to_host_ns(int(acted) + 1) + bound_ns)
@@ -253,7 +394,9 @@ class SampleStart:
         planned_ns = {axis: loaded.t0_ns + round(s * 1e9) for axis, s in loaded.lowered.durations_s.items()}
         stopped = False
         while True:
-            record = await self._device.read_record()
+            record, present_ticks = await self._read_present()
+            if present_ticks not in (None, loaded.ticks):
+                return await self._followed_outcome(loaded)
             for move in moves:
                 if record.axes[move.index].is_moving:
                     seen_ns[move.axis] = record.sent_ns
@@ -262,10 +405,12 @@ class SampleStart:
             if len(ended) == len(moves):
                 break
             ticks = round((self._device.samples.current_mapping() or loaded.mapping).to_ticks(record.received_ns))
-            await self._device.session.send_command(self._watchdog_command(ticks))
+            await self._device.session.send_command(self._watchdog_command(max(ticks, self._released_ticks())))
             # Poll again soon after the next planned end: the stamps record only the last end.
             left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
             watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not stopped else SETTLE_NS
+            if not stopped:
+                watch_ns = self._spare_turn(watch_ns)
             stopped = await self._device.sleep_to_stop(watch_ns) or stopped
         reasons = {move.axis: self._end_reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
@@ -277,6 +422,42 @@ class SampleStart:
         if watchdog_fired:
             text += "; by its own watchdog: the adapter did not extend its deadline, or its program had failed"
         return MoveOutcome("fault" if "fault" in states else "stopped", ended, text)
+
+    def _spare_turn(self, watch_ns: int) -> int:
+        """Return how long to wait before the next query: queries take time from the program between a move and the one
+        that follows it."""
+        following, at_ns = self._next, self._clock.now_ns() + watch_ns
+        if following is None or not following.released:
+            return watch_ns
+        tick_ns = following.mapping.tick_ns
+        gap_ns = self._gap_ticks(following) * tick_ns
+        late_ns = following.t0_ns + round(LATE_LOOK_TICKS * tick_ns)
+        return late_ns - self._clock.now_ns() if following.t0_ns - gap_ns < at_ns < late_ns else watch_ns
+
+    async def _read_present(self) -> tuple[DataRecord, int | None]:
+        """Return a record and, if a move is loaded behind the present one, XT0 of the step that is executed."""
+        if self._next is None:
+            return await self._device.read_record(), None
+        record, (ticks,) = await self._device.read_record_with("XT0")
+        return record, int(ticks)
+
+    def _released_ticks(self) -> int:
+        """The sample for which a following move is loaded; 0 without one."""
+        return 0 if self._next is None else self._next.ticks
+
+    async def _followed_outcome(self, loaded: _LoadedMove) -> MoveOutcome:
+        """Return how a move ended behind which another one has begun: at its target, or that one had not begun."""
+        way, mapping = loaded.lowered.moving_axes, self._device.samples.current_mapping() or loaded.mapping
+        ticks, *values = await self._device.session.read_many(["XZT", *(f"XZ{move.index + 1}" for move in way)])
+        if int(ticks) != loaded.ticks:
+            return MoveOutcome("fault", {}, "the controller has begun another step; its stamps are lost")
+        ended = {move.axis: loaded.started[move.axis] for move in loaded.lowered.moves}
+        for move, value in zip(way, values, strict=True):
+            begun_ns = loaded.started[move.axis].earliest_ns
+            by_ns = mapping.to_host_ns(int(value) + 1)
+            not_before_ns = begun_ns + round((move.samples - 1) * mapping.tick_ns)
+            ended[move.axis] = HostInterval(not_before_ns, by_ns + mapping.bound_at_ns(by_ns))
+        return MoveOutcome("done", ended)
 
     def _end_reason(self, move: YaskawaAxisMove, record: DataRecord) -> tuple[str, str]:
         if not move.samples:
@@ -302,7 +483,10 @@ class SampleStart:
         asked = names if contour is None else [names[0], "XACT"]
         until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
         while True:
-            (done, *values), _ = await self._device.session.read_numbers("XDONE", *asked)
+            (done, ticks, *values) = await self._device.session.read_many(["XDONE", "XT0", *asked])
+            if int(ticks) != loaded.ticks:
+                ended.update((await self._followed_outcome(loaded)).ended)
+                return ""
             if done:
                 break
             if self._clock.now_ns() > until_ns:
@@ -330,6 +514,11 @@ class SampleStart:
                 "controller's option decode_us to the real duration of a command in its programs"
             )
         return ""
+
+
+def _other_thread(thread: int) -> int:
+    """Return the thread that runs the step behind one in `thread`."""
+    return SECOND_STEP_THREAD if thread == STEP_THREAD else STEP_THREAD
 
 
 def _wait_input_number(lowered: YaskawaLowered) -> int:

@@ -12,7 +12,7 @@ all when one is off.
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 
-from adapters.yaskawa.common.gate import STEP_TICKS, GateTiming
+from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import (
     CONTOUR_VARIABLES,
@@ -26,6 +26,7 @@ from adapters.yaskawa.common.program import (
     edge_lines,
     entry_label,
 )
+from adapters.yaskawa.common.program_turns import STEP_TICKS
 from adapters.yaskawa.smc2000.session import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048

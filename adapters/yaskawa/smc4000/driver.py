@@ -166,7 +166,15 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Lowered:
         costs = self._capabilities.costs
-        context = LoweringContext(self._config, self._motors, self._options, costs, self.traits)
+        context = LoweringContext(
+            self._config,
+            self._motors,
+            self._options,
+            costs,
+            self.traits,
+            gate=self._device.gate,
+            axes=self._device.axes_count,
+        )
         return lower_moves(context, profiles, start, mapping)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:

@@ -44,6 +44,12 @@ def _list_ends(document: Document) -> list[str]:
     ]
 
 
+def _list_chain_breaks(document: Document) -> list[str]:
+    from orchestrator.bench.steps import list_breaks
+
+    return list_breaks(document["rows"])
+
+
 LIVE_BENCHMARKS = (
     Benchmark(
         "dispatch",
@@ -214,6 +220,42 @@ LIVE_BENCHMARKS = (
                     "noise": "process wake-up delay",
                 },
             ),
+        ),
+    ),
+    Benchmark(
+        "steps",
+        """Measure the time from the end of one step to the start of the next, beside a script with a socket per
+        controller.
+
+        In virtual time, judged by the simulators' ground truth, and live with 100 steps a fleet, which takes two
+        minutes. The script sends the same moves to the same simulated controllers one after the other: send, begin,
+        query until all rest.
+        """,
+        "tutti bench steps --json",
+        (
+            BenchOption("steps", "int", "Steps of a fleet.", 100, 10, 100_000),
+            BenchOption("virtual-only", "flag", "Only in virtual time.", default=False),
+        ),
+        runs.run_steps,
+        (
+            BenchTable(
+                "rows",
+                (
+                    BenchColumn("end to start, ms", "fleet"),
+                    BenchColumn("virtual p50>", "gap_ms", ".1f"),
+                    BenchColumn("target>", "asked_ms", ".0f"),
+                    BenchColumn("met", "met"),
+                    BenchColumn("chained>", lambda row: f"{row.chained} of {row.could}"),
+                    BenchColumn("script p50>", "naive_ms", ".1f"),
+                    BenchColumn("live p50>", "live_gap_ms", ".1f"),
+                    BenchColumn(
+                        "live chained>",
+                        lambda row: None if row.live_chained is None else f"{row.live_chained} of {row.could}",
+                    ),
+                    BenchColumn("live met", "live_met"),
+                ),
+            ),
+            BenchNote(_list_chain_breaks),
         ),
     ),
 )

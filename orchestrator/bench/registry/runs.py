@@ -59,6 +59,16 @@ def run_plan(_: ShowProgress, rounds: int) -> Fields:
     return {"rows": bench_plan(3, rounds), "trapezoid_rows": bench_plan(2, rounds), "rounds": rounds}
 
 
+def run_steps(show_progress: ShowProgress, steps: int, *, virtual_only: bool) -> Fields:
+    from orchestrator.bench.steps import bench_steps
+
+    def measure(folder: Path) -> Coroutine[Any, Any, list[Any]]:
+        return bench_steps(steps, None if virtual_only else folder, show_progress)
+
+    rows = _measure_live(measure)
+    return {"steps": steps, "rows": rows}
+
+
 def run_virtual(_: ShowProgress, hours: float) -> Fields:
     from orchestrator.bench.virtual import bench_virtual
 

@@ -14,6 +14,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
+from orchestrator.coordinator.jobs.look_ahead import ChainBreak, find_next_motion
 from orchestrator.coordinator.jobs.point_readings import PointReadings
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.report_collector import ReportCollector
@@ -22,15 +23,26 @@ from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.motion.ahead import StepAhead
 from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.report import measure_gap_s
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
-from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
-from orchestrator.model.report import FeedHold, JobProgress, JobReport, JobState, JobTransition, PointRecord, StepReport
+from orchestrator.model.report import (
+    FeedHold,
+    JobProgress,
+    JobReport,
+    JobState,
+    JobTransition,
+    PointRecord,
+    StepChain,
+    StepReport,
+)
 from orchestrator.model.scans.step_order import StepOrder
 
 PROGRESS_NS = NS_PER_S // 5
@@ -106,6 +118,13 @@ class JobRun:
         self.task: asyncio.Task[JobOutcome] | None = None
         self._services = services
         self._motion_step: MotionStep | None = None
+        self._ahead: StepAhead | None = None
+        self._after_next: StepAhead | None = None
+        """The step behind the one ahead, which is planned already."""
+        self._chain_breaks: dict[int | None, str] = {}
+        """Why motion steps begin from rest, by number."""
+        self._chained: int | None = None
+        """The last step that began behind the one before it."""
         self._interrupt: JobInterrupted | None = None
         self._given_up: JobInterrupted | None = None
         self._noted = False
@@ -164,6 +183,8 @@ class JobRun:
         """Pause the job after its current step. It keeps its axes."""
         self._paused_by = actor
         self._resumed.clear()
+        if self._ahead is not None:
+            self._ahead.prevent_release("the job was paused")
         self.publish_progress()
 
     async def feed_hold(self, actor: str) -> None:
@@ -172,6 +193,8 @@ class JobRun:
         self._braked = True
         if self._motion_step is not None:
             await self._motion_step.feed_hold(actor)
+        if self._ahead is not None:
+            await self._ahead.feed_hold(actor)
 
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
@@ -186,6 +209,10 @@ class JobRun:
 
     async def _wait_while_paused(self) -> None:
         """Wait until the job is resumed, if it is paused. Raises `Interrupted` when it is ended."""
+        if self._paused_by is not None and self._ahead is not None:
+            if self._ahead.is_decided and not self._braked:
+                return  # it was too late to pause before that step
+            await self._drop_ahead("the job is paused")
         while self._paused_by is not None:
             self._seen_ns = None
             first = self._step == self.row.from_step
@@ -249,6 +276,7 @@ class JobRun:
                 self._reports.begin_step(place)
                 report = await self._run_step_with_pauses(index, step)
                 self._seen_ns = None
+                report = self._note_chain(report)
                 await self._reports.add_report(place, report, self._steps.find_target(place))
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
@@ -274,19 +302,26 @@ class JobRun:
         except Exception as error:
             state, reason = "failed", f"a defect of the coordinator: {error!r}"
             await services.fleet.stop_members(self.members, "decelerate", "coordinator", reason)
+        finally:
+            await self._drop_ahead("its job has ended")
         return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports.reports}))
 
     async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
         holds: list[FeedHold] = []
         if isinstance(step, Move):
-            request = StepRequest(self.row.id, self.job, index, step)
-            self._motion_step = MotionStep(self._services.motion, request)
+            ahead = self._ahead
+            if ahead is not None and ahead.step.request.index == index:
+                self._motion_step = ahead.step
+            else:
+                request = StepRequest(self.row.id, self.job, index, step)
+                self._motion_step = MotionStep(self._services.motion, request)
         try:
             while True:
                 report = await self._run_step(index, step)
                 if report.refused is None or report.refused.code != FEED_HOLD:
                     return report.model_copy(update={"feed_holds": holds})
+                await self._drop_ahead("the job is paused")
                 if report.state == "stopped":
                     services, by = self._services, self._paused_by or self._resumed_by
                     holds.append(FeedHold(by=by, utc=services.clock.utc(), rest_skew=report.end_skew))
@@ -302,7 +337,7 @@ class JobRun:
         began_ns = services.clock.now_ns()
         try:
             if self._motion_step is not None:
-                return await self._motion_step.run(_StepCallbacks(self._on_state, self._on_started), self._seen_ns)
+                return await self._run_motion(self._motion_step)
             await self._on_state("running", "")
             await services.plain_steps.run_step(step, self.row.id, self.row.actor, self._on_progress)
         except Refusal as error:
@@ -319,6 +354,69 @@ class JobRun:
         took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
         return StepReport(index=index, do=step.do, name=step.name or "", state="done", actual_s=took_s)
 
+    async def _run_motion(self, step: MotionStep) -> StepReport:
+        """Run a motion step: behind the one before, if it is loaded there; otherwise from rest. Raises `Refusal`."""
+        callbacks = _StepCallbacks(self._on_state, self._on_started)
+        ahead = self._ahead
+        if ahead is not None and ahead.step is step:
+            try:
+                motion = await ahead.wait_until_released()
+            except Refusal as error:
+                self._ahead = None
+                if error.code == FEED_HOLD:
+                    raise
+                self._chain_breaks[step.request.index] = error.text
+            else:
+                self._ahead, self._chained = None, step.request.index
+                return await step.run_released(motion, callbacks)
+        return await step.run(callbacks, self._seen_ns)
+
+    def _look_ahead(self) -> None:
+        """Prepare the next motion step: the present one moves."""
+        motion = None if self._motion_step is None else self._motion_step.motion
+        if motion is None:
+            return
+        self._ahead, self._after_next = self._after_next, None
+        if self._ahead is None:
+            self._ahead = self._prepare_behind(motion)
+        if self._ahead is not None:
+            self._ahead.allow_arming()
+
+    def _plan_after(self, ahead: StepAhead, motion: PlannedMotion) -> None:
+        """Plan the step behind `ahead`, which is released: only its arming waits until that one moves."""
+        if ahead is self._ahead and self._paused_by is None:
+            self._after_next = self._prepare_behind(motion)
+
+    def _prepare_behind(self, motion: PlannedMotion) -> StepAhead | None:
+        """The motion step behind `motion`, being prepared; None where none can follow it."""
+        services = self._services
+        found = find_next_motion(services.view.fleet, self._steps, motion.planned.request.index)
+        if isinstance(found, ChainBreak):
+            self._chain_breaks[found.index] = found.reason
+            return None
+        following = MotionStep(services.motion, StepRequest(self.row.id, self.job, found.index, found.move))
+        return StepAhead(services.motion, following, motion, found.between, self._plan_after)
+
+    async def _drop_ahead(self, reason: str) -> None:
+        """Unload what is prepared behind the present step."""
+        dropped = (self._after_next, self._ahead)
+        self._ahead = self._after_next = None
+        for ahead in dropped:
+            if ahead is not None:
+                self._chain_breaks[ahead.step.request.index] = reason
+                await ahead.withdraw(reason, self.row.actor)
+
+    def _note_chain(self, report: StepReport) -> StepReport:
+        """The report of a motion step with how it followed the motion step before it."""
+        before = self._reports.last_motion
+        if report.t0_fleet_ns is None or before is None:
+            return report
+        reason = self._chain_breaks.get(report.index, "")
+        self._chain_breaks = {at: text for at, text in self._chain_breaks.items() if at is None or at > report.index}
+        gap_s = measure_gap_s(before, report)
+        chain = StepChain(step=before.index, kept=self._chained == report.index, gap_s=gap_s, broken=reason)
+        return report.model_copy(update={"chain": chain})
+
     async def _on_state(self, state: JobState, reason: str) -> None:
         await self._change_state(state, reason)
         if self._braked and state != "planning" and self._motion_step is not None:
@@ -331,6 +429,7 @@ class JobRun:
 
     def _on_started(self, t0_fleet_ns: int, duration_s: float) -> None:
         self._step_t0_ns, self._step_s = t0_fleet_ns, duration_s
+        self._look_ahead()
 
     async def _change_state(self, state: JobState, reason: str, actor: str | None = None) -> None:
         if state == self.state and state != "planning":

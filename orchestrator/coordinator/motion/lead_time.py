@@ -8,7 +8,7 @@ and its duration counts from then on.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from orchestrator.clock.base import NS_PER_MS
 
@@ -19,8 +19,10 @@ GO_FACTOR = 1.25  # the same after the decision, where arming again begins only 
 # Factor on the duration of the promises just made: `go` is one more exchange, but a short disturbance of the machine is
 # usually over by then.
 SLOW_GO_FACTOR = 1.5
+LATE_LOADING_FACTOR = 1.25
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until their durations are known
 MARGIN_PER_MEMBER_NS = 20 * NS_PER_MS  # minimum for each member: one adapter host may have all of them
+ACTING_NS = 60 * NS_PER_MS  # for the outputs between two steps, until their durations are known
 # a lower bound, because later steps may take longer than those measured; a late member is armed again
 MIN_MARGIN_NS = 10 * NS_PER_MS
 
@@ -56,15 +58,44 @@ class LeadTimeEstimator:
 
     def __init__(self) -> None:
         self._shares: dict[str, _DurationHistory] = {}
+        self._behind: dict[str, _DurationHistory] = {}
         self._releases_ns = _DurationHistory()
         self._goes_ns = _DurationHistory()
+        self._acts_ns = _DurationHistory()
         self.last_leads_ns: dict[frozenset[str], int] = {}
+
+    @property
+    def acting_ns(self) -> int:
+        """The time to allow for switching outputs between two steps."""
+        return round(self._acts_ns.allowed_time(ACTING_NS))
+
+    def record_acting(self, took_ns: int) -> None:
+        """Record how long switching outputs between two steps took, without the dwell there."""
+        self._acts_ns.add_duration(took_ns)
 
     def record_arming(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
         """Record an arming. declared_ns: by member; took_ns: from the request to its answer."""
         for member, took in took_ns.items():
             if declared_ns[member] > 0:
                 self._shares.setdefault(member, _DurationHistory()).add_duration(took / declared_ns[member])
+
+    def record_loading(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
+        """Record how long members took to load a step behind the one before, from its planned end."""
+        for member, took in took_ns.items():
+            if declared_ns[member] > 0:
+                self._behind.setdefault(member, _DurationHistory()).add_duration(took / declared_ns[member])
+
+    def record_late_loading(self, members: Iterable[str]) -> None:
+        """Record that members have not loaded a step in time: they get more of it."""
+        for member in members:
+            share = self.loading_share(member)
+            self._behind.setdefault(member, _DurationHistory()).add_duration(LATE_LOADING_FACTOR * share)
+
+    def loading_share(self, member: str) -> float:
+        """The fraction of its declared time that a member needs to load a step behind the one before; at least 1 until
+        it has done so `KNOWN_AFTER` times."""
+        seen = self._behind.get(member)
+        return 1.0 if seen is None else seen.allowed_time(1.0)
 
     def record_release(self, took_ns: int, go_ns: int) -> None:
         """Record a release. took_ns: from armed to the last answer to `go`; go_ns: from the last promise."""

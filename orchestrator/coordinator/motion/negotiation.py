@@ -14,6 +14,7 @@ from orchestrator.coordinator.motion.budget import (
     predict_end,
     predict_path,
 )
+from orchestrator.coordinator.motion.chain import END_SEEN_NS, PresentMove
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
@@ -66,6 +67,7 @@ class StartAgreement:
     advance_ns: int = 0
     tick_residual_ns: int = 0
     aligned: bool = False
+    present: PresentMove | None = None
     _shares: "tuple[StepPlan, dict[str, dict[str, Profile]]] | None" = None
 
     @property
@@ -97,6 +99,30 @@ class StartAgreement:
     def can_advance(self) -> bool:
         """Whether T0 can be brought forward after arming."""
         return self.line is None and not self.aligned and all(each.can_advance for each in self.proposals.values())
+
+    @property
+    def loads_later(self) -> list[str]:
+        """Of a step that follows: the members that load it only after the end of the present one."""
+        return [name for name, each in self.proposals.items() if each.gap_ns is None] if self.present else []
+
+    @property
+    def follows_ns(self) -> int:
+        """The earliest T0 of a step that follows, for the members that hold it beside the present one, fleet time."""
+        if self.present is None:
+            return 0
+        gaps = [each.gap_ns for each in self.proposals.values() if each.gap_ns is not None]
+        return max(
+            self.present.ends_fleet_ns + self.present.between.pause_ns,
+            self.present.planned_end_ns + max(gaps, default=0),
+        )
+
+    def longest_ns(self, *, with_start: bool) -> int:
+        """From T0 until all its members have ended, ns. with_start: the latest start that they promise included."""
+        return max(
+            (sum_terms(each.terms)[1] if with_start else 0)
+            + round(max(each.durations_s.values(), default=0.0) * (1 + each.clock_ppm * 1e-6) * NS_PER_S)
+            for each in self.proposals.values()
+        )
 
     def profiles(self, member: str) -> dict[str, Profile]:
         """The member's share of the plan, by its own axis names."""
@@ -134,7 +160,10 @@ class StartAgreement:
 class StartNegotiation:
     """Negotiates the start of one planned step with its members."""
 
-    def __init__(self, services: MotionServices, planned: PlannedStep) -> None:
+    def __init__(self, services: MotionServices, planned: PlannedStep, present: PresentMove | None = None) -> None:
+        """present: the moving step that it follows."""
+        self._present = present
+        self._now_ns = services.leadership.fleet_now_ns
         self._view = services.fleet.view
         self._requests = services.fleet.requests
         self._estimator = services.estimator
@@ -147,6 +176,8 @@ class StartNegotiation:
 
         A trigger line is used where it reduces the predicted start skew, or where the step demands one.
         """
+        if self._present is not None:
+            return await self._agree_following()
         plan, by_line = self._planned.plan, self._request.move.start == "line"
         first = StartAgreement(plan, aligned=bool(self._request.move.align))
         lines = [line for wire in self._view.fleet.wiring if (line := await self._find_line(wire, first)) is not None]
@@ -171,6 +202,26 @@ class StartNegotiation:
             assert refused is not None
             raise refused
         return agreed
+
+    async def _agree_following(self) -> StartAgreement:
+        """Agree on a step that follows a moving one: each member starts it by its own clock, or by its host."""
+        agreement = StartAgreement(self._planned.plan, present=self._present)
+        await self._negotiate_rounds(agreement)
+        return agreement
+
+    def earliest_following_ns(self, agreement: StartAgreement) -> int:
+        """The earliest T0 of a step that follows, fleet time, with the loading after the end of the present one."""
+        present = agreement.present
+        earliest_ns = max(agreement.follows_ns, self._now_ns() + self._needed_ns(agreement, use_known=True))
+        if present is None or not (agreement.loads_later or present.between.acts):
+            return earliest_ns
+        later = {name: each for name, each in agreement.proposals.items() if each.gap_ns is None}
+        releasing_ns = self._estimator.margin_ns(len(agreement.proposals)) + agreement.disarm_ns
+        shares = {name: self._estimator.loading_share(name) for name in later}
+        begun_ns = END_SEEN_NS + self._arming_ns(later, shares)
+        if present.between.acts:
+            begun_ns = max(begun_ns, present.between.pause_ns + self._estimator.acting_ns)
+        return max(earliest_ns, present.ends_fleet_ns + round(begun_ns) + releasing_ns)
 
     async def renegotiate(self, agreement: StartAgreement, growth: int | None) -> None:
         """Get new proposals for another lead time, over which clock bounds must hold. Raises `Refusal`.
@@ -222,7 +273,11 @@ class StartNegotiation:
     def start_options(self, agreement: StartAgreement, members: Iterable[str]) -> dict[str, StartOptions]:
         """The start options of each of `members`."""
         lead_ns, line, wish = agreement.lead_ns + READING_NS, agreement.line, self._request.move.start
-        common = {"brake_s": _longest_braking_s(self._planned.resolved, agreement.plan), "early_ns": self._early_ns}
+        common = {
+            "brake_s": _longest_braking_s(self._planned.resolved, agreement.plan),
+            "early_ns": self._early_ns,
+            "follows": agreement.present is not None,
+        }
         start_class = "auto" if wish == "line" else wish
         return {
             member: (
@@ -276,7 +331,7 @@ class StartNegotiation:
                 agreement.plan = agreement.plan.stretch_to(longest_s)
         if synchronised:
             self._require_same_duration(durations, agreement.plan.duration_s)
-        if not self._planned.rehearsal:
+        if not self._planned.rehearsal and agreement.present is None:
             self._estimator.last_leads_ns[movers] = agreement.lead_ns
         self.judge(agreement, agreement.proposals)
 
@@ -336,6 +391,8 @@ class StartNegotiation:
         """The lead time to use. Where T0 can be brought forward, an unused lead costs nothing, so a generous one saves
         a second arming of a member that is slow once."""
         known_ns = self._needed_ns(agreement, use_known=True)
+        if agreement.present is not None:
+            return self.earliest_following_ns(agreement) - self._now_ns()
         if agreement.can_advance:
             return min(SPARE_LEAD_FACTOR * known_ns, self._needed_ns(agreement, use_known=False))
         return known_ns
@@ -343,13 +400,18 @@ class StartNegotiation:
     def _needed_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
         """The lead time that the members need, as measured if `use_known`, else as declared."""
         margin_ns = self._estimator.margin_ns(len(agreement.proposals), use_known=use_known)
+        at_once = {name: each for name, each in agreement.proposals.items() if name not in agreement.loads_later}
+        shares = {name: self._estimator.arming_share(name, use_known=use_known) for name in at_once}
+        return round(self._arming_ns(at_once, shares)) + margin_ns + agreement.disarm_ns
+
+    def _arming_ns(self, proposals: Mapping[str, Proposal], shares: Mapping[str, float]) -> float:
+        """The time that arming these members takes. shares: of the time that each declares."""
         lines: dict[str, list[tuple[StepCosts, float]]] = {}
-        for member, proposal in agreement.proposals.items():
+        for member, proposal in proposals.items():
             if proposal.costs is not None:
                 endpoint = self._view.fleet.controllers[member].link.endpoint
-                share = self._estimator.arming_share(member, use_known=use_known)
-                lines.setdefault(endpoint, []).append((proposal.costs, share))
-        return round(max(map(_line_arming_ns, lines.values()))) + margin_ns + agreement.disarm_ns
+                lines.setdefault(endpoint, []).append((proposal.costs, shares[member]))
+        return max(map(_line_arming_ns, lines.values()), default=0.0)
 
 
 def _line_arming_ns(line: list[tuple[StepCosts, float]]) -> float:

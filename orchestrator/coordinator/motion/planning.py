@@ -73,11 +73,41 @@ async def plan_request(
     for controller, (state, info) in zip(controllers, answers, strict=True):
         infos[controller], instances[controller] = info, state.instance
         states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
-    missing = services.fleet.permits.find_missing(names)
+    context = AxisContext(view.fleet, states, infos, services.targets)
+    return _plan_from(services, request, context, goal, instances)
+
+
+async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:
+    """Plan a step from where `before`, which moves now, will leave its axes. Raises `Refusal`."""
+    view = services.fleet.view
+    states: dict[str, AxisState] = {}
+    infos: dict[str, ControllerInfo] = {}
+    instances: dict[str, str] = {}
+    for controller in dict.fromkeys(map(controller_of, request.move.to | request.move.by)):
+        state = view.last_state(controller)
+        if state is None or state.mode == "offline" or view.is_silent(controller):
+            raise Refusal("offline", f"{controller} is offline or silent", "check its link", controller)
+        infos[controller], instances[controller] = await view.query_info(controller), state.instance
+        states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
+    for axis, (_, counts) in before.resolved.exact.items():
+        if axis in states:
+            states[axis] = states[axis].model_copy(update={"commanded_counts": counts})
+    targets = services.targets.expect_targets(before.resolved.exact)
+    return _plan_from(services, request, AxisContext(view.fleet, states, infos, targets), {}, instances)
+
+
+def _plan_from(
+    services: MotionServices,
+    request: StepRequest,
+    context: AxisContext,
+    goal: Mapping[str, Fraction],
+    instances: Mapping[str, str],
+) -> PlannedStep:
+    move = request.move
+    missing = services.fleet.permits.find_missing([*move.to, *move.by])
     if missing is not None:
         raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
-    resolved = resolve_targets(request.move, AxisContext(view.fleet, states, infos, services.targets), goal)
-    move = request.move
+    resolved = resolve_targets(move, context, goal)
     try:
         plan = plan_step(resolved.moves, move.sync, move.speed, move.ramps)
     except PlanError as error:

@@ -37,6 +37,10 @@ class StepRecorder:
                 self._every *= 2
                 self._sampled = {axis: kept[::2] for axis, kept in self._sampled.items()}
 
+    def close(self) -> None:
+        """Stop recording."""
+        self._unlisten()
+
     def finish(self, step: int, name: str, t0_fleet_ns: int) -> StepRecording:
         """Stop recording, and return the recording."""
         self._unlisten()

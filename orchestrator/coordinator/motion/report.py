@@ -43,6 +43,19 @@ def make_member_report(agreement: StartAgreement, armed: ArmedReply, member: str
     )
 
 
+def measure_gap_s(before: StepReport, after: StepReport) -> float | None:
+    """The time from the last end of one step to the first start of the next, s, in the middle of the evidence; None
+    without evidence."""
+    ends = [each.end for member in before.members.values() for each in member.evidence.values()]
+    starts = [each.start_for_verdict for member in after.members.values() for each in member.evidence.values()]
+    known = [each for each in ends if each is not None]
+    if not known or not starts:
+        return None
+    last_ns = max((each.earliest_ns + each.latest_ns) // 2 for each in known)
+    first_ns = min((each.earliest_ns + each.latest_ns) // 2 for each in starts)
+    return (first_ns - last_ns) / NS_PER_S
+
+
 def find_wrong_durations(agreement: StartAgreement, reports: Mapping[str, MemberReport]) -> list[str]:
     """Axes whose motion has certainly taken another time than their controller has promised, in words."""
     found: list[str] = []
@@ -58,13 +71,17 @@ def find_wrong_durations(agreement: StartAgreement, reports: Mapping[str, Member
     return found
 
 
-def find_misplaced_axes(agreement: StartAgreement, states: Mapping[str, ControllerState]) -> list[str]:
-    """Axes that are not commanded to their targets after the step, in words."""
+def find_misplaced_axes(
+    agreement: StartAgreement, states: Mapping[str, ControllerState], t0_fleet_ns: int
+) -> list[str]:
+    """Axes that are not commanded to their targets after the step, in words. A state from before its end says nothing:
+    behind a step that another one follows at once there may be none, and its end is the controller's evidence."""
+    ends_ns = t0_fleet_ns + round(agreement.plan.duration_s * NS_PER_S)
     found: list[str] = []
     for axis, profile in agreement.plan.profiles.items():
         controller, _, name = axis.partition(".")
         state = states.get(controller)
-        if state is None or state.mode == "offline":
+        if state is None or state.mode == "offline" or state.read_fleet_ns is None or state.read_fleet_ns < ends_ns:
             continue
         off = state.axes[name].commanded_counts - profile.end_counts
         if abs(off) > POSITION_TOLERANCE_COUNTS and not state.axes[name].moving:
@@ -87,7 +104,10 @@ def judge_completed_step(
 ) -> StepReport:
     """The report of a step that is done with the verdict on all that was promised: starts, durations, ends and
     positions. states: of its members, after the step."""
-    deviations = [*find_wrong_durations(agreement, report.members), *find_misplaced_axes(agreement, states)]
+    deviations = [
+        *find_wrong_durations(agreement, report.members),
+        *find_misplaced_axes(agreement, states, report.t0_fleet_ns or 0),
+    ]
     verdict = report.verdict
     if verdict != "none":
         verdict = "red" if deviations else judge_ends(verdict, report.end_skew, agreement.budget)

@@ -13,6 +13,7 @@ from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.journal.journal import StepDecision
+from orchestrator.coordinator.motion.chain import RELEASE_SLACK_NS
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
@@ -21,6 +22,7 @@ from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
     CommitRequest,
+    CommittedReply,
     DisarmedReply,
     DisarmRequest,
     GoRequest,
@@ -31,10 +33,16 @@ from orchestrator.model.report import JobState
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for the last round of proposals before the aligned start
 ALIGN_ASK_NS = NS_PER_S  # closer to the start than this, clock readings do not improve any more
 FEED_HOLD = "feed-hold"  # code of a step that was paused, inside or before its motion: it can be resumed
+WITHDRAWN = "withdrawn"  # code of a step that follows another one, which was paused or has failed
 LATE = ("late", "no-answer")  # codes of members that were not quick enough
 LEAD_GROWTH = (None, 1, 2, 4)  # factors on the declared lead time for later armings, if the known one was too short
 
 StateCallback = Callable[[JobState, str], Coroutine[Any, Any, None]]
+
+
+async def _ignore_state(state: JobState, reason: str) -> None:
+    """Of a step that follows: its job is running already."""
+    del state, reason
 
 
 @dataclass(slots=True)
@@ -43,6 +51,7 @@ class StartState:
 
     arming_fleet_ns: start of the last arming. settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
     last disarming, no member had started. decided: the journal has the decision. paused_by: originator of a feed hold.
+    withdrawn: why a step that follows another one does not start behind it; "" while it may.
     """
 
     armed: Mapping[str, ArmedReply]
@@ -52,6 +61,7 @@ class StartState:
     unloaded: bool = False
     decided: bool = False
     paused_by: str | None = None
+    withdrawn: str = ""
 
 
 class StartSequence:
@@ -111,8 +121,45 @@ class StartSequence:
         text = f"arming takes longer than the members declare, with every lead time: {late.text}"
         raise Refusal("late", text, "check the log of the adapters, and the load of this machine", late.controller)
 
+    # Behind a moving step
+
+    async def arm_following(self) -> None:
+        """Arm all members behind the present step. Raises `Refusal`: nothing of the step is loaded any more."""
+        state, agreement = self.state, self._agreement
+        self.require_not_paused()
+        state.arming_fleet_ns = self._leadership.fleet_now_ns()
+        agreement.advance_ns = agreement.tick_residual_ns = 0
+        state.t0_fleet_ns = agreement.choose_start(self._negotiation.earliest_following_ns(agreement))
+        await self._arm()
+        await self._judge_frozen_mappings()
+
+    @property
+    def release_due_ns(self) -> int:
+        """When promises and decision must begin, fleet time. They are left as late as possible: until then, a pause
+        takes effect before the step."""
+        agreement, present = self._agreement, self._agreement.present
+        needs_ns = self._estimator.margin_ns(len(agreement.proposals)) + agreement.disarm_ns + RELEASE_SLACK_NS
+        due_ns = self.state.t0_fleet_ns - needs_ns
+        if present is not None and agreement.loads_later:
+            due_ns = min(due_ns, present.ends_fleet_ns)  # the promise of these members waits for the end
+        return due_ns
+
+    async def release_following(self) -> None:
+        """Have all promise, decide and release a step that is armed behind another one. Raises `Refusal`."""
+        if self.state.paused_by is not None or self.state.withdrawn:
+            await self.disarm()
+            self.require_not_paused()
+        try:
+            await self._release(_ignore_state, 1)
+        except Refusal as refused:
+            if refused.code in LATE:
+                self._estimator.record_late_loading(self._agreement.loads_later)
+            raise
+
     def require_not_paused(self) -> None:
-        """Raises `Refusal` when the step was paused before its motion."""
+        """Raises `Refusal` when the step was paused or withdrawn before its motion."""
+        if self.state.withdrawn:
+            raise Refusal(WITHDRAWN, self.state.withdrawn)
         if self.state.paused_by is not None:
             raise Refusal(FEED_HOLD, f"paused by {self.state.paused_by} before it began")
 
@@ -141,6 +188,7 @@ class StartSequence:
                 **self._reference(),
                 digest=self._fleet.view.fleet.controllers[member].digest,
                 t0_fleet_ns=self._member_t0_ns(member),
+                after_step=None if agreement.present is None else agreement.present.step,
                 profiles=agreement.profiles(member),
                 start=options.model_copy(update={"end_ns": end_ns}),
             )
@@ -153,7 +201,8 @@ class StartSequence:
             "arm", requests, ArmedReply, timeout_s, answered=took_ns.__setitem__
         )
         await self._disarm_if_refused(self.state.armed)
-        self._estimator.record_arming(declared_ns, took_ns)
+        if agreement.present is None:
+            self._estimator.record_arming(declared_ns, took_ns)
 
     async def _judge_frozen_mappings(self) -> None:
         """Judge the budget again, with the clock mappings that are frozen into what is armed."""
@@ -182,7 +231,7 @@ class StartSequence:
         state, agreement, clock = self.state, self._agreement, self._fleet.clock
         armed_ns = clock.now_ns()
         await run_while_recording(on_state("armed", ""), self._commit())
-        if state.paused_by is not None:
+        if state.paused_by is not None or state.withdrawn:
             await self.disarm()
             self.require_not_paused()
         lost = self._permit_watch.describe_loss()
@@ -191,14 +240,18 @@ class StartSequence:
             raise Refusal("permit", lost, "satisfy the permit, then resubmit the job")
         # After the decision a late member fails the step; before it, all are armed again.
         estimator, promised_ns = self._estimator, clock.now_ns()
+        # Members that load the step after the end of the present one promise only then.
+        waited = bool(agreement.loads_later)
         try:
             await self._require_time("promises took longer than their lead time")
         except Refusal:
-            estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
+            if not waited:
+                estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
             raise
         state.settled_fleet_ns = self._leadership.fleet_now_ns()
-        go_ns = go_factor * estimator.go_ns(len(agreement.proposals), promised_ns - armed_ns)
-        spare_ns = state.t0_fleet_ns - (state.settled_fleet_ns + go_ns) - agreement.disarm_ns
+        go_ns = go_factor * estimator.go_ns(len(agreement.proposals), 0 if waited else promised_ns - armed_ns)
+        earliest_ns = max(state.settled_fleet_ns + go_ns + agreement.disarm_ns, agreement.follows_ns)
+        spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
         state.t0_fleet_ns -= agreement.advance_ns
         await self._record_decision()
@@ -207,7 +260,10 @@ class StartSequence:
             raise Refusal("leadership-lost", "another coordinator has taken over")
         state.decided = True
         await run_while_recording(on_state("committed", ""), self._go())
-        estimator.record_release(clock.now_ns() - armed_ns, clock.now_ns() - promised_ns)
+        released_ns = clock.now_ns()
+        # A promise without that wait takes one exchange, like a release.
+        began_ns = 2 * promised_ns - released_ns if waited else armed_ns
+        estimator.record_release(released_ns - began_ns, released_ns - promised_ns)
 
     async def _commit(self) -> None:
         agreement = self._agreement
@@ -219,7 +275,16 @@ class StartSequence:
         # An answer after that would leave no time for `go`.
         useful_ns = left_ns - self._estimator.go_ns(len(agreement.proposals)) - agreement.disarm_ns
         wait_s = max(0.02, min(ANSWER_S, max(left_ns / 2, useful_ns) / NS_PER_S))
-        await self._disarm_if_refused(await self._requests.request_all("commit", requests, Reply, wait_s))
+        replies = await self._requests.request_all("commit", requests, CommittedReply, wait_s)
+        await self._disarm_if_refused(replies)
+        loaded = {member: reply.armed for member, reply in replies.items() if reply.armed is not None}
+        if loaded:
+            self.state.armed = {**self.state.armed, **loaded}
+            await self._judge_frozen_mappings()
+            declared_ns = {
+                name: costs.arm_ns for name in loaded if (costs := agreement.proposals[name].costs) is not None
+            }
+            self._estimator.record_arming(declared_ns, {name: loaded[name].took_ns for name in declared_ns})
 
     async def _record_decision(self) -> None:
         request, services = self._request, self._services

@@ -2,10 +2,12 @@
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
 
 from orchestrator.clock.executor import run_while_recording
+from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest, plan_request
 from orchestrator.coordinator.motion.recorder import StepRecorder
@@ -37,6 +39,41 @@ async def rehearse_step(services: MotionServices, planned: PlannedStep) -> Start
     return await StartNegotiation(services, planned).agree()
 
 
+@dataclass(frozen=True, slots=True)
+class PlannedMotion:
+    """A planned step that its members have agreed on, and the parts that start it and watch it."""
+
+    planned: PlannedStep
+    agreement: StartAgreement
+    start: StartSequence
+    watch: StepWatch
+
+    @classmethod
+    async def agree(
+        cls, services: MotionServices, planned: PlannedStep, present: PresentMove | None = None
+    ) -> "PlannedMotion":
+        """Negotiate with the members. Raises `Refusal`. present: the moving step that it follows."""
+        negotiation = StartNegotiation(services, planned, present)
+        agreement = await negotiation.agree()
+        stop_times_ns = {name: each.costs.stop_ns for name, each in agreement.proposals.items() if each.costs}
+        services.stop_times_ns.update(stop_times_ns)
+        # Events and permits count from before arming: a stop, or the loss of a permit, may come at any moment.
+        permit_watch = services.fleet.permits.watch_losses(agreement.plan.profiles)
+        start = StartSequence(services, planned.request, negotiation, agreement, permit_watch)
+        watch = StepWatch(services, planned, agreement, start.state, permit_watch)
+        return cls(planned, agreement, start, watch)
+
+    def make_present(self, between: BetweenSteps) -> PresentMove:
+        """The step as the one that another step follows; once T0 is decided."""
+        t0_ns, agreement = self.start.state.t0_fleet_ns, self.agreement
+        return PresentMove(
+            self.planned.request.index,
+            t0_ns + agreement.longest_ns(with_start=True),
+            t0_ns + agreement.longest_ns(with_start=False),
+            between,
+        )
+
+
 class MotionStep:
     """One motion step of a job. After a feed hold, `run` again continues to the same targets."""
 
@@ -44,8 +81,17 @@ class MotionStep:
         self._services = services
         self._request = request
         self._goal: dict[str, Fraction] = {}
-        self._start: StartSequence | None = None
-        self._movers: list[str] = []
+        self._motion: PlannedMotion | None = None
+
+    @property
+    def request(self) -> StepRequest:
+        """Its number, its move and its job."""
+        return self._request
+
+    @property
+    def motion(self) -> PlannedMotion | None:
+        """Its plan and start, once it is planned; None when it is over."""
+        return self._motion
 
     async def run(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
         """Run the step to its end; the report tells how it went. Raises `Refusal` when nothing has moved.
@@ -60,53 +106,58 @@ class MotionStep:
         if not planned.plan.profiles:
             name = request.move.name or ""
             return StepReport(index=request.index, do="move", name=name, state="done", reason="already there")
-        negotiation = StartNegotiation(services, planned)
-        agreement = await negotiation.agree()
-        stop_times_ns = {name: each.costs.stop_ns for name, each in agreement.proposals.items() if each.costs}
-        services.stop_times_ns.update(stop_times_ns)
-        report = await self._move(planned, negotiation, agreement, observer)
-        if report.state == "done":
-            for axis, (exact, counts) in planned.resolved.exact.items():
-                services.targets.record_target(axis, exact, counts)
-        return report
+        motion = self._motion = await PlannedMotion.agree(services, planned)
+        recorder = StepRecorder(services.fleet.view, motion.agreement.plan.profiles)
+        try:
+            await motion.start.run(observer.on_state)
+        except BaseException as error:
+            self._end_motion(motion)
+            recorder.close()
+            if isinstance(error, Refusal):
+                # A member that was stopped while it was being armed refuses for a reason of its own.
+                motion.start.require_not_paused()
+            else:
+                await motion.start.disarm_line_driver()
+            raise
+        return await self._watch_motion(motion, observer, recorder)
+
+    async def run_released(self, motion: PlannedMotion, observer: StepObserver) -> StepReport:
+        """Watch a step that was released behind the one before it, to its end; otherwise like `run`."""
+        self._motion = motion
+        self._goal = {axis: exact for axis, (exact, _) in motion.planned.resolved.exact.items()}
+        recorder = StepRecorder(self._services.fleet.view, motion.agreement.plan.profiles)
+        return await self._watch_motion(motion, observer, recorder)
 
     async def feed_hold(self, actor: str) -> None:
         """Brake the step if it is being started or moving; `run` then reports it as stopped."""
-        if self._start is not None and self._start.state.paused_by is None:
-            self._start.state.paused_by = actor
-            await self._services.fleet.stop_members(self._movers, "feed-hold", actor, f"paused by {actor}")
+        motion = self._motion
+        if motion is not None and motion.start.state.paused_by is None:
+            motion.start.state.paused_by = actor
+            await self._services.fleet.stop_members(motion.agreement.movers, "feed-hold", actor, f"paused by {actor}")
 
-    async def _move(
-        self, planned: PlannedStep, negotiation: StartNegotiation, agreement: StartAgreement, observer: StepObserver
-    ) -> StepReport:
-        """Start the members, watch them, and store what was recorded meanwhile."""
-        services, request = self._services, self._request
-        # Events and permits count from before arming: a stop, or the loss of a permit, may come at any moment.
-        permit_watch = services.fleet.permits.watch_losses(agreement.plan.profiles)
-        start = StartSequence(services, request, negotiation, agreement, permit_watch)
-        watch = StepWatch(services, planned, agreement, start.state, permit_watch)
-        recorder = StepRecorder(services.fleet.view, agreement.plan.profiles)
-        self._start, self._movers = start, agreement.movers
+    def _end_motion(self, motion: PlannedMotion) -> None:
+        self._motion = None
+        motion.watch.close()
+
+    async def _watch_motion(self, motion: PlannedMotion, observer: StepObserver, recorder: StepRecorder) -> StepReport:
+        """Watch the members, which are released, and store what was recorded meanwhile."""
+        services, request, start = self._services, self._request, motion.start
         try:
-            try:
-                await start.run(observer.on_state)
-            except Refusal:
-                # A member that was stopped while it was being armed refuses for a reason of its own.
-                start.require_not_paused()
-                raise
             await observer.on_state("running", "")
-            observer.on_started(start.state.t0_fleet_ns, agreement.plan.duration_s)
-            await watch.run()
-            report = await self._finish(start, watch, agreement)
+            observer.on_started(start.state.t0_fleet_ns, motion.agreement.plan.duration_s)
+            await motion.watch.run()
+            report = await self._finish(start, motion.watch, motion.agreement)
         except asyncio.CancelledError:
             # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
             # would wait for T0, and refuse the next job until then.
             await start.disarm_line_driver()
             raise
         finally:
-            self._start = None
-            watch.close()
+            self._end_motion(motion)
             recording = recorder.finish(request.index, request.move.name or "", start.state.t0_fleet_ns)
+        if report.state == "done":
+            for axis, (exact, counts) in motion.planned.resolved.exact.items():
+                services.targets.record_target(axis, exact, counts)
         await services.execute(services.journal.store_recording, request.job_id, recording)
         return report
 
@@ -114,7 +165,7 @@ class MotionStep:
         """Stop all members if one has failed, and make the report."""
         failure, request, fleet = watch.failure, self._request, self._services.fleet
         if failure is not None:
-            await fleet.stop_members(self._movers, "decelerate", request.job.actor, failure[1])
+            await fleet.stop_members(agreement.movers, "decelerate", request.job.actor, failure[1])
             await start.disarm_line_driver()
         elif watch.paused:
             reason = f"paused by {start.state.paused_by}"

@@ -8,7 +8,8 @@ from typing import Any, Literal, cast
 import pytest
 
 from adapters.contract import Driver, HostInterval, Lowered, MoveOutcome
-from adapters.controller.participant import STOP_LEAD_NS, ArmedStep, StepParticipant, StepPhase, StepServices
+from adapters.controller.armed_step import ArmedStep, StepPhase
+from adapters.controller.participant import STOP_LEAD_NS, StepParticipant, StepServices
 from adapters.controller.settling import SettlingResult
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
@@ -104,9 +105,11 @@ class Desk:
             clock,
             StepServices(
                 check=lambda _: None,
+                check_following=lambda _: None,
                 scale=lambda: FleetScale("s", 0),
                 emit=self._emit,
                 settle=self._settle,
+                must_settle=lambda _: False,
                 doubt_positions=lambda _: None,
                 note_differences=lambda _: None,
                 spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),

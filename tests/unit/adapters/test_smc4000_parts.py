@@ -1,5 +1,6 @@
 """The parts of the SMC-4000's adapter by themselves: replies, registers, program, fleet file."""
 
+from dataclasses import astuple
 from random import Random
 from typing import Any
 
@@ -14,7 +15,7 @@ from adapters.yaskawa.common.program import VARIABLES, program_lines
 from adapters.yaskawa.common.session import parse_reply
 from adapters.yaskawa.common.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
 from adapters.yaskawa.smc4000.driver import MAKE
-from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartOptions
@@ -105,29 +106,26 @@ def test_profiles_that_do_not_fit_are_refused(profile: Profile, code: str):
 @pytest.mark.parametrize(
     ("period_us", "decode_us", "gate"),
     [
-        (
-            1000,
-            500,
-            GateTiming(wait_after_gate=9, usual_delay=6, longest_delay=10, decided_before=19, release_before=27),
-        ),
-        (
-            250,
-            100,
-            GateTiming(wait_after_gate=33, usual_delay=11, longest_delay=27, decided_before=60, release_before=91),
-        ),  # commands take no less for it
-        (
-            1000,
-            1000,
-            GateTiming(wait_after_gate=17, usual_delay=8, longest_delay=16, decided_before=33, release_before=49),
-        ),
-        (20000, 500, GateTiming(wait_after_gate=1, usual_delay=5, longest_delay=5, decided_before=6, release_before=7)),
+        (1000, 500, (9, 6, 10, 19, 27, 10)),
+        (250, 100, (33, 11, 27, 60, 91, 24)),  # commands take no less for it
+        (1000, 1000, (17, 8, 16, 33, 49, 15)),
+        (20000, 500, (1, 5, 5, 6, 7, 6)),
     ],
 )
-def test_the_gate_leaves_time_for_its_commands_at_any_sample_period(period_us: int, decode_us: int, gate: GateTiming):
-    assert (
-        GateTiming.for_options(YaskawaOptions(servo_period_us=period_us, decode_us=decode_us, decode_min_us=100))
-        == gate
-    )
+def test_the_gate_leaves_time_for_its_commands_at_any_sample_period(
+    period_us: int, decode_us: int, gate: tuple[int, ...]
+):
+    options = YaskawaOptions(servo_period_us=period_us, decode_us=decode_us, decode_min_us=100)
+    found = GateTiming.for_options(options)
+    assert astuple(found) == (*gate, max(500, decode_us) * NS_PER_US)
+
+
+def test_a_following_step_leaves_time_for_the_stamps_of_the_one_before():
+    gate = GateTiming.for_options(YaskawaOptions())
+    tick_ns = YaskawaOptions().tick_ns
+    # One axis of two: twelve commands of half a millisecond, with a sample to see the end and five to spare.
+    assert gate.gap_ticks(1, 2, tick_ns) == 13
+    assert gate.gap_ticks(4, 4, tick_ns) == 16
 
 
 def test_the_program_keeps_the_controllers_rules():

@@ -1,0 +1,46 @@
+"""The step that a controller has loaded, and how far it has come."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.model.state import Mode
+
+
+class StepPhase(Enum):
+    """Progress of an armed step. LOADING: the adapter loads it after the step before."""
+
+    LOADING = "loading"
+    ARMED = "armed"
+    COMMITTED = "committed"
+    RELEASED = "released"
+    MOVING = "moving"
+
+
+@dataclass(frozen=True, slots=True)
+class ArmedStep:
+    """The step that is loaded in the controller."""
+
+    job: str
+    step: int
+    t0_fleet_ns: int
+    t0_host_ns: int
+    axes: tuple[str, ...]
+    scale: FleetScale
+    can_advance: bool
+    promised_s: Mapping[str, float] = field(default_factory=dict[str, float])
+    clock_ppm: float = 0.0
+    phase: StepPhase = StepPhase.ARMED
+
+    @property
+    def mode(self) -> Mode:
+        """What the controller does with it, as its state says."""
+        if self.phase in (StepPhase.RELEASED, StepPhase.MOVING):
+            return "moving"
+        return "committed" if self.phase is StepPhase.COMMITTED else "armed"
+
+    def is_same(self, other: "ArmedStep | None") -> bool:
+        """Whether it is the same step for the same T0, in any phase."""
+        mine = (self.job, self.step, self.t0_fleet_ns)
+        return other is not None and mine == (other.job, other.step, other.t0_fleet_ns)

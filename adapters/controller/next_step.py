@@ -1,0 +1,141 @@
+"""The step that follows the present one: loaded while that one moves, or as soon as it has ended.
+
+A controller with room for a second move (`Lowered.gap_ns`) holds it beside the present one, and starts it by itself
+only after its release and only if the present move has ended at its target. Any other controller gets it from this
+adapter as soon as the present move has ended; the promise is made after that.
+"""
+
+import asyncio
+from dataclasses import dataclass, field, replace
+
+from adapters.contract import Driver, Lowered
+from adapters.controller.armed_step import ArmedStep, StepPhase
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import ArmedReply, ArmRequest
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedMove:
+    """A move that is lowered and can be loaded. mapping: the clock estimate that it was lowered with. began_ns: of its
+    arming."""
+
+    request: ArmRequest
+    armed_step: ArmedStep
+    lowered: Lowered
+    mapping: TickMapping | None
+    began_ns: int
+
+
+@dataclass(slots=True)
+class FollowingStep:
+    """The step behind the present one.
+
+    in_controller: the controller holds it beside the present move; otherwise the adapter loads it after that.
+    checked: settings were compared while the present move runs.
+    loaded: the result of loading, once there is one.
+    """
+
+    move: PreparedMove
+    armed_step: ArmedStep
+    in_controller: bool
+    checked: bool = False
+    loaded: "asyncio.Future[ArmedReply]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+
+
+class NextStepSlot:
+    """The place for one following step of a controller."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self._following: FollowingStep | None = None
+        self._loading: FollowingStep | None = None
+
+    @property
+    def armed_step(self) -> ArmedStep | None:
+        """The following step; None if there is none."""
+        return None if self._following is None else self._following.armed_step
+
+    def find_waiting(self, job: str, step: int) -> FollowingStep | None:
+        """The step with that number, if the adapter still has to load it, or is loading it."""
+        for each in (self._following, self._loading):
+            if (
+                each is not None
+                and not each.in_controller
+                and (each.armed_step.job, each.armed_step.step)
+                == (
+                    job,
+                    step,
+                )
+            ):
+                return each
+        return None
+
+    def hold_back(self, move: PreparedMove, *, checked: bool) -> None:
+        """Keep a move until the present one has ended."""
+        self._following = FollowingStep(move, move.armed_step, in_controller=False, checked=checked)
+
+    def note_loaded(self, move: PreparedMove) -> None:
+        """The controller holds the move beside the present one."""
+        self._following = FollowingStep(move, move.armed_step, in_controller=True)
+
+    # Phases of a step that the controller holds
+
+    async def commit(self) -> None:
+        """Check the loaded move, and note the promise. Raises `Refusal`."""
+        await self._driver.verify_next()
+        self._set_phase(StepPhase.COMMITTED)
+
+    async def release(self, released: ArmedStep, advance_ns: int) -> None:
+        """Release the loaded move, noted as `released`. Raises `Refusal`."""
+        following = self._require_following()
+        following.armed_step = released
+        await self._driver.release_next(advance_ns)
+
+    def _set_phase(self, phase: StepPhase) -> None:
+        following = self._require_following()
+        following.armed_step = replace(following.armed_step, phase=phase)
+
+    def _require_following(self) -> FollowingStep:
+        if self._following is None:
+            raise Refusal("stopped", "the step was unloaded meanwhile", "")
+        return self._following
+
+    # Ends
+
+    def take(self) -> FollowingStep | None:
+        """The present move has ended as planned: the following step, which is the present one from now on."""
+        following, self._following = self._following, None
+        if following is not None:
+            if following.in_controller:
+                self._driver.take_next()
+            else:
+                self._loading = following
+        return following
+
+    def finish_loading(self, following: FollowingStep, result: ArmedReply | Exception) -> None:
+        """The adapter has loaded the step, or could not."""
+        if self._loading is following:
+            self._loading = None
+        if following.loaded.done():
+            return
+        if isinstance(result, Exception):
+            following.loaded.set_exception(result)
+            following.loaded.exception()  # a promise may not be waiting for it
+        else:
+            following.loaded.set_result(result)
+
+    def drop(self, reason: str) -> ArmedStep | None:
+        """Forget the following step; the controller is stopped, unloaded or unreachable."""
+        dropped = None if self._following is None else self._following.armed_step
+        for following in (self._following, self._loading):
+            if following is not None:
+                self.finish_loading(following, Refusal("stopped", reason, ""))
+        self._following = self._loading = None
+        return dropped
+
+    async def unload(self) -> None:
+        """Unload the following step; the present one continues."""
+        following = self._following
+        if following is not None and following.in_controller:
+            await self._driver.unload_next()

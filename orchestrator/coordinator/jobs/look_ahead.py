@@ -1,0 +1,65 @@
+"""What follows a motion step in a job: the next motion step, and what happens between the two."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from orchestrator.coordinator.motion.chain import BetweenSteps
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Dwell, Move, SetOutput, Step
+
+BETWEEN_MOST = 20  # steps between two motion steps that are looked at
+
+
+class NumberedSteps(Protocol):
+    """The steps of a job by their numbers."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Step: ...
+
+
+@dataclass(frozen=True, slots=True)
+class NextMotion:
+    """The motion step `move`, number `index`, and what happens before it."""
+
+    index: int
+    move: Move
+    between: BetweenSteps
+
+
+@dataclass(frozen=True, slots=True)
+class ChainBreak:
+    """Why the motion step `index` must begin from rest; index is None where none follows."""
+
+    index: int | None
+    reason: str
+
+
+def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMotion | ChainBreak:
+    """The motion step behind the one with number `index`. Dwell and outputs do not hinder it."""
+    moving, pause_ns, acts, between = steps[index], 0, False, ""
+    for number in range(index + 1, min(len(steps), index + 2 + BETWEEN_MOST)):
+        try:
+            step = steps[number]
+        except KeyError:
+            return ChainBreak(number, "its point is not read yet")
+        if isinstance(step, Move):
+            broken = between or (_find_hindrance(fleet, moving, step) if isinstance(moving, Move) else "")
+            return ChainBreak(number, broken) if broken else NextMotion(number, step, BetweenSteps(pause_ns, acts))
+        if isinstance(step, Dwell):
+            pause_ns += step.duration
+        elif isinstance(step, SetOutput):
+            acts = True
+        else:
+            between = between or f"step {number} ({step.do}) comes before it"
+    return ChainBreak(None, "")
+
+
+def _find_hindrance(fleet: Fleet, moving: Move, step: Move) -> str:
+    """Why `step` cannot be loaded while `moving` moves; empty if it can."""
+    settling = [name for name in moving.to | moving.by if fleet.axis(name).done == "in_position"]
+    if settling:
+        return f"{settling[0]} must settle in position before it"
+    if step.align:
+        return "it waits for aligned ticks (`align`)"
+    return "a trigger line starts it (`start: line`)" if step.start == "line" else ""
