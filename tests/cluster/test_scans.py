@@ -43,7 +43,8 @@ def test_a_snake_scan_visits_its_points_in_order_and_pulses_at_each() -> None:
         assert [tuple(each.target.values()) for each in points] == SNAKE
         assert [each.point for each in points] == list(range(1, 13))
         for each in points:
-            assert each.measured == pytest.approx(each.target, abs=0.001)
+            # An axis that leaves before its next reading has none.
+            assert all(each.measured[axis] in (None, pytest.approx(at, abs=0.001)) for axis, at in each.target.items())
         levels = [level for _, level in edges]
         assert levels == [True, False] * 12
         widths_ns = [off[0] - on[0] for on, off in zip(edges[::2], edges[1::2], strict=True)]
