@@ -30,8 +30,8 @@ def test_a_raster_is_submitted_shown_written_plotted_and_run_again(world: Comman
     assert len(points) == 66 and points[-1]["target"] == {"gantry.x": 110.0, "stage.u": 5.0}
     assert world.done("job", "points", "last", "--csv", str(tmp_path / "p.csv")).startswith("66 points")
     rows = list(csv.DictReader((tmp_path / "p.csv").read_text(encoding="utf-8").splitlines()))
-    assert len(rows) == 66 and all(row["gantry.x measured"] and row["stage.u measured"] for row in rows)
-    assert abs(float(rows[7]["stage.u measured"]) - 4) < 0.01
+    assert len(rows) == 66 and all(row["gantry.x measured"] for row in rows)
+    assert abs(float(rows[7]["gantry.x measured"]) - 20) < 0.01
     picture = tmp_path / "raster.png"
     assert "step 2: " in world.done("job", "plot", "last", "--out", str(picture), "--step", "2")
     assert picture.stat().st_size > 10_000
