@@ -22,9 +22,30 @@ from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.files import FileError, load_fleet, load_job
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
-from orchestrator.model.job import Disable, Dwell, Enable, Home, Job, Move, SetOutput, SetPosition, Step, WaitInput
+from orchestrator.model.job import (
+    Disable,
+    Dwell,
+    Enable,
+    Home,
+    Job,
+    Move,
+    Repeat,
+    Scan,
+    SetOutput,
+    SetPosition,
+    Step,
+    WaitInput,
+)
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.report import JobProgress, JobReport, JobTransition, QueueEntry, StepRecording, StepReport
+from orchestrator.model.report import (
+    JobProgress,
+    JobReport,
+    JobTransition,
+    PointRecord,
+    QueueEntry,
+    StepRecording,
+    StepReport,
+)
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
 
 __version__ = _version("tutti")
@@ -55,9 +76,12 @@ __all__ = [
     "JobTransition",
     "ManualControl",
     "Move",
+    "PointRecord",
     "QueueEntry",
     "QueueTerms",
     "Refusal",
+    "Repeat",
+    "Scan",
     "SetOutput",
     "SetPosition",
     "Step",

@@ -20,9 +20,11 @@ from orchestrator.cli.job_terms import (
     resolve_after,
     terms_options,
 )
+from orchestrator.cli.points.command import points, show_points
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
+    from orchestrator.model.service import JobShown
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 
@@ -76,7 +78,8 @@ def submit(
         if dry_run:
             await _show_dry_run(tutti, file, as_json=as_json)
             return
-        loaded = load_job(file)
+        with show_points(hidden=as_json) as on_points:
+            loaded = await tutti.send_points(load_job(file), on_points)
         entry = await tutti.enqueue_job(loaded, key, await resolve_after(tutti, wanted))
         if not wait:
             print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else print_accepted(entry)
@@ -99,7 +102,7 @@ def submit(
 
 
 job.add_command(submit)
-for command in (check, list_jobs, prune, hold, release, reorder, pause, resume, retry):
+for command in (check, list_jobs, points, prune, hold, release, reorder, pause, resume, retry):
     job.add_command(command)
 
 
@@ -110,7 +113,10 @@ for command in (check, list_jobs, prune, hold, release, reorder, pause, resume, 
 def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show JOB: its steps and the history of its state. JOB: the beginning of its id, its name, or `last`."""
     from orchestrator.client import Tutti
+    from orchestrator.model.job import Repeat, iterate_steps
+    from orchestrator.model.scans.step_order import StepOrder
     from orchestrator.model.step_words import describe_step
+    from orchestrator.monitor.fleet_view import format_step
     from orchestrator.monitor.times import format_time, localize_times
 
     async def show_job(tutti: Tutti) -> None:
@@ -124,11 +130,15 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
         for line in make_entry_lines(shown.entry):
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown.report.steps} if shown.report else {}
-        for index, step in enumerate(shown.job.steps if shown.job else []):
+        for index, step in StepOrder(shown.job.steps).iterate_written() if shown.job else ():
             line = f"  {index} {describe_step(step)}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
-            console.print(line, highlight=False, markup=False)
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+            for inner in iterate_steps([step]) if isinstance(step, Repeat) else ():
+                console.print(f"      {describe_step(inner)}", highlight=False, markup=False, soft_wrap=True)
+        if shown.progress is not None:
+            console.print(f"now: {format_step(shown.progress)}", highlight=False, markup=False)
         for change in shown.transitions:
             why = f" {localize_times(change.reason)}" if change.reason else ""
             line = f"{format_time(change.utc, precise=True)} {change.state}{why} ({change.actor})"
@@ -181,11 +191,13 @@ def report(job: str, connect: str, fleet: str | None, *, verbose: bool, as_json:
 @fleet_options
 @json_option
 def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Plot planned against polled positions of the motion steps of JOB, a PNG each.
+    """Plot planned against polled positions of the motion steps of JOB, and planned against measured points of its
+    scans, a PNG each.
 
     Recordings are kept for the newest jobs only. With --out and several steps, the step number is inserted before
     the suffix.
     """
+    from orchestrator.cli.points.command import plot_scans
     from orchestrator.client import Tutti
     from orchestrator.monitor.job_plot import plot_recordings
 
@@ -193,17 +205,17 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
         job_id = (await tutti.find_job(job)).id
         shown = await tutti.show_job(job_id)
         assert shown.entry is not None
-        wanted = (
-            [step] if step is not None else range(len(shown.job.steps) * shown.entry.terms.repeat if shown.job else 0)
-        )
+        scans = await plot_scans(tutti, shown.entry, step, out)
+        # The first step of a scan is its first point too; the scan is meant.
+        wanted = [each for each in ([step] if step is not None else _list_moves(shown)) if each not in scans]
         found = [each for index in wanted if (each := await tutti.load_recording(shown.entry.id, index)) is not None]
-        if not found:
+        if not found and not scans:
             text = f"{name_jobs(shown.entry)} has no recording" + ("" if step is None else f" of step {step}")
             exit_with_error(text, FAILED, "recordings are kept for the newest jobs only")
-        files: dict[str, str] = {}
+        files = {str(number): str(path) for number, path in scans.items()}
         for each in found:
             path = out or Path(f"{job_id}.png")
-            if out is None or len(found) > 1:
+            if out is None or len(found) + len(scans) > 1:
                 path = path.with_stem(f"{path.stem}-{each.step}")
             title = f"job {job_id} {shown.entry.name!r}, step {each.step} {each.name}".rstrip()
             try:
@@ -216,14 +228,28 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
     with_fleet(connect, fleet, plot_job)
 
 
+def _list_moves(shown: "JobShown") -> list[int]:
+    """The numbers of the steps of a job that may have a recording, but for the points of scans."""
+    from orchestrator.model.queue import MAX_STEPS
+    from orchestrator.model.scans.step_order import StepOrder
+
+    if shown.report is not None:
+        return [step.index for step in shown.report.steps if step.do == "move"]
+    if shown.job is None or shown.entry is None:
+        return []
+    order = StepOrder(shown.job.steps, shown.entry.terms.repeat)
+    return [index for index in range(min(len(order), MAX_STEPS)) if order.locate(index).point is None]
+
+
 async def _show_dry_run(tutti: "Tutti", file: Path, *, as_json: bool) -> None:
     """Run a job forward from the present positions and print what every controller would be sent."""
     from orchestrator.cli.job_check import describe_totals, make_plain, print_steps, show_progress
-    from orchestrator.model.files import FileError, parse_file, read_file
+    from orchestrator.model.files import FileError, locate_point_files, parse_file, read_file
     from orchestrator.model.job import Job
 
     source = read_file(file)
-    loaded = parse_file(source, Job)
+    with show_points(hidden=as_json) as on_points:
+        loaded = await tutti.send_points(locate_point_files(parse_file(source, Job), file.parent), on_points)
     with show_progress(len(loaded.steps), hidden=as_json) as on_steps:
         forecast = await tutti.dry_run(loaded, on_steps)
     if as_json:

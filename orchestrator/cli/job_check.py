@@ -40,7 +40,8 @@ def check(file: Path, fleet: Path | None, repeat: int, *, as_json: bool) -> None
 
 
 async def _check_file(file: Path, fleet_file: Path | None, repeat: int, *, as_json: bool) -> None:
-    from orchestrator.model.files import FileError, parse_file, read_file
+    from orchestrator.client.points import read_points
+    from orchestrator.model.files import FileError, locate_point_files, parse_file, read_file
     from orchestrator.model.forecast import JobForecast
     from orchestrator.model.job import Job
     from orchestrator.plan.forecast import forecast_job
@@ -51,6 +52,9 @@ async def _check_file(file: Path, fleet_file: Path | None, repeat: int, *, as_js
     forecast = JobForecast()
     if fleet_file is not None:
         fleet = load_checked_fleet(fleet_file)
+        job = read_points(
+            locate_point_files(job, file.parent), {name: fleet.axis(name).unit for name in fleet.axis_names}
+        )
         with show_progress(len(job.steps) * repeat, hidden=as_json) as on_steps:
             forecast = forecast_job(fleet, job.steps, repeat, on_steps)
         if forecast.problems and not as_json:

@@ -117,11 +117,16 @@ def resume(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     show_default=True,
     help="First step to run; `tutti job show` numbers them, from 0.",
 )
+@click.option(
+    "--from-point", type=click.IntRange(1), default=None, help="First point to run of the scan at --from-step, from 1."
+)
 @_yes
 @fleet_options
 @json_option
-def retry(job: str, from_step: int, connect: str, fleet: str | None, *, yes: bool, as_json: bool) -> None:
-    """Re-run a finished JOB, from a step on, as a new job.
+def retry(
+    job: str, from_step: int, from_point: int | None, connect: str, fleet: str | None, *, yes: bool, as_json: bool
+) -> None:
+    """Re-run a finished JOB, from a step, or a point of a scan, on, as a new job.
 
     First shows the current positions of its axes, and the remaining steps.
     """
@@ -132,12 +137,13 @@ def retry(job: str, from_step: int, connect: str, fleet: str | None, *, yes: boo
 
     async def retry_job(tutti: "Tutti") -> None:
         job_id = (await tutti.find_job(job)).id
+        first = from_step if from_point is None else (from_step, from_point)
         if not as_json:
-            _show_retry(await tutti.retry_job(job_id, from_step, dry_run=True))
+            _show_retry(await tutti.retry_job(job_id, first, dry_run=True))
         if not yes and not click.confirm("run these steps from here?"):
             console.print("no job is submitted")
             return
-        retried = await tutti.retry_job(job_id, from_step)
+        retried = await tutti.retry_job(job_id, first)
         assert retried.entry is not None
         print_json(retried.to_plain()) if as_json else print_accepted(retried.entry)
 

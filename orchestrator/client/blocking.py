@@ -19,6 +19,7 @@ from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.client.manual import VALID_MS, ManualControl
+from orchestrator.client.points import OnPoints
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.worker import BlockingObject, LoopThread, Worker
 from orchestrator.model.errors import Refusal
@@ -33,6 +34,7 @@ from orchestrator.model.report import (
     JobState,
     JobTransition,
     LeaseState,
+    PointRecord,
     QueueEntry,
     StepRecording,
 )
@@ -250,7 +252,7 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._run(self._wrapped.dwell(seconds))
 
     def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> BlockingJob:
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`.
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file of points.
 
         job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
         often it is submitted. terms: priority, repeats, predecessor and start time.
@@ -281,7 +283,7 @@ class BlockingTutti(BlockingObject[Tutti]):
         return BlockingJob(self._wrapped.job(job_id), self._worker)
 
     def enqueue_job(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> QueueEntry:
-        """Submit a job and return its place in the queue. Raises `Refusal`."""
+        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points."""
         return self._run(self._wrapped.enqueue_job(job, client_key, terms))
 
     def dry_run(self, job: Job, on_steps: Callable[[int], None] | None = None) -> JobForecast:
@@ -340,7 +342,7 @@ class BlockingTutti(BlockingObject[Tutti]):
     def retry_job(
         self,
         job_id: str,
-        from_step: int = 0,
+        from_step: int | tuple[int, int] = 0,
         *,
         dry_run: bool = False,
         terms: QueueTerms | None = None,
@@ -348,6 +350,7 @@ class BlockingTutti(BlockingObject[Tutti]):
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
+        from_step: its number, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
         return self._run(
@@ -368,6 +371,27 @@ class BlockingTutti(BlockingObject[Tutti]):
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
         return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s))
+
+    def send_points(self, job: Job, on_points: OnPoints | None = None) -> Job:
+        """Read the points of all scans that are in files or specs, and send them; return the job that names what is
+        stored. Points that are stored already are not sent again.
+
+        on_points: called with the progress. Raises `FileError` with every wrong line, and `Refusal`: codes
+        `point-store-full`, `no-scanspec`, `bad-scanspec`.
+        """
+        return self._run(self._wrapped.send_points(job, on_points))
+
+    def iterate_points(self, job_id: str, step: int | None = None) -> Iterator[PointRecord]:
+        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`.
+
+        step: only of the scan that begins with this step.
+        """
+        return self._iterate(self._wrapped.iterate_points(job_id, step))
+
+    def load_points(self, job_id: str) -> list[PointRecord]:
+        """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises
+        `Refusal`."""
+        return self._run(self._wrapped.load_points(job_id))
 
     def manual_control(
         self, axes: Sequence[str], what: str = "manual control", ttl_s: float = 3.0

@@ -6,11 +6,12 @@ from typing import Self
 
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
-from orchestrator.client.connection import ANSWER_S, FleetConnection
+from orchestrator.client.connection import ANSWER_S
+from orchestrator.client.points import PointRequests
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
-from orchestrator.model.job import UNKNOWN_ACTOR, Job
+from orchestrator.model.job import UNKNOWN_ACTOR, Job, iterate_steps
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -19,10 +20,12 @@ from orchestrator.model.report import (
     JobReport,
     JobState,
     JobTransition,
+    PointRecord,
     QueueEntry,
     StepRecording,
     make_queued_progress,
 )
+from orchestrator.model.scans.step_order import StepOrder
 from orchestrator.model.service import (
     DryRun,
     DryRunDone,
@@ -50,13 +53,14 @@ DRY_RUN_S = 30.0  # for such a part
 SUBMIT_STEP_S = 0.01
 PRUNE_S = 60.0
 MAX_RECORDINGS = 100
+MAX_RESULT_POINTS = 10_000
 
 
-class JobRequests(FleetConnection):
+class JobRequests(PointRequests):
     """Submit jobs, follow them, and change the queue."""
 
     async def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> "SubmittedJob":
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`.
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file of points.
 
         job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
         often it is submitted. terms: priority, repeats, predecessor and start time.
@@ -94,15 +98,22 @@ class JobRequests(FleetConnection):
         """A job by its id, to follow it."""
         return SubmittedJob(job_id, self)
 
-    async def enqueue_job(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> QueueEntry:
-        """Submit a job and return its place in the queue. Raises `Refusal`."""
+    async def enqueue_job(
+        self,
+        job: Job,
+        client_key: str | None = None,
+        terms: QueueTerms | None = None,
+    ) -> QueueEntry:
+        """Submit a job and return its place in the queue. Raises `Refusal`, and `FileError` for a file of points."""
+        job = await self.send_points(job)
         if job.actor == UNKNOWN_ACTOR:
             job = job.model_copy(update={"actor": self.actor})
         request = SubmitJob(
             **self.request_fields(), job=job, client_key=client_key or self.new_id(), terms=terms or QueueTerms()
         )
         # Every step is planned before the job is accepted.
-        timeout_s = ANSWER_S + SUBMIT_STEP_S * len(job.steps) * request.terms.repeat
+        written = sum(1 for _ in iterate_steps(job.steps))
+        timeout_s = ANSWER_S + SUBMIT_STEP_S * written * request.terms.repeat
         entry = (await self.request_service("submit", request, JobSubmitted, timeout_s)).entry
         assert entry is not None
         return entry
@@ -113,6 +124,7 @@ class JobRequests(FleetConnection):
 
         on_steps: called with the number of steps that are done. The work ends with this call: the job is sent in parts.
         """
+        job = await self.send_points(job)
         steps: list[StepForecast] = []
         problems: list[StepProblem] = []
         conditions: dict[str, None] = {}
@@ -160,10 +172,17 @@ class JobRequests(FleetConnection):
         return (await self.request_service("recording", request, RecordingReply)).recording
 
     async def load_result(self, report: JobReport) -> JobResult:
-        """A report with the recordings of its first `MAX_RECORDINGS` motion steps."""
+        """A report with the recordings of its first `MAX_RECORDINGS` motion steps, and the first `MAX_RESULT_POINTS`
+        points of its scans."""
         moves = [step.index for step in report.steps if step.do == "move"][:MAX_RECORDINGS]
         found = [await self.load_recording(report.job_id, index) for index in moves]
-        return JobResult.of(report, [each for each in found if each is not None])
+        points: list[PointRecord] = []
+        if any(step.scan is not None for step in report.steps):
+            async for each in self.iterate_points(report.job_id):
+                points.append(each)
+                if len(points) == MAX_RESULT_POINTS:
+                    break
+        return JobResult.of(report, [each for each in found if each is not None], points)
 
     async def cancel_job(self, job_id: str) -> None:
         """Cancel a queued or running job. Raises `Refusal`."""
@@ -195,7 +214,7 @@ class JobRequests(FleetConnection):
     async def retry_job(
         self,
         job_id: str,
-        from_step: int = 0,
+        from_step: int | tuple[int, int] = 0,
         *,
         dry_run: bool = False,
         terms: QueueTerms | None = None,
@@ -203,12 +222,15 @@ class JobRequests(FleetConnection):
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
+        from_step: its number, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
+        step, point = from_step if isinstance(from_step, tuple) else (from_step, None)
         request = RetryJob(
             **self.request_fields(),
             job_id=job_id,
-            from_step=from_step,
+            from_step=step,
+            from_point=point,
             dry_run=dry_run,
             terms=terms,
             client_key=client_key or self.new_id(),
@@ -254,7 +276,7 @@ class JobRequests(FleetConnection):
                     return shown.report
                 entry, job = shown.entry, shown.job
                 if on_progress is not None and entry is not None and job is not None and entry.state == "queued":
-                    steps = len(job.steps) * entry.terms.repeat
+                    steps = len(StepOrder(job.steps, entry.terms.repeat))
                     on_progress(make_queued_progress(entry, "queued", entry.reason, entry.submitted_utc, steps))
                 changed.clear()
                 try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.report import JobReport, QueueEntry, QueueState, StepRecording
+from orchestrator.model.report import JobReport, PointRecord, QueueEntry, QueueState, StepRecording
 from orchestrator.model.state import ControllerState
 
 if TYPE_CHECKING:
@@ -62,15 +62,19 @@ class JobQueue(QueueState):
 class JobResult(JobReport):
     """The record of a job that has ended. It prints as the table of `tutti job report`.
 
-    recordings: plan and polled positions of its first 100 motion steps, as far as they are kept.
+    recordings: plan and polled positions of its first 100 motion steps, as far as they are kept. points: what was
+    recorded at the points of its scans, the first 10,000.
     """
 
     recordings: tuple[StepRecording, ...] = Field(default=(), exclude=True, repr=False)
+    points: tuple[PointRecord, ...] = Field(default=(), exclude=True, repr=False)
 
     @classmethod
-    def of(cls, report: JobReport, recordings: Sequence[StepRecording]) -> "JobResult":
-        """A result of `report` with the recordings of its motion steps."""
-        return cls.model_validate({**dict(report), "recordings": tuple(recordings)})
+    def of(
+        cls, report: JobReport, recordings: Sequence[StepRecording], points: Sequence[PointRecord] = ()
+    ) -> "JobResult":
+        """A result of `report` with the recordings of its motion steps, and the points of its scans."""
+        return cls.model_validate({**dict(report), "recordings": tuple(recordings), "points": tuple(points)})
 
     def __str__(self) -> str:
         return _render_text(self._make_table())
@@ -84,13 +88,20 @@ class JobResult(JobReport):
         return make_report_tables(self)
 
     def plot(self, path: Path | str | None = None) -> "Figure":
-        """Plot the planned and the polled positions of its axes over time, and their difference; a notebook shows it.
+        """Plot the planned and the polled positions of its axes over time, and their difference; of a job with scans,
+        the planned and measured points of the first one. A notebook shows it.
 
         path: also write it there, as PNG or SVG by its ending. Raises `Refusal`, code `no-recording`, if nothing was
         recorded: a job without a move, or an old one.
         """
         from orchestrator.monitor.job_plot import plot_recordings
 
+        if self.points:
+            from orchestrator.monitor.scan_points import plot_points
+
+            first = [each for each in self.points if each.step == self.points[0].step]
+            title = f"{self.name} {self.job_id}: {len(first)} points of step {first[0].step}"
+            return plot_points(first, title, None if path is None else Path(path))
         if not self.recordings:
             raise Refusal("no-recording", f"job {self.name!r} has no recording of a move", "plot a job that moves axes")
         title = f"{self.name} {self.job_id}: planned and polled positions"

@@ -41,7 +41,11 @@ from orchestrator.model.service import (
     JobSubmitted,
     ListJobs,
     PauseJob,
+    PointsPut,
+    PointsRead,
     PruneJobs,
+    PutPoints,
+    ReadPoints,
     RecordingReference,
     RecordingReply,
     ReleaseAxes,
@@ -82,12 +86,15 @@ class UserRequests:
         self._reload, self._wiring, self._epochs = maintenance
         self._keys: FleetKeys = services.keys
         self._answers = AnswerCache()
+        self._rehearsal = JobRehearsal(services)
         self._verbs = {
             "submit": Verb(SubmitJob, JobSubmitted, intake.submit_job),
-            "dry-run": Verb(DryRun, DryRunDone, JobRehearsal(services).dry_run, cached=False),
+            "dry-run": Verb(DryRun, DryRunDone, self._dry_run, cached=False),
             "list": Verb(ListJobs, QueueState, self._list_jobs, cached=False),
             "find": Verb(FindJob, JobsFound, self._find_job, cached=False),
             "show": Verb(JobReference, JobShown, self._show_job, cached=False),
+            "points": Verb(ReadPoints, PointsRead, self._read_points, cached=False),
+            "put-points": Verb(PutPoints, PointsPut, intake.points.put_points, cached=False),
             "recording": Verb(RecordingReference, RecordingReply, self._load_recording, cached=False),
             "cancel": Verb(JobReference, Reply, self._cancel_job),
             "retry": Verb(RetryJob, JobRetried, intake.retry_job),
@@ -140,6 +147,16 @@ class UserRequests:
 
     # Jobs
 
+    async def _dry_run(self, request: DryRun) -> DryRunDone:
+        job = await self._intake.points.resolve_points(request.job)
+        return await self._rehearsal.dry_run(request.model_copy(update={"job": job}))
+
+    async def _read_points(self, request: ReadPoints) -> PointsRead:
+        services = self._services
+        after = request.after_step, request.after_point
+        load = services.journal.point_rows.load_points
+        return PointsRead(points=await services.execute(load, request.job_id, after, request.limit))
+
     async def _list_jobs(self, request: ListJobs) -> QueueState:
         services = self._services
         values = (request.limit, request.state, request.name, request.since or "")
@@ -170,6 +187,7 @@ class UserRequests:
             job=job,
             report=report,
             transitions=await execute(journal.list_transitions, record.id),
+            progress=self._scheduler.find_progress(record.id),
         )
 
     async def _load_recording(self, request: RecordingReference) -> RecordingReply:

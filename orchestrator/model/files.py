@@ -12,7 +12,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.job import Job, Scan, find_scans, replace_scans
 from orchestrator.model.yaml_reader import MAX_BYTES, YamlError, YamlNode, decode_text, read_yaml
 
 M = TypeVar("M", bound=Model)
@@ -65,8 +65,18 @@ def load_fleet(path: Path | str) -> Fleet:
 
 
 def load_job(path: Path | str) -> Job:
-    """Load the job file at `path`. Raises `FileError`."""
-    return parse_file(read_file(Path(path)), Job)
+    """Load the job file at `path`; files of points stand beside it. Raises `FileError`."""
+    return locate_point_files(parse_file(read_file(Path(path)), Job), Path(path).parent)
+
+
+def locate_point_files(job: Job, folder: Path) -> Job:
+    """The job with files of points below `folder`, unless their paths are absolute."""
+    found: dict[int, Scan] = {}
+    for scan in find_scans(job.steps):
+        if scan.points is not None and scan.points.file is not None:
+            table = scan.points.model_copy(update={"file": str(folder / scan.points.file)})
+            found[id(scan)] = scan.model_copy(update={"points": table})
+    return job.model_copy(update={"steps": replace_scans(job.steps, found)}) if found else job
 
 
 def read_file(path: Path) -> LoadedFile:

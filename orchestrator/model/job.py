@@ -1,6 +1,6 @@
 """The job file: a list of steps for the whole fleet."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
@@ -8,10 +8,14 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.numbers import Part
+from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.state import StartWish
 from orchestrator.model.units import Quantity
 
 UNKNOWN_ACTOR = "unknown"
+MAX_AT_EACH = 50  # steps at each point of a scan
+MAX_REPEATED = 200  # steps inside a repeat, those at the points of its scans included
+MAX_REPEAT_DEPTH = 3  # of repeats inside each other
 _MISSING: Any = object()
 
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
@@ -34,12 +38,9 @@ class StepBase(Model):
     name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
 
 
-class Move(StepBase):
-    """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one instant."""
+class MotionOptions(StepBase):
+    """How axes move together."""
 
-    do: Literal["move"] = "move"
-    to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
-    by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
     speed: Part = Field(default=1.0, description="Fraction of each axis's velocity limit.")
     sync: Literal["time", "phase", "none"] = Field(
         default="time",
@@ -61,6 +62,18 @@ class Move(StepBase):
     max_start_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
     max_end_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
     max_path_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
+
+
+class MoveTargets(StepBase):
+    """Where axes move to."""
+
+    do: Literal["move"] = "move"
+    to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
+    by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
+
+
+class Move(MotionOptions, MoveTargets):
+    """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one instant."""
 
     if TYPE_CHECKING:  # numbers and text, as in a file, for editors and type checkers
 
@@ -127,11 +140,25 @@ class Dwell(StepBase):
 
 
 class SetOutput(StepBase):
-    """Switch a named output."""
+    """Switch a named output; with `pulse`, back after that time."""
 
     do: Literal["output"] = "output"
     output: str = Field(description="controller.output")
     value: bool = Field(description="true: active")
+    pulse: Duration | None = Field(
+        default=None, description="It is switched to the other value after this time; the step ends then."
+    )
+
+    @field_validator("pulse")
+    @classmethod
+    def _above_zero(cls, value: int | None) -> int | None:
+        if value == 0:
+            raise ValueError("a pulse must be longer than 0")
+        return value
+
+    if TYPE_CHECKING:
+
+        def __init__(self, *, output: str, value: bool, pulse: str | None = None, name: str | None = None) -> None: ...
 
 
 class WaitInput(StepBase):
@@ -147,18 +174,173 @@ class WaitInput(StepBase):
         def __init__(self, *, input: str, timeout: str, value: bool = True, name: str | None = None) -> None: ...
 
 
+PointStep = Annotated[Move | Dwell | SetOutput | WaitInput, Field(discriminator="do")]
+
+_NOT_AT_EACH = {
+    "home": "it would take the reference away between two points; put it before the scan",
+    "enable": "axes are switched before the scan; put it there",
+    "disable": "the next point needs the axes; put it behind the scan",
+    "set-position": "it would shift the points after it; put it before the scan",
+    "scan": "add its axes to `axes` of this scan instead",
+    "repeat": "write its steps out, or repeat the scan",
+}
+
+
+class ScanPoints(StepBase):
+    """Where a scan goes, and what it does there."""
+
+    do: Literal["scan"] = "scan"
+    axes: dict[str, ScanAxis] = Field(
+        default={},
+        max_length=MAX_SCAN_AXES,
+        description="Nested axes, the outermost first; the last one moves fastest.",
+    )
+    points: PointTable | None = Field(default=None, description="A table of points, instead of `axes`.")
+    scanspec: ScanSpec | None = Field(
+        default=None, description="A scan in the JSON form of scanspec 1.x, instead of `axes`; needs `tutti[scanspec]`."
+    )
+    at_each: list[PointStep] = Field(
+        default=[],
+        max_length=MAX_AT_EACH,
+        description="Steps at each point: moves of other axes, dwells, outputs, waits for an input.",
+    )
+
+
+class Scan(MotionOptions, ScanPoints):
+    """Move axes from point to point, and stop at each. Positions are absolute."""
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            *,
+            axes: Mapping[str, Mapping[str, Any] | ScanAxis] = ...,
+            points: Mapping[str, Any] | PointTable | None = None,
+            scanspec: Mapping[str, Any] | None = None,
+            at_each: Sequence["Move | Dwell | SetOutput | WaitInput"] = (),
+            speed: float | str = 1.0,
+            **more: Any,
+        ) -> None: ...
+
+    @field_validator("at_each", mode="before")
+    @classmethod
+    def _allowed_at_points(cls, value: Any) -> Any:
+        steps: list[Any] = list(value) if isinstance(value, list | tuple) else []  # pyright: ignore[reportUnknownArgumentType]
+        for number, each in enumerate(steps):
+            kind = str(each.get("do") if isinstance(each, dict) else getattr(each, "do", ""))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+            if kind in _NOT_AT_EACH:
+                raise ValueError(f"step {number}: `do: {kind}` cannot stand in `at_each`: {_NOT_AT_EACH[kind]}")
+        return value  # pyright: ignore[reportUnknownVariableType]
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "Scan":
+        if sum(bool(each) for each in (self.axes, self.points, self.scanspec)) != 1:
+            raise ValueError("a scan needs one of `axes`, `points` and `scanspec`")
+        scanned = set(self.axis_names)
+        for number, step in enumerate(self.at_each):
+            twice = sorted(scanned & set(named_axes(step)))
+            if twice:
+                raise ValueError(
+                    f"at_each[{number}] moves {', '.join(twice)}, which the scan positions; move other axes there"
+                )
+        if self.point_count > MAX_POINTS:
+            raise ValueError(f"has {self.point_count} points; the maximum is {MAX_POINTS}")
+        return self
+
+    @property
+    def axis_names(self) -> list[str]:
+        """The axes that it positions; none while they are in a file that was not read yet."""
+        return list(self.axes) or ([] if self.points is None else self.points.axis_names)
+
+    @property
+    def point_count(self) -> int:
+        """The number of points; 0 while they are in a file that was not read yet."""
+        if self.axes:
+            return GridPoints(self.axes).count
+        return 0 if self.points is None else self.points.point_count
+
+    def make_move(self, positions: Mapping[str, float]) -> Move:
+        """The move to one point."""
+        options = {name: getattr(self, name) for name in ("name", *MotionOptions.model_fields)}
+        # Everything in it was validated with the scan.
+        return Move.model_construct(to=dict(positions), **options)
+
+
+class Repeat(StepBase):
+    """Run steps several times."""
+
+    do: Literal["repeat"] = "repeat"
+    times: int = Field(ge=1, le=MAX_POINTS)
+    steps: list["Step"] = Field(min_length=1, max_length=MAX_REPEATED)
+
+    if TYPE_CHECKING:
+
+        def __init__(self, *, times: int, steps: Sequence["Step"], name: str | None = None) -> None: ...
+
+    @model_validator(mode="after")
+    def _bounded(self) -> "Repeat":
+        if _find_depth(self) > MAX_REPEAT_DEPTH:
+            raise ValueError(f"repeats are nested more than {MAX_REPEAT_DEPTH} deep; write the innermost ones out")
+        inside = sum(1 for _ in iterate_steps(self.steps))
+        if inside > MAX_REPEATED:
+            raise ValueError(f"has {inside} steps inside; the maximum is {MAX_REPEATED}")
+        return self
+
+
 Step = Annotated[
-    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput, Field(discriminator="do")
+    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Scan | Repeat,
+    Field(discriminator="do"),
 ]
+Repeat.model_rebuild()
+
+
+def _find_depth(step: Step) -> int:
+    """How deep repeats are nested in a step."""
+    return 1 + max(map(_find_depth, step.steps)) if isinstance(step, Repeat) else 0
+
+
+def iterate_steps(steps: Iterable[Step]) -> Iterator[Step]:
+    """All steps as they are written, in the order in which they begin: for a repeat those inside it, after a scan those
+    at each of its points."""
+    for step in steps:
+        if isinstance(step, Repeat):
+            yield from iterate_steps(step.steps)
+        else:
+            yield step
+            if isinstance(step, Scan):
+                yield from step.at_each
 
 
 def named_axes(step: Step) -> list[str]:
-    """The axes, groups and controllers that a step names; none for a homing of the whole fleet."""
+    """The axes, groups and controllers that a step names itself; none for a homing of the whole fleet."""
     if isinstance(step, Move):
         return [*step.to, *step.by]
+    if isinstance(step, Scan):
+        return step.axis_names
     if isinstance(step, Home | Enable | Disable):
         return step.axes or []
     return list(step.axes) if isinstance(step, SetPosition) else []
+
+
+def find_scans(steps: Iterable[Step]) -> list[Scan]:
+    """All scans as they are written."""
+    return [step for step in iterate_steps(steps) if isinstance(step, Scan)]
+
+
+def replace_scans(steps: Iterable[Step], replacements: Mapping[int, Scan]) -> list[Step]:
+    """The steps with other scans. replacements: by the `id` of the scan."""
+    return [
+        step.model_copy(update={"steps": replace_scans(step.steps, replacements)})
+        if isinstance(step, Repeat)
+        else replacements.get(id(step), step)
+        for step in steps
+    ]
+
+
+def find_digests(steps: Iterable[Step]) -> list[str]:
+    """The digests of stored points that steps name, each once."""
+    tables = [scan.points for scan in find_scans(steps)]
+    return list(dict.fromkeys(each.digest for each in tables if each is not None and each.digest is not None))
 
 
 class Job(Model):

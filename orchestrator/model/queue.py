@@ -9,7 +9,8 @@ from orchestrator.model.base import Model
 
 SESSION_PATTERN = r"^[a-z0-9_-]{1,64}$"
 
-MAX_STEPS = 10_000  # of a job including all repeats
+MAX_STEPS = 10_000  # in the report of a job, with all repeats; a scan counts as one
+MAX_FLAT_STEPS = 100_000_000  # of a job: every pass, every point with the steps at it
 
 
 def parse_utc(text: str) -> datetime:

@@ -48,6 +48,9 @@ class JobProgress(Model):
     step: int
     steps: int
     step_name: str
+    scan_step: Int53 | None = Field(default=None, description="Within a scan: the number of its first step.")
+    point: Int53 | None = Field(default=None, description="The point of the scan, from 1.")
+    points: Int53 | None = None
     fraction: float = Field(ge=0, le=1)
     remaining_s: float | None
     reason: str
@@ -154,6 +157,56 @@ class FeedHold(Model):
     rest_skew: SkewInterval | None = None
 
 
+Verdict = Literal["green", "amber", "red", "none"]
+
+
+class PointFinding(Model):
+    """A point of a scan that is not green. point: its number, from 1."""
+
+    point: Int53
+    verdict: Verdict
+    text: str = ""
+
+
+class ScanSummary(Model):
+    """What the points of a scan did, together.
+
+    points: of the scan; done: of this run. steps_done: moves, and steps at points. verdicts: how many points of each.
+    start_skew_…: upper bounds of the start skew over all points, ns; p50 and p99 are at most 2 % too large. not_green:
+    the first of them. …_s: time from point to point, with the steps there.
+    """
+
+    points: Int53
+    done: Int53
+    steps_done: Int53
+    verdicts: dict[Verdict, Int53] = Field(default={})
+    start_skew_worst_ns: Int53 | None = None
+    start_skew_p50_ns: Int53 | None = None
+    start_skew_p99_ns: Int53 | None = None
+    not_green: list[PointFinding] = Field(default=[])
+    least_s: float | None = None
+    mean_s: float | None = None
+    most_s: float | None = None
+
+
+class PointRecord(Model):
+    """The record of one point of a scan. step: the number of the first step of its scan; point: from 1.
+
+    target: by axis, in its unit; measured: the last reading while the axis stood there, None: it left before the next
+    one. took_s: since the point before, or the beginning.
+    """
+
+    step: Int53
+    point: Int53
+    state: Literal["done", "failed", "skipped", "stopped"]
+    verdict: Verdict
+    t0_fleet_ns: Int53 | None = None
+    start_skew: SkewInterval | None = None
+    took_s: float | None = None
+    target: dict[str, float]
+    measured: dict[str, float | None]
+
+
 class StepChain(Model):
     """How a motion step followed the one before it. kept: it was loaded while that one moved, and began at the T0 that
     was agreed then. gap_s: from the end of that one to its start, by evidence. broken: why it began from rest."""
@@ -165,7 +218,8 @@ class StepChain(Model):
 
 
 class StepReport(Model):
-    """The record of one step. After feed holds it describes the last part, and lists the holds before.
+    """The record of one step, or of a whole scan (`scan`), followed by that of its point that was not done.
+    After feed holds it describes the last part, and lists the holds before.
 
     verdict: green only if starts, durations and ends are certainly as promised, by the controllers' evidence and by the
     promises. start_skew: by the evidence alone. promised_skew: where the promises make it narrower, what they make of
@@ -188,12 +242,19 @@ class StepReport(Model):
     start_skew: SkewInterval | None = None
     promised_skew: SkewInterval | None = None
     end_skew: SkewInterval | None = None
-    verdict: Literal["green", "amber", "red", "none"] = "none"
+    verdict: Verdict = "none"
     deviations: list[str] = Field(
         default=[], description="What differs from the plan although the step is done: durations, ends, positions."
     )
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
+    scan: ScanSummary | None = None
+
+    @property
+    def steps_done(self) -> int:
+        """The number of steps that are done, with those of a scan."""
+        return self.scan.steps_done if self.scan is not None else int(self.state == "done")
+
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
 

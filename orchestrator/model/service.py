@@ -9,8 +9,17 @@ from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import controller_of
-from orchestrator.model.queue import MAX_STEPS, QueueTerms, Utc
-from orchestrator.model.report import JobReport, JobState, JobTransition, QueueEntry, StepRecording
+from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, Utc
+from orchestrator.model.report import (
+    JobProgress,
+    JobReport,
+    JobState,
+    JobTransition,
+    PointRecord,
+    QueueEntry,
+    StepRecording,
+)
+from orchestrator.model.scan import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
 from orchestrator.model.units import Unit
 
 MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one
@@ -54,11 +63,13 @@ class DryRunDone(Reply):
 class RetryJob(Request):
     """Re-run a finished job, from one of its steps on: a new job, linked to the old one by its `origin`.
 
+    from_point: of the scan that step `from_step` belongs to, from 1.
     dry_run: only report the current positions of its axes. terms: None keeps the old job's repeats, and no other terms.
     """
 
     job_id: str
-    from_step: int = Field(default=0, ge=0, le=MAX_STEPS)
+    from_step: int = Field(default=0, ge=0, le=MAX_FLAT_STEPS)
+    from_point: int | None = Field(default=None, ge=1, le=MAX_POINTS)
     client_key: str = Field(min_length=1, max_length=200)
     terms: QueueTerms | None = None
     dry_run: bool = False
@@ -145,24 +156,61 @@ class JobsPruned(Reply):
 
 
 class JobShown(Reply):
-    """All that the journal has of a job; `report` once it has ended."""
+    """All that the journal has of a job; `report` once it has ended, `progress` while it runs."""
 
     entry: QueueEntry | None = None
     job: Job | None = None
     report: JobReport | None = None
     transitions: list[JobTransition] = Field(default=[])
+    progress: JobProgress | None = None
 
 
 class RecordingReference(JobReference):
     """The recording of one motion step of a job."""
 
-    step: int = Field(ge=0, le=MAX_STEPS)
+    step: int = Field(ge=0, le=MAX_FLAT_STEPS)
 
 
 class RecordingReply(Reply):
     """None: the step moved nothing, or its recording has been deleted."""
 
     recording: StepRecording | None = None
+
+
+class ReadPoints(JobReference):
+    """Recorded points of the scans of a job, in their order: those after point `after_point` of the scan that begins
+    with step `after_step`."""
+
+    after_step: int = Field(default=-1, ge=-1, le=MAX_FLAT_STEPS)
+    after_point: int = Field(default=0, ge=0, le=MAX_POINTS)
+    limit: int = Field(default=1000, ge=1, le=5000)
+
+
+class PointsRead(Reply):
+    """Fewer points than the limit are the last ones so far."""
+
+    points: list[PointRecord] = Field(default=[])
+
+
+class PutPoints(Request):
+    """Store points of a scan, before the job that names them. First without `data`, then part by part, in order.
+
+    digest: SHA-256 of the header (`scan.make_header`) and all rows. count: of all points. begin: how many bytes
+    come before `data`, which is base64 of whole rows: doubles, little-endian, one for each of `axes`.
+    """
+
+    digest: str = Field(pattern=DIGEST_PATTERN)
+    axes: list[PointAxis] = Field(min_length=1, max_length=MAX_SCAN_AXES)
+    count: int = Field(ge=1, le=MAX_POINTS)
+    begin: int = Field(default=0, ge=0)
+    data: str = Field(default="", max_length=2 * PART_BYTES)
+
+
+class PointsPut(Reply):
+    """received: bytes that are stored; the next part begins there. points: once all are, and the digest is right."""
+
+    received: int = 0
+    points: PointTable | None = None
 
 
 class ListJobs(Request):

@@ -87,6 +87,18 @@ def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
     return convert_units(Fraction(number), _parse_unit(name), unit)
 
 
+def parse_with_unit(text: float | str, like: str) -> Fraction:
+    """Convert text with a unit to an exact number of the unit of the text `like`. Raises `UnitError`."""
+    parts = split_number(like)
+    if parts is None or not parts[1]:
+        raise UnitError(f"{like[:MAX_TEXT]!r} has no unit; write a number without quotes, or add the unit")
+    unit = _parse_unit(parts[1])
+    found = split_number(text) if isinstance(text, str) else None
+    if found is None or not found[1]:
+        raise UnitError(f"{str(text)[:MAX_TEXT]!r} has no unit, and {like!r} has one; give both one")
+    return parse_quantity(found[0] + found[1], unit)
+
+
 _PER_TIME = re.compile(r"(.+?)/(s|min)(?:\^?([23])|([²³]))?")
 _MARKS = {1: "", 2: "²", 3: "³"}
 

@@ -252,7 +252,7 @@ def format_job_line(job: JobProgress) -> str:
 def describe_progress(job: JobProgress) -> str:
     """A job's progress in words, without its time."""
     reason = f" ({localize_times(job.reason)})" if job.reason else ""
-    step = "" if job.state in FINISHED_STATES else f", {_format_step(job)}"
+    step = "" if job.state in FINISHED_STATES else f", {format_step(job)}"
     return f"job {job.name!r} {job.job_id}: {job.state}{step}{reason}"
 
 
@@ -272,11 +272,13 @@ def make_job_bar(job: JobProgress) -> RenderableType:
     left = f", {job.remaining_s:.1f} s left" if job.remaining_s is not None else ""
     grid.add_row(
         ProgressBar(total=1.0, completed=job.fraction, width=24),
-        f"{_format_step(job)}{left}",
+        f"{format_step(job)}{left}",
     )
     return Group(head, grid)
 
 
-def _format_step(job: JobProgress) -> str:
-    """Number the step as reasons and reports do, and as `--from-step` expects it."""
+def format_step(job: JobProgress) -> str:
+    """Number the step as reasons and reports do, and as `--from-step` and `--from-point` expect it."""
+    if job.point is not None:
+        return f"{f'step {job.scan_step} {job.step_name}'.rstrip()}, point {job.point} of {job.points}"
     return f"{f'step {job.step} {job.step_name}'.rstrip()}, {job.step + 1} of {job.steps}"

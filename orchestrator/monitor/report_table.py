@@ -29,6 +29,7 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
     parts: list[RenderableType] = [_make_head(report), "", steps]
     if len(shown) < len(report.steps):
         parts.append(Text(f"and {len(report.steps) - len(shown)} more steps, which are done as planned", style="dim"))
+    parts += [Text(line) for step in report.steps for line in _describe_scan(step)]
     deviations = [f"step {step.index}: {line}" for step in report.steps for line in step.deviations]
     parts += [Text(line, style="red") for line in (deviations if detailed else deviations[:MAX_DEVIATIONS])]
     reasons = [line for step in report.steps if detailed or step.verdict != "green" for line in _explain_verdict(step)]
@@ -151,6 +152,25 @@ def _describe_deviations(step: StepReport) -> list[str]:
                 f"{said.worst_member}"
             )
     return lines
+
+
+def _describe_scan(step: StepReport) -> list[str]:
+    """What the points of a scan did together, and those that are not green."""
+    scan = step.scan
+    if scan is None:
+        return []
+    line = f"step {step.index}: {scan.done} of {scan.points} points"
+    if scan.mean_s is not None:
+        line += f", {scan.mean_s:.3f} s a point ({scan.least_s:.3f} to {scan.most_s:.3f} s)"
+    if scan.start_skew_p50_ns is not None and scan.start_skew_p99_ns is not None:
+        line += f", start skew at most {scan.start_skew_p50_ns / 1e6:.1f} ms in half of them"
+        line += f", {scan.start_skew_p99_ns / 1e6:.1f} ms in 99 %"
+    other = sum(number for verdict, number in scan.verdicts.items() if verdict in ("amber", "red"))
+    lines = [line + (f"; {other} not green" if other else "")]
+    return lines + [
+        f"step {step.index}, point {each.point}: {each.verdict}" + (f", {each.text}" if each.text else "")
+        for each in scan.not_green
+    ]
 
 
 def _explain_verdict(step: StepReport) -> list[str]:

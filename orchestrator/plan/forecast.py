@@ -4,26 +4,48 @@ Positions that only the machine knows are carried as distances from there, so th
 with the soft limits although nothing is known about its beginning.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import singledispatchmethod
-from typing import Literal, NamedTuple
+from functools import partial, singledispatchmethod
+from typing import NamedTuple
 
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
-from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
-from orchestrator.model.job import Disable, Dwell, Enable, Home, Move, SetOutput, SetPosition, Step, WaitInput
-from orchestrator.model.names import controller_of
+from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast
+from orchestrator.model.job import (
+    Disable,
+    Dwell,
+    Enable,
+    Home,
+    MotionOptions,
+    Move,
+    Repeat,
+    Scan,
+    SetOutput,
+    SetPosition,
+    Step,
+    WaitInput,
+)
 from orchestrator.model.step_words import describe_step
-from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.model.units import UnitError
+from orchestrator.plan.forecast_axes import AxisForecaster, MoveWays, Order
+from orchestrator.plan.forecast_passes import (
+    RUN_PASSES,
+    LaterTarget,
+    TargetCheck,
+    find_first_pass,
+    find_last_state,
+    find_later_targets,
+    find_range,
+    group_by_axis,
+)
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
+from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iterate_ways
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
-from orchestrator.plan.targets import choose_turn, explain_beyond_limits, explain_beyond_range, make_axis_move
-
-Order = Literal[2, 3]
+from orchestrator.plan.targets import explain_beyond_limits, explain_beyond_range, make_axis_move
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,37 +63,58 @@ class _Span(NamedTuple):
     least: float = 0.0
     most: float | None = 0.0
 
+    def followed_by(self, other: "_Span", times: int = 1) -> "_Span":
+        """The duration of this and then `other`, so many times."""
+        most = None if self.most is None or other.most is None else self.most + other.most * times
+        return _Span(self.least + other.least * times, most)
 
-class JobForecaster:
+
+class _Pass(NamedTuple):
+    """One pass of repeated steps: the targets that were checked, the axes after it, its duration, new problems."""
+
+    checks: list[TargetCheck]
+    axes: dict[str, AxisForecast]
+    span: _Span
+    problems: int
+
+
+class JobForecaster(AxisForecaster):
     """Takes the steps of a job one by one; `problems` and `conditions` grow, `axes` is the state after the last one."""
 
     def __init__(
         self, fleet: Fleet, axes: Mapping[str, AxisForecast] | None = None, orders: Mapping[str, Order] | None = None
     ) -> None:
         """axes: their states now; others are unknown. orders: of the profiles that each controller executes."""
-        self._fleet = fleet
-        self._orders = orders or {}
+        super().__init__(fleet, axes, orders)
         self._outputs: dict[str, bool] = {}
         self._reserved = _find_reserved_outputs(fleet)
-        self.axes: dict[str, AxisForecast] = dict(axes or {})
-        self.problems: list[StepProblem] = []
-        self.conditions: dict[str, None] = {}
         self.motion: ForecastMotion | None = None
         """The step that was taken last, if it moves and all its positions are known."""
-        self._index = 0
-        self._notes: list[str] = []
+        self._notes: dict[str, None] = {}
 
     def take(self, index: int, step: Step) -> StepForecast:
         """Run one step forward. index: its number in the job file."""
-        self._index, self._notes, self.motion = index, [], None
-        span = self._run(step)
+        work = self.take_in_parts(index, step)
+        while True:
+            try:
+                next(work)
+            except StopIteration as done:
+                return done.value
+
+    def take_in_parts(self, index: int, step: Step) -> Generator[None, None, StepForecast]:
+        """`take`, with a break before each step inside a repeat or a scan, for the other work of a process."""
+        self._index, self._notes, self.motion = index, {}, None
+        self._place, self._checks = ("steps", index), []
+        span = yield from self._run_parts(step)
+        if not isinstance(step, Move):
+            self.motion = None
         return StepForecast(
             index=index,
             do=step.do,
             text=describe_step(step),
             least_s=round(span.least, 6),
             most_s=None if span.most is None else round(span.most, 6),
-            conditions=self._notes,
+            conditions=list(self._notes),
         )
 
     def finish(self, steps: Iterable[StepForecast] = ()) -> JobForecast:
@@ -79,6 +122,17 @@ class JobForecaster:
         for name, state in self.axes.items():
             self._note_room(name, state)
         return JobForecast(steps=list(steps), problems=self.problems, conditions=list(self.conditions))
+
+    def _run_parts(self, step: Step) -> Generator[None, None, _Span]:
+        yield
+        if isinstance(step, Repeat):
+            return (yield from self._run_passes(step.steps, "steps", step.times, "in pass"))
+        span = self._run(step)
+        if isinstance(step, Scan):
+            span = span.followed_by(
+                (yield from self._run_passes(step.at_each, "at_each", step.point_count, "at point"))
+            )
+        return span
 
     # Steps
 
@@ -88,10 +142,7 @@ class JobForecaster:
 
     @_run.register
     def _(self, step: Move) -> _Span:
-        nearest: list[AxisMove] = []
-        farthest: list[AxisMove] = []
-        exact: dict[str, tuple[Fraction, int]] = {}
-        bounded = True
+        ways = MoveWays()
         for name, value in (step.to | step.by).items():
             place = ("by" if name in step.by else "to", name)
             axis = self._find_axis(name, place)
@@ -99,22 +150,36 @@ class JobForecaster:
             if axis is None or amount is None:
                 continue
             self._require_ready(name, place)
-            before = self._state(name)
-            after, distance_known = self._find_target(place, axis, amount)
-            self.axes[name] = after
-            order = self._orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)
-            if distance_known:
-                start, target = axis.to_counts(before.motor), axis.to_counts(after.motor)
-                move = make_axis_move(name, axis, start, target, order)
-                nearest.append(move)
-                farthest.append(move)
-                if before.known and after.known:
-                    exact[name] = (after.motor, target)
-            elif (most := _longest_move(name, axis, after, order)) is not None:
-                farthest.append(most)
-            else:
-                bounded = False
-        return self._plan_move(step, nearest, farthest if bounded else None, exact)
+            self._take_target(ways, place, axis, amount)
+        span = self._plan_ways(step, ways)
+        if ways.plan is not None and len(ways.exact) == len(step.to) + len(step.by):
+            self.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
+        return span
+
+    @_run.register
+    def _(self, step: Scan) -> _Span:
+        axes = {name: self._find_axis(name, ("axes", name)) for name in step.axis_names}
+        known = {name: axis for name, axis in axes.items() if axis is not None}
+        if len(known) < len(axes):
+            return _Span()
+        units = [axis.unit for axis in known.values()]
+        for column in step.points.columns if step.points is not None else ():
+            if column.unit != known[column.axis].unit:
+                text = f"the points of {column.axis} are in {column.unit}, and the axis is in {known[column.axis].unit}"
+                self._add_problem(("points",), "bad-unit", text, "submit the job again", column.axis)
+                return _Span()
+        try:
+            corners, kinds = find_corners(step, units), list(iterate_ways(step, units))
+        except UnitError as error:
+            self._add_problem((), "bad-unit", str(error), "correct the unit")
+            return _Span()
+        first = MoveWays()
+        for name, axis in known.items():
+            self._take_corners(first, name, axis, corners[name], step.point_count)
+        span = self._plan_ways(step, first)
+        for kind in kinds:
+            span = span.followed_by(self._plan_kind(step, known, kind), kind.often)
+        return span
 
     @_run.register
     def _(self, step: Home) -> _Span:
@@ -141,7 +206,7 @@ class JobForecaster:
             )
         entries = [*order.entries, *([axis] for axis in order.loners)]
         most = sum(max(self._fleet.axis(axis).homing.timeout_s for axis in entry) for entry in entries)
-        self._notes.append(f"the reference is found within {most:g} s")
+        self._notes[f"the reference is found within {most:g} s"] = None
         return _Span(0.0, most)
 
     @_run.register
@@ -185,12 +250,13 @@ class JobForecaster:
                 "use another output, or remove that use from the fleet file",
             )
         elif self._outputs.get(step.output) == step.value:
-            self._notes.append(f"{step.output} is {'active' if step.value else 'inactive'} already")
+            self._notes[f"{step.output} is {'active' if step.value else 'inactive'} already"] = None
         wired = [end for wire in self._fleet.wiring if wire.from_ == step.output for end in wire.to]
         if step.value and wired:
-            self._notes.append(f"no controller waits for {', '.join(wired)}, which the output is wired to")
-        self._outputs[step.output] = step.value
-        return _Span()
+            self._notes[f"no controller waits for {', '.join(wired)}, which the output is wired to"] = None
+        self._outputs[step.output] = step.value if step.pulse is None else not step.value
+        pulse_s = (step.pulse or 0) / 1e9
+        return _Span(pulse_s, pulse_s)
 
     @_run.register
     def _(self, step: WaitInput) -> _Span:
@@ -198,10 +264,134 @@ class JobForecaster:
         if text is not None:
             self._add_problem(("input",), "unknown-name", text, "correct the name")
         state = "active" if step.value else "inactive"
-        self._notes.append(f"input {step.input} becomes {state} within {format_ns(step.timeout)}")
+        self._notes[f"input {step.input} becomes {state} within {format_ns(step.timeout)}"] = None
         return _Span(0.0, step.timeout / 1e9)
 
+    # Passes
+
+    def _run_passes(self, steps: Sequence[Step], key: str, times: int, word: str) -> Generator[None, None, _Span]:
+        """Run steps forward `times` times: the first passes, the others by what these differ in, and the last one. key:
+        of the steps in their own step. word: what a pass is called in messages."""
+        when = self._when
+        passes: list[_Pass] = []
+        whole = _Span()
+        for number in range(1, min(times, RUN_PASSES) + 1):
+            words = f", {word} {number} of {times}{when}" if number > 1 else when
+            passes.append((yield from self._run_pass(steps, key, words)))
+            whole = whole.followed_by(passes[-1].span)
+            if passes[-1].problems:
+                return whole  # it would be there in every pass
+        if times <= RUN_PASSES:
+            return whole
+        third, problems = passes[-1].span, len(self.problems)
+        self._skip_passes(passes, times - 1, lambda number: f", {word} {number} of {times}{when}")
+        if len(self.problems) > problems:
+            return whole
+        targets = find_later_targets(passes[1].checks, passes[2].checks)
+        if not any(each.drift or each.offset_drift for each in targets):
+            return whole.followed_by(third, times - RUN_PASSES)
+        last = (yield from self._run_pass(steps, key, f", {word} {times} of {times}{when}")).span
+        between = third
+        if last != third:
+            # A way that changes from pass to pass is longest at one end; it may be nothing in between.
+            most = None if third.most is None or last.most is None else max(third.most, last.most)
+            between = _Span(0.0, most)
+        return whole.followed_by(between, times - RUN_PASSES - 1).followed_by(last)
+
+    def _run_pass(self, steps: Sequence[Step], key: str, when: str) -> Generator[None, None, "_Pass"]:
+        """Run steps forward once."""
+        place, outer = self._place, (self._checks, self._when)
+        problems, span = len(self.problems), _Span()
+        self._checks, self._when = [], when
+        for index, step in enumerate(steps):
+            self._place = (*place, key, index)
+            span = span.followed_by((yield from self._run_parts(step)))
+        made = _Pass(self._checks, dict(self.axes), span, len(self.problems) - problems)
+        self._place, (self._checks, self._when) = place, outer
+        self._checks += made.checks
+        return made
+
+    def _skip_passes(
+        self,
+        passes: Sequence["_Pass"],
+        times: int,
+        describe: Callable[[int], str],
+    ) -> None:
+        """Go on from the third pass to pass `times`. describe: a pass in words."""
+        _, (second, before, _, _), (third, after, _, _) = passes
+        place, when = self._place, self._when
+        for name, targets in group_by_axis(find_later_targets(second, third)).items():
+            axis, state = self._fleet.axis(name), after[name]
+            problems = len(self.problems)
+            for number, check in self._find_leaving_targets(axis, targets, times).values():
+                self._place, self._when = check.place[:-2], describe(number)
+                self._check_target(check.place[-2:], axis, check.target, check.offset)
+            # A position that was lost in each pass is no common beginning.
+            lost = state.since > self._index
+            apart = [each for each in targets if not each.check.known and not lost]
+            number = find_first_pass(times, partial(self._leaves_room, axis, state, apart)) if apart else None
+            if number is not None:
+                self._place, self._when = apart[-1].check.place[:-2], describe(number)
+                lowest, highest = find_range(state, apart, number)
+                reached = state.model_copy(update={"lowest": lowest, "highest": highest})
+                self._check_room(apart[-1].check.place[-2:], axis, reached)
+            self.axes[name] = find_last_state(before[name], state, apart, times)
+            if len(self.problems) > problems:
+                self.axes[name] = state.model_copy(update=self._unknown_position())
+            self._checks += [each.in_pass(times) for each in targets]
+        self._place, self._when = place, when
+
+    def _find_leaving_targets(
+        self, axis: Axis, targets: Sequence[LaterTarget], times: int
+    ) -> dict[tuple[str | int, ...], tuple[int, TargetCheck]]:
+        """By place: the first pass in which a target is out of reach, and that target."""
+        found: dict[tuple[str | int, ...], tuple[int, TargetCheck]] = {}
+        for each in targets:
+            if each.check.known and (each.drift or each.offset_drift):
+                number = find_first_pass(times, partial(self._leaves_limits, axis, each))
+                if number is not None and number < found.get(each.check.place, (times + 1, None))[0]:
+                    found[each.check.place] = number, each.in_pass(number)
+        return found
+
+    def _leaves_limits(self, axis: Axis, target: LaterTarget, number: int) -> bool:
+        check = target.in_pass(number)
+        beyond = explain_beyond_limits(check.axis, axis, check.target, check.offset)
+        return (beyond or explain_beyond_range(check.axis, axis, check.target)) is not None
+
+    def _leaves_room(self, axis: Axis, state: AxisForecast, targets: Sequence[LaterTarget], number: int) -> bool:
+        return self._exceeds_room(axis, find_range(state, targets, number))
+
     # Parts of steps
+
+    def _take_corners(
+        self, first: "MoveWays", name: str, axis: Axis, corners: Sequence[ScanCorner], points: int
+    ) -> None:
+        """Move one axis of a scan to its extremes. first: gets the way to the first point."""
+        self._require_ready(name, ("axes", name))
+        when, ways, seen = self._when, first, set[Fraction]()
+        for number, corner in enumerate(corners):
+            last = number == len(corners) - 1
+            if corner.position in seen and not last:
+                continue
+            problems = () if corner.position not in seen else tuple(self.problems)
+            seen.add(corner.position)
+            words = ", ".join(f"{axis} {value:g}" for axis, value in corner.positions.items())
+            self._when = f", at point {corner.point} of {points} ({words}){when}"
+            self._take_target(ways, ("axes", name), axis, corner.position)
+            if problems:
+                self.problems = list(problems)  # the corner was reported before
+            ways = MoveWays()
+        self._when = when
+
+    def _plan_kind(self, step: Scan, axes: Mapping[str, Axis], kind: ScanWays) -> _Span:
+        """The duration of one kind of way between points."""
+        ways = MoveWays()
+        for name, axis in axes.items():
+            for found, moves in ((kind.nearest, ways.nearest), (kind.farthest, ways.farthest)):
+                if name in found:
+                    start, target = (axis.to_counts(each) for each in found[name])
+                    moves.append(make_axis_move(name, axis, start, target, self._order_of(name, axis)))
+        return self._plan_ways(step, ways)
 
     def _switch(self, step: Enable | Disable, *, on: bool) -> _Span:
         axes = self._expand(step.axes, ("axes",))
@@ -211,172 +401,17 @@ class JobForecaster:
         longest_s = max((brake.release_s if on else brake.engage_s for brake in brakes), default=0.0)
         return _Span(longest_s, longest_s)
 
-    def _find_target(self, place: tuple[str, str], axis: Axis, amount: Fraction) -> tuple[AxisForecast, bool]:
-        """The state after a move, and whether the distance is known. place: `to` or `by`, and the axis."""
-        name, relative = place[1], place[0] == "by"
-        state = self._state(name)
-        if relative:
-            target = state.motor + amount
-        elif state.offset_kind == "unknown":
-            self.conditions[f"the target of {name} in step {self._index} depends on its user offset"] = None
-            return state.model_copy(update=self._unknown_position()), False
-        elif state.offset_kind == "motor" and not state.known:
-            self._note_room(name, state)
-            target = choose_turn(axis, amount - state.offset, amount - state.offset, state.offset)
-            self._check_target(place, axis, target, state.offset)
-            self.conditions["user offsets (`set-position`) are 0 where no step sets them"] = None
-            return state.model_copy(update={"motor": target, "known": True}), False
-        else:
-            target = choose_turn(axis, state.motor, amount - state.offset, state.offset)
-        update: dict[str, object] = {"motor": target}
-        if state.known:
-            if not self._check_target(place, axis, target, state.offset) and relative:
-                update |= self._unknown_position()  # further moves by a distance would repeat the same mistake
-        else:
-            update |= {"lowest": min(state.lowest, target), "highest": max(state.highest, target)}
-            after = state.model_copy(update=update)
-            if not self._check_room(place, axis, after):
-                update |= self._unknown_position()
-        return state.model_copy(update=update), True
-
-    def _unknown_position(self) -> dict[str, object]:
-        return {
-            "motor": Fraction(0),
-            "known": False,
-            "since": self._index + 1,
-            "lowest": Fraction(0),
-            "highest": Fraction(0),
-        }
-
-    def _check_target(self, place: tuple[str, str], axis: Axis, target: Fraction, offset: Fraction) -> bool:
-        name, code, remedy = place[1], "soft-limit", "change the target, or the soft limits in the fleet file"
-        text = explain_beyond_limits(name, axis, target, offset)
-        if text is None:
-            code, remedy = "position-range", "move the other way, or home the axis, which begins to count again"
-            text = explain_beyond_range(name, axis, target)
-        if text is not None:
-            self._add_problem(place, code, text, remedy, name)
-        return text is None
-
-    def _check_room(self, place: tuple[str, str], axis: Axis, state: AxisForecast) -> bool:
-        """Whether the moves by a distance from an unknown position can stay inside the soft limits at all."""
-        limits = axis.soft_limits_counts
-        if limits is None:
-            return True
-        room, needed = limits[1] - limits[0], abs(axis.to_counts(state.highest - state.lowest))
-        if needed <= room:
-            return True
-        span, apart = abs(axis.to_unit(needed)), abs(axis.to_unit(room))
-        text = (
-            f"axis {place[1]}: the moves from step {state.since} on cover {span:g} {axis.unit}; its soft limits are "
-            f"{apart:g} {axis.unit} apart"
-        )
-        self._add_problem(place, "soft-limit", text, "move less far, or change the soft limits", place[1])
-        return False
-
-    def _note_room(self, name: str, state: AxisForecast) -> None:
-        """The condition that moves by a distance set on the position where they begin."""
-        if state.known or state.lowest == state.highest:
-            return
-        axis = self._fleet.axis(name)
-        if axis.soft_limits is None:
-            return
-        low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
-        begin, end = float(low - state.lowest), float(high - state.highest)
-        self.conditions[
-            f"{name} stands between {begin:g} and {end:g} {axis.unit} (motor position) before step {state.since}"
-        ] = None
-
-    def _plan_move(
-        self,
-        step: Move,
-        nearest: list[AxisMove],
-        farthest: list[AxisMove] | None,
-        exact: dict[str, tuple[Fraction, int]],
-    ) -> _Span:
+    def _plan_ways(self, step: MotionOptions, ways: "MoveWays") -> _Span:
+        """The duration of a motion; its plan stays in `ways`."""
         try:
-            plan = longest = plan_step(nearest, step.sync, step.speed, step.ramps)
-            if farthest is not None and farthest != nearest:
-                longest = plan_step(farthest, step.sync, step.speed, step.ramps)
+            plan = longest = plan_step(ways.nearest, step.sync, step.speed, step.ramps)
+            if ways.bounded and ways.farthest != ways.nearest:
+                longest = plan_step(ways.farthest, step.sync, step.speed, step.ramps)
         except PlanError as error:
             self._add_problem((), "plan", str(error), "")
             return _Span()
-        if len(exact) == len(step.to) + len(step.by):
-            self.motion = ForecastMotion(nearest, exact, plan)
-        return _Span(plan.duration_s, None if farthest is None else longest.duration_s)
-
-    # Names and states
-
-    def _state(self, name: str) -> AxisForecast:
-        known = self.axes.get(name)
-        if known is None:
-            # Axes that the job enables by itself need no step for it.
-            enabled = None if self._fleet.axis(name).enable == "manual" else True
-            known = self.axes[name] = AxisForecast(enabled=enabled, since=self._index)
-        return known
-
-    def _require_ready(self, name: str, place: tuple[str | int, ...]) -> None:
-        self._require(name, "enabled", place)
-        self._require(name, "referenced", place)
-
-    def _require(
-        self, name: str, what: Literal["enabled", "referenced"], place: tuple[str | int, ...], why: str = ""
-    ) -> None:
-        """The axis must be enabled, or referenced; unless its controller alone knows, it is a problem or it is not."""
-        state = self._state(name)
-        found = getattr(state, what)
-        if found is None:
-            self.conditions[f"{name} is {what} before the job"] = None
-        elif not found:
-            verb = "enable" if what == "enabled" else "home"
-            text = f"{why}, which is not referenced" if why else f"axis {name} is not {what}"
-            self._add_problem(place, f"not-{what}", text, f"add a step `do: {verb}` before it", name)
-        if not found:
-            self.axes[name] = state.model_copy(update={what: True})
-
-    def _find_axis(self, name: str, place: tuple[str | int, ...]) -> Axis | None:
-        text = self._fleet.names.explain_unknown(name, "axis")
-        if text is None:
-            return self._fleet.axis(name)
-        self._add_problem(place, "unknown-name", text, "correct the name")
-        return None
-
-    def _expand(self, names: Iterable[str], place: tuple[str | int, ...]) -> list[str]:
-        """The axes of all names that exist; the others are problems."""
-        found: list[str] = []
-        for number, name in enumerate(names):
-            text = self._fleet.names.explain_unknown(name, "axes")
-            if text is None:
-                found += self._fleet.expand_name(name)
-            else:
-                self._add_problem((*place, number), "unknown-name", text, "correct the name")
-        return list(dict.fromkeys(found))
-
-    def _parse(self, value: int | float | str, axis: Axis, name: str, place: tuple[str | int, ...]) -> Fraction | None:
-        try:
-            return parse_quantity(value, axis.unit)
-        except UnitError as error:
-            self._add_problem(place, "bad-unit", f"{name}: {error}", "correct the unit", name)
-            return None
-
-    def _add_problem(
-        self, place: tuple[str | int, ...], code: str, text: str, remedy: str, axis: str | None = None
-    ) -> None:
-        controller = None if axis is None else controller_of(axis)
-        problem = StepProblem(
-            place=["steps", self._index, *place], code=code, text=text, remedy=remedy, controller=controller
-        )
-        if problem not in self.problems:
-            self.problems.append(problem)
-
-
-def _longest_move(name: str, axis: Axis, after: AxisForecast, order: Order) -> AxisMove | None:
-    """The move from the farther soft limit; None without limits."""
-    limits = axis.soft_limits_counts
-    if limits is None or not after.known:
-        return None
-    target = axis.to_counts(after.motor)
-    return make_axis_move(name, axis, max(limits, key=lambda end: abs(end - target)), target, order)
+        ways.plan = plan
+        return _Span(plan.duration_s, longest.duration_s if ways.bounded else None)
 
 
 def _find_reserved_outputs(fleet: Fleet) -> dict[str, str]:

@@ -27,6 +27,8 @@ from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.point_rows import PointRows
+from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
@@ -57,7 +59,10 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         Journal.has_client_key,
         Journal.load_recording,
         Journal.load_report,
+        Journal.list_named_points,
         Journal.require_latest_epoch,
+        PointRows.load_points,
+        PointStore.read_rows,
         Journal.list_reservations,
         Journal.load_record,
         Journal.list_transitions,

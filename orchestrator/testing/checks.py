@@ -16,7 +16,7 @@ from orchestrator.campaign.rest import find_at_rest
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.coordinator.journal.records import DamagedRecord
-from orchestrator.model.job import Job, SetOutput, WaitInput, named_axes
+from orchestrator.model.job import Job, SetOutput, WaitInput, iterate_steps, named_axes
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.virtual import VirtualFleet
 from orchestrator.testing.fault_schedule import InjectedFault
@@ -93,7 +93,7 @@ class RunChecks:
 def find_controllers(job: Job, everything: Sequence[str]) -> tuple[str, ...]:
     """The controllers that a job concerns; all of them where it does not name one."""
     names: list[str] = []
-    for step in job.steps:
+    for step in iterate_steps(job.steps):
         own = [step.output] if isinstance(step, SetOutput) else [step.input] if isinstance(step, WaitInput) else []
         names += own or named_axes(step) or everything
     found = {name.partition(".")[0] for name in names}

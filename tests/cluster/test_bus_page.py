@@ -37,6 +37,8 @@ EXAMPLES: dict[str, Any] = {
     "epoch": 1,
     "coordinator": "c1",
     "actor": "reader",
+    "after_point": 0,
+    "after_step": -1,
     "axes": ["gantry.x"],
     "after": None,
     "before": "none",
@@ -44,9 +46,13 @@ EXAMPLES: dict[str, Any] = {
     "check": True,
     "client_key": "of mine",
     "command": "MG TIME",
+    "count": 2,
+    "data": "",
+    "digest": f"sha256:{'0' * 64}",
     "dry_run": False,
     "event": None,
     "first": 0,
+    "from_point": None,
     "from_step": 0,
     "holder": "manual-reader",
     "i_know": True,
@@ -141,6 +147,8 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
                 request["request_id"] = f"r{number}"
             if "job" in fields:
                 request["job"] = json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())
+            if key == "svc/put-points":
+                request |= {"axes": [{"axis": "gantry.x", "unit": "mm"}], "begin": 0}
             if "configuration" in fields:
                 request["configuration"] = demo_fleet().to_plain()
             assert set(request) == set(fields), f"{key}: no example of {set(fields) - set(request)}"

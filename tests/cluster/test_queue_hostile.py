@@ -17,18 +17,30 @@ from orchestrator.model.queue import QueueTerms
 from orchestrator.runtime.virtual import VirtualFleet
 
 SHORT = job("[{do: move, by: {gantry.y: 1}}]")
+SCANS = job(
+    "[{do: repeat, times: 2, steps: [{do: scan, axes: {gantry.x: {from: 0, to: 1, points: 2}}, at_each:"
+    " [{do: dwell, duration: 1 ms}]}, {do: scan, points: {axes: [gantry.y], rows: [[0], [1]]}}]}]"
+)
 LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")
 HEAD = {"request_id": "r", "actor": "mallory"}
 
 # A valid request for every key, to begin with. A key that is not listed is requested with the head alone.
 SERVICE: dict[str, dict[str, Any]] = {
-    "submit": {"job": SHORT.to_plain(), "client_key": "k", "terms": {"priority": 1}},
+    "submit": {"job": SCANS.to_plain(), "client_key": "k", "terms": {"priority": 1}},
     "dry-run": {"job": SHORT.to_plain(), "first": 0, "begin": {"gantry.y": {"known": True}}},
     "list": {"limit": 5, "state": "done", "name": "x", "since": "2026-01-01T00:00:00Z"},
     "find": {"reference": "last"},
     "names": {},
     "show": {"job_id": "x"},
     "recording": {"job_id": "x", "step": 0},
+    "points": {"job_id": "x", "after_step": -1, "after_point": 0, "limit": 5},
+    "put-points": {
+        "digest": f"sha256:{'0' * 64}",
+        "axes": [{"axis": "gantry.x", "unit": "mm"}],
+        "count": 2,
+        "begin": 0,
+        "data": "AAAAAAAA8D8=",
+    },
     "cancel": {"job_id": "x"},
     "retry": {"job_id": "x", "from_step": 1, "client_key": "k2", "terms": None, "dry_run": True},
     "hold": {"job_ids": ["x"]},

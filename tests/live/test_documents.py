@@ -22,6 +22,7 @@ PAGES = (
     "tutorial/first-script.md",
     "how-to/write-a-fleet.md",
     "how-to/write-a-job.md",
+    "how-to/scan-points.md",
     "how-to/work-with-the-queue.md",
     "how-to/use-python.md",
     "how-to/test-your-jobs.md",

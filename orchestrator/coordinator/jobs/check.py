@@ -1,34 +1,65 @@
 """Check a job before it is accepted, wherever its axes will be then."""
 
 import asyncio
+from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.files import format_place
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import StepProblem
-from orchestrator.model.job import Step
+from orchestrator.model.forecast import StepForecast, StepProblem
+from orchestrator.model.job import Repeat, Scan, Step
+from orchestrator.model.scans.step_order import RemainingStep
 from orchestrator.plan.forecast import JobForecaster
 
 STEPS_AT_ONCE = 20  # that are checked before other work gets its turn
 MAX_LISTED = 10  # problems in one refusal
 
 
-async def check_job(fleet: Fleet, steps: list[Step], repeat: int = 1, first: int = 0) -> None:
-    """Run all steps from number `first` on forward, from an unknown beginning.
+async def check_job(fleet: Fleet, steps: Iterable[RemainingStep]) -> None:
+    """Run steps forward, from an unknown beginning. More passes and points cost no more.
 
     Raises `Refusal` for what cannot work wherever the axes are.
     """
-    forecaster = JobForecaster(fleet)
-    for number in range(first, len(steps) * repeat):
-        if number and number % STEPS_AT_ONCE == 0:
+    forecaster, written = JobForecaster(fleet), dict[int, Step]()
+    for done, (_, number, step) in enumerate(steps):
+        if done and done % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
-        forecaster.take(number % len(steps), steps[number % len(steps)])
+        written[number] = step
+        await forecast_step(forecaster, number, step)
     if forecaster.problems:
-        raise _make_refusal(steps, forecaster.problems)
+        raise _make_refusal(written, forecaster.problems)
 
 
-def _make_refusal(steps: list[Step], problems: list[StepProblem]) -> Refusal:
+async def forecast_step(forecaster: JobForecaster, number: int, step: Step) -> StepForecast:
+    """Run one step forward, with breaks for other work."""
+    work, done = forecaster.take_in_parts(number, step), 0
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+        done += 1
+        if done % STEPS_AT_ONCE == 0:
+            await asyncio.sleep(0)
+
+
+def _make_refusal(steps: Mapping[int, Step], problems: list[StepProblem]) -> Refusal:
     first = problems[0]
-    lines = [f"steps[{each.place[1]}] ({steps[int(each.place[1])].do}): {each.text}" for each in problems[:MAX_LISTED]]
+    lines = [f"{_describe_place(steps, each.place)}: {each.text}" for each in problems[:MAX_LISTED]]
     if len(problems) > MAX_LISTED:
         lines.append(f"and {len(problems) - MAX_LISTED} more; see `tutti job check`")
     return Refusal(first.code, "\n".join(lines), first.remedy, first.controller)
+
+
+def _describe_place(steps: Mapping[int, Step], place: Sequence[str | int]) -> str:
+    """The step that a place is in, with what it does: `steps[2].steps[0] (move)`."""
+    step, path = steps[int(place[1])], [*place[:2]]
+    for key, number in zip(place[2::2], place[3::2], strict=False):
+        if isinstance(step, Repeat) and key == "steps" and isinstance(number, int):
+            step = step.steps[number]
+        elif isinstance(step, Scan) and key == "at_each" and isinstance(number, int):
+            step = step.at_each[number]
+        else:
+            break
+        path += [key, number]
+    return f"{format_place(path)} ({step.do})"

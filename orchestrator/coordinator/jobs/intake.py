@@ -5,13 +5,15 @@ from datetime import timedelta
 
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.point_intake import PointIntake
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
 from orchestrator.coordinator.journal import journal
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job, Move, Step
-from orchestrator.model.queue import MAX_STEPS, QueueTerms, format_utc, parse_utc
+from orchestrator.model.job import Job, Move, Scan, iterate_steps
+from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import FINISHED_STATES
+from orchestrator.model.scans.step_order import RemainingStep, StepOrder, count_point_steps, count_reports
 from orchestrator.model.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
 from orchestrator.model.step_words import describe_step
 
@@ -25,15 +27,17 @@ class JobIntake:
         self._services = services
         self._scheduler = scheduler
         self._new_id = new_id
+        self.points = PointIntake(services)
 
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
         """Accept a job: it is in the journal when this returns. Raises `Refusal`."""
-        _check_length(request.job, request.terms)
-        await check_job(self._services.view.fleet, request.job.steps, request.terms.repeat)
+        job = await self.points.resolve_points(request.job)
+        order = _order_steps(job, request.terms)
+        await check_job(self._services.view.fleet, order.list_remaining())
         await self._check_terms(request.terms, request.client_key)
         if request.terms.now:
             await self._require_free_way(request)
-        return await self._accept_job(request.client_key, request.job, request.terms, None)
+        return await self._accept_job(request.client_key, job, request.terms, None)
 
     async def retry_job(self, request: RetryJob) -> JobRetried:
         """Re-run a finished job from a step on; or report what that would do. Raises `Refusal`, `UnknownName`."""
@@ -46,26 +50,21 @@ class JobIntake:
             text = f"job {record.id} is {record.state}; only a finished job can be re-run"
             raise Refusal("not-ended", text, "wait for its end, or cancel it")
         terms = request.terms or QueueTerms(repeat=record.repeat)
-        all_steps = job.steps * terms.repeat
-        steps = all_steps[request.from_step :]
-        if not steps:
-            text = f"job {record.id} has the steps 0 to {len(all_steps) - 1}"
-            raise Refusal("no-step", text, "choose one of them with --from-step")
-        _check_length(job, terms)
-        await check_job(services.view.fleet, job.steps, terms.repeat, request.from_step)
+        order = _order_steps(job, terms)
+        from_step = _find_first_step(record.id, order, request)
+        remaining = order.list_remaining(from_step)
+        await check_job(services.view.fleet, remaining)
         await self._check_terms(terms, request.client_key)
-        described = enumerate(steps[:MAX_DESCRIBED_STEPS], request.from_step)
+        axes = find_axes(services.view.fleet, [each.step for each in remaining])
         reply = JobRetried(
-            steps=[f"{number} {describe_step(step)}" for number, step in described],
-            axes=[self._axis_position(axis) for axis in find_axes(services.view.fleet, steps)],
-            warnings=_find_warnings(request.from_step, steps),
+            steps=[f"{each.first} {describe_step(each.step)}" for each in remaining[:MAX_DESCRIBED_STEPS]],
+            axes=[self._axis_position(axis) for axis in axes],
+            warnings=_find_warnings(remaining),
         )
         if request.dry_run:
             return reply
         fresh = job.model_copy(update={"actor": request.actor})
-        taken = await self._accept_job(
-            request.client_key, fresh, terms, journal.RetryOrigin(record.id, request.from_step)
-        )
+        taken = await self._accept_job(request.client_key, fresh, terms, journal.RetryOrigin(record.id, from_step))
         return reply.model_copy(update={"job_id": taken.job_id, "entry": taken.entry})
 
     async def prune_jobs(self, request: PruneJobs) -> int:
@@ -73,6 +72,8 @@ class JobIntake:
         services = self._services
         before = parse_utc(services.clock.utc()) - timedelta(seconds=request.older_s)
         gone = await services.execute(services.journal.prune_jobs, format_utc(before), request.keep)
+        named = await services.execute(services.journal.list_named_points)
+        await services.execute(services.journal.points.delete_unused, named, services.clock.utc())
         services.log.info(f"{gone} jobs submitted before {format_utc(before)} deleted by {request.actor}")
         return gone
 
@@ -142,23 +143,50 @@ class JobIntake:
         )
 
 
-def _check_length(job: Job, terms: QueueTerms) -> None:
-    steps = len(job.steps) * terms.repeat
-    if steps > MAX_STEPS:
+def _order_steps(job: Job, terms: QueueTerms) -> StepOrder:
+    """The steps of a job in their order. Raises `Refusal` for a job that is too long."""
+    steps, order = count_reports(job.steps), StepOrder(job.steps, terms.repeat)
+    if steps * terms.repeat > MAX_STEPS:
         raise Refusal(
             "too-long",
-            f"{len(job.steps)} steps, {terms.repeat} times, are {steps}; the maximum is {MAX_STEPS}",
+            f"{steps} steps, {terms.repeat} times, are {steps * terms.repeat}; the maximum is {MAX_STEPS}",
             "repeat it less often, or submit several jobs",
         )
+    if len(order) > MAX_FLAT_STEPS:
+        text = f"all points, with the steps at them, are {len(order)} steps; the maximum is {MAX_FLAT_STEPS}"
+        raise Refusal("too-long", text, "submit several jobs")
+    return order
 
 
-def _find_warnings(first: int, steps: list[Step]) -> list[str]:
+def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
+    """The number of the step that a re-run begins with. Raises `Refusal`, code `no-step`."""
+    first = request.from_step
+    if first >= len(order):
+        text = f"job {job_id} has the steps 0 to {len(order) - 1}"
+        raise Refusal("no-step", text, "choose one of them with --from-step")
+    if request.from_point is None:
+        return first
+    place = order.locate(first)
+    scan = place.step
+    if not isinstance(scan, Scan):
+        text = f"step {first} of job {job_id} is no scan ({scan.do}), so it has no point {request.from_point}"
+        raise Refusal("no-step", text, "choose the step of a scan with --from-step; `tutti job show` numbers them")
+    if request.from_point > scan.point_count:
+        text = f"the scan of step {place.first} of job {job_id} has the points 1 to {scan.point_count}"
+        raise Refusal("no-step", text, "choose one of them with --from-point")
+    return place.first + (request.from_point - 1) * count_point_steps(scan)
+
+
+def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
     """Warnings for steps whose result depends on where the axes are now."""
     absolute: set[str] = set()
-    for number, step in enumerate(steps, first):
-        if isinstance(step, Move):
-            relative = [axis for axis in step.by if axis not in absolute]
-            absolute |= set(step.to) | set(step.by)
-            if relative:
-                return [f"step {number} moves {', '.join(relative)} by a distance, from the current position"]
+    for index, _, written in remaining:
+        for step in iterate_steps([written]):
+            if isinstance(step, Scan):
+                absolute |= set(step.axis_names)
+            if isinstance(step, Move):
+                relative = [axis for axis in step.by if axis not in absolute]
+                absolute |= set(step.to) | set(step.by)
+                if relative:
+                    return [f"step {index} moves {', '.join(relative)} by a distance, from the current position"]
     return []

@@ -1,7 +1,7 @@
 """Execution of one job: its leases, its steps one after the other, its pauses, and its report."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -15,7 +15,10 @@ from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, Leas
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.look_ahead import ChainBreak, find_next_motion
-from orchestrator.coordinator.jobs.queue import expand_repeats, find_axes
+from orchestrator.coordinator.jobs.point_readings import PointReadings
+from orchestrator.coordinator.jobs.queue import find_axes
+from orchestrator.coordinator.jobs.report_collector import ReportCollector
+from orchestrator.coordinator.jobs.sequence import StepSequence
 from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.records import JobRecord, JournalError
@@ -28,9 +31,19 @@ from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import Home, Job, Move, Step
+from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
-from orchestrator.model.report import FeedHold, JobProgress, JobReport, JobState, JobTransition, StepChain, StepReport
+from orchestrator.model.report import (
+    FeedHold,
+    JobProgress,
+    JobReport,
+    JobState,
+    JobTransition,
+    PointRecord,
+    StepChain,
+    StepReport,
+)
+from orchestrator.model.scans.step_order import StepOrder
 
 PROGRESS_NS = NS_PER_S // 5
 REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show rest
@@ -116,9 +129,12 @@ class JobRun:
         self._given_up: JobInterrupted | None = None
         self._noted = False
         self._over = False
-        self._steps = expand_repeats(row, job)
+        journal = services.journal
+        order = StepOrder(job.steps, row.repeat)
+        self._steps = StepSequence(order, services.view.fleet, journal.points, services.execute)
         self._report = report
-        self._reports: list[StepReport] = []
+        self._readings = PointReadings(services.view)
+        self._reports = ReportCollector(services.clock, self._store_points, self._readings)
         self._reason = ""
         self._step = row.from_step
         self._step_t0_ns = 0
@@ -139,8 +155,8 @@ class JobRun:
 
     @property
     def steps_to_run(self) -> list[Step]:
-        """The steps that it runs, from the one that it begins with."""
-        return self._steps[self.row.from_step :]
+        """The written steps that it runs, from the one that it begins with."""
+        return [each.step for each in self._steps.order.list_remaining(self.row.from_step)]
 
     @property
     def members(self) -> list[str]:
@@ -199,9 +215,9 @@ class JobRun:
             await self._drop_ahead("the job is paused")
         while self._paused_by is not None:
             self._seen_ns = None
-            where = f"before step {self._step}" if self._step == self.row.from_step else f"after step {self._step - 1}"
-            if self._part:
-                where = f"in step {self._step}"
+            first = self._step == self.row.from_step
+            place = self._steps.locate(self._step if first or self._part else self._step - 1)
+            where = f"{'in' if self._part else 'before' if first else 'after'} {place.describe(kinds=False)}"
             await self._change_state("paused", f"paused by {self._paused_by} {where}", self._paused_by)
             await self._resumed.wait()
             if self._given_up is not None:
@@ -220,6 +236,9 @@ class JobRun:
         finally:
             self._over = True
             beat.cancel()
+            self._readings.close()
+            with suppress(JournalError):
+                await self._reports.finish()
         if outcome.state != "done" and self._holds_axes():
             # A stop takes time to arrive, and so does its ramp: no other job gets the axes meanwhile.
             await self._wait_for_rest()
@@ -232,7 +251,7 @@ class JobRun:
         ended = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
         if error is not None:
             ended = JobInterrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
-        report = self._report.model_copy(update={"steps": self._reports})
+        report = self._report.model_copy(update={"steps": self._reports.reports})
         return JobOutcome(ended.state, ended.reason, ended.actor, report)
 
     async def _run_job(self) -> JobOutcome:
@@ -242,7 +261,7 @@ class JobRun:
         reason, actor = "", self.row.actor
         try:
             # Again, because the fleet may have changed since the job was accepted.
-            await check_job(services.view.fleet, self.steps_to_run)
+            await check_job(services.view.fleet, self._steps.order.list_remaining(self.row.from_step))
             axes = find_axes(services.view.fleet, self.steps_to_run)
             since_ns = services.clock.now_ns()
             user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")
@@ -253,13 +272,15 @@ class JobRun:
                 self._step, self._step_t0_ns, self._step_s = index, 0, 0.0
                 self._part, self._doing = 0.0, ""
                 await self._wait_while_paused()
-                step = self._steps[index]
+                place, step = self._steps.locate(index), await self._steps.read_step(index)
+                self._reports.begin_step(place)
                 report = await self._run_step_with_pauses(index, step)
                 self._seen_ns = None
-                self._reports.append(self._note_chain(report))
+                report = self._note_chain(report)
+                await self._reports.add_report(place, report, self._steps.find_target(place))
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
-                    reason = f"step {index} ({step.do}): {report.reason}"
+                    reason = f"{place.describe()}: {report.reason}"
                     if self._interrupt is not None:
                         # Its stop has reached the step before the step was cancelled.
                         state, reason, actor = self._interrupt.state, self._interrupt.reason, self._interrupt.actor
@@ -283,7 +304,7 @@ class JobRun:
             await services.fleet.stop_members(self.members, "decelerate", "coordinator", reason)
         finally:
             await self._drop_ahead("its job has ended")
-        return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports}))
+        return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports.reports}))
 
     async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
@@ -387,7 +408,7 @@ class JobRun:
 
     def _note_chain(self, report: StepReport) -> StepReport:
         """The report of a motion step with how it followed the motion step before it."""
-        before = next((each for each in reversed(self._reports) if each.t0_fleet_ns is not None), None)
+        before = self._reports.last_motion
         if report.t0_fleet_ns is None or before is None:
             return report
         reason = self._chain_breaks.get(report.index, "")
@@ -414,8 +435,11 @@ class JobRun:
         if state == self.state and state != "planning":
             return
         services = self._services
-        transition = services.make_transition(state, reason, actor or self.row.actor)
-        await services.execute(services.journal.record_transition, self.row.id, transition)
+        # Of a scan, the first point stands for all: its points have rows of their own in the journal.
+        later = self._noted and self._steps.locate(self._step).is_later_point
+        if not later or "paused" in (state, self.state):
+            transition = services.make_transition(state, reason, actor or self.row.actor)
+            await services.execute(services.journal.record_transition, self.row.id, transition)
         self.state, self._reason, self._noted = state, reason, True
         services.log.info(f"job is {state}", job=self.row.id, step=self._step, epoch=services.leadership.epoch)
         self.publish_progress()
@@ -437,8 +461,8 @@ class JobRun:
         within, remaining_s = self._step_fraction(), None
         if self._step_t0_ns and self._step_s > 0:
             remaining_s = max(0.0, self._step_s - self._elapsed_s())
-        step = self._steps[self._step]
-        reason = self._reason
+        place, reason = self._steps.locate(self._step), self._reason
+        within_scan = place.point is not None
         if self._paused_by is not None and self.state != "paused":
             reason = f"pauses after this step: {self._paused_by}"
         return JobProgress(
@@ -448,7 +472,10 @@ class JobRun:
             state=self.state,
             step=self._step,
             steps=len(self._steps),
-            step_name=self._doing or step.name or step.do,
+            step_name=self._doing or place.step.name or place.step.do,
+            scan_step=place.first if within_scan else None,
+            point=place.point + 1 if place.point is not None else None,
+            points=place.step.point_count if isinstance(place.step, Scan) else None,
             fraction=min(1.0, (self._step + within) / len(self._steps)),
             remaining_s=remaining_s,
             reason=reason,
@@ -468,9 +495,8 @@ class JobRun:
 
     def _moved_axes(self) -> list[str]:
         """Axes that it moves, and that are enabled for it if the fleet file says so."""
-        return find_axes(
-            self._services.view.fleet, [step for step in self.steps_to_run if isinstance(step, Move | Home)]
-        )
+        moves = [step for step in iterate_steps(self.steps_to_run) if isinstance(step, Move | Scan | Home)]
+        return find_axes(self._services.view.fleet, moves)
 
     async def _enable_by_policy(self) -> None:
         """Enable axes with `enable: per_job` that are not enabled. Raises `Refusal`."""
@@ -517,6 +543,10 @@ class JobRun:
                 if state.mode not in ("moving", "stopping") and not busy:
                     return
             await sleep_ns(services.clock, REST_POLL_NS)
+
+    async def _store_points(self, points: Sequence[PointRecord]) -> None:
+        journal = self._services.journal
+        await self._services.execute(journal.point_rows.store_points, self.row.id, points)
 
     def _holds_axes(self) -> bool:
         return any(held.holder == self.row.id for held in self._services.leases.all_leases)

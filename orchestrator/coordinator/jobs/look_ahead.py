@@ -1,13 +1,21 @@
 """What follows a motion step in a job: the next motion step, and what happens between the two."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Dwell, Move, SetOutput, Step
 
 BETWEEN_MOST = 20  # steps between two motion steps that are looked at
+
+
+class NumberedSteps(Protocol):
+    """The steps of a job by their numbers."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Step: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +35,14 @@ class ChainBreak:
     reason: str
 
 
-def find_next_motion(fleet: Fleet, steps: Sequence[Step], index: int) -> NextMotion | ChainBreak:
+def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMotion | ChainBreak:
     """The motion step behind the one with number `index`. Dwell and outputs do not hinder it."""
     moving, pause_ns, acts, between = steps[index], 0, False, ""
     for number in range(index + 1, min(len(steps), index + 2 + BETWEEN_MOST)):
-        step = steps[number]
+        try:
+            step = steps[number]
+        except KeyError:
+            return ChainBreak(number, "its point is not read yet")
         if isinstance(step, Move):
             broken = between or (_find_hindrance(fleet, moving, step) if isinstance(moving, Move) else "")
             return ChainBreak(number, broken) if broken else NextMotion(number, step, BetweenSteps(pause_ns, acts))

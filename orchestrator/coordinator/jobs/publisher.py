@@ -10,6 +10,7 @@ from orchestrator.coordinator.jobs.queue import WaitingJob, sort_waiting
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState, make_queued_progress
+from orchestrator.model.scans.step_order import StepOrder
 
 MAX_PUBLISHED_JOBS = 200  # entries of the queue on the bus; those after them wait long anyway
 FIRST_DELAY_NS = NS_PER_MS  # a job that has just been accepted is scheduled first
@@ -102,7 +103,7 @@ class QueuePublisher:
             row = each.row
             reason = told[row.id] = reasons.get(row.id, row.reason)
             if self._told.get(row.id) != reason:
-                steps = len(each.job.steps) * row.repeat
+                steps = len(StepOrder(each.job.steps, row.repeat))
                 progress = make_queued_progress(row, "queued", reason, self._services.clock.utc(), steps)
                 self._services.bus.put(self._services.keys.job_state(row.id), progress.to_json(), Priority.STATE)
         self._told = told

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Disable, Enable, Home, Job, Move, SetOutput, Step, named_axes
+from orchestrator.model.job import Disable, Enable, Home, Job, Move, Scan, SetOutput, Step, iterate_steps, named_axes
+from orchestrator.model.names import controller_of
 
 MAX_JOBS_WITHOUT_AXES = 32  # that run at once; jobs with axes are limited by the controllers of the fleet
 
@@ -111,15 +112,10 @@ def choose_jobs(
     return Schedule(begin, reasons, waits_for_world)
 
 
-def expand_repeats(row: JobRecord, job: Job) -> list[Step]:
-    """The steps of a job with all repeats, including those before `from_step`."""
-    return job.steps * row.repeat
-
-
 def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
     """Axes that steps move, switch or set: those that their job must lease. Raises `UnknownName`."""
     names: list[str] = []
-    for step in steps:
+    for step in iterate_steps(steps):
         named = named_axes(step)
         if isinstance(step, Home | Enable | Disable):
             named = fleet.expand_names(named or list(fleet.controllers))
@@ -133,8 +129,8 @@ def find_needed_controllers(fleet: Fleet, steps: list[Step]) -> frozenset[str]:
     needs = {axis.partition(".")[0] for axis in find_axes(fleet, steps)}
     for wire in fleet.wiring:
         driver, targets = wire.from_.partition(".")[0], {end.partition(".")[0] for end in wire.to}
-        for step in steps:
-            by_line = isinstance(step, Move) and targets & {axis.partition(".")[0] for axis in step.to | step.by}
+        for step in iterate_steps(steps):
+            by_line = isinstance(step, Move | Scan) and targets & {controller_of(axis) for axis in named_axes(step)}
             if by_line or (isinstance(step, SetOutput) and step.output == wire.from_):
                 needs.add(driver)
     return frozenset(needs)

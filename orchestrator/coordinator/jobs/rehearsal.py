@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import Literal
 
 from orchestrator.bus.base import BusError
+from orchestrator.coordinator.jobs.check import forecast_step
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
 from orchestrator.coordinator.motion.step import rehearse_step
@@ -44,7 +45,7 @@ class JobRehearsal:
         rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(request.job.steps):
             index = request.first + number
-            forecast, motion = forecaster.take(index, step), forecaster.motion
+            forecast, motion = await forecast_step(forecaster, index, step), forecaster.motion
             steps.append(forecast)
             if isinstance(step, Move) and motion is not None and motion.plan.profiles:
                 asked = StepRequest("dry-run", request.job, index, step)

@@ -24,7 +24,6 @@ from orchestrator.coordinator.jobs.queue import (
     Schedule,
     WaitingJob,
     choose_jobs,
-    expand_repeats,
     sort_waiting,
 )
 from orchestrator.coordinator.jobs.queue_gate import COORDINATOR, QueueGate
@@ -35,7 +34,16 @@ from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Job
 from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import QueueTerms, parse_utc
-from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry, QueueState, make_queued_progress
+from orchestrator.model.report import (
+    FINISHED_STATES,
+    JobProgress,
+    JobReport,
+    JobState,
+    QueueEntry,
+    QueueState,
+    make_queued_progress,
+)
+from orchestrator.model.scans.step_order import StepOrder
 
 P = ParamSpec("P")
 
@@ -322,10 +330,10 @@ class Scheduler:
         """Cached, because the queue may be long; names that the fleet file no longer has are refused at the start."""
         known = self._needs.get(waiting.row.id)
         if known is None:
-            row, steps = waiting.row, waiting.job.steps
+            row = waiting.row
             try:
-                remaining = expand_repeats(row, waiting.job)[row.from_step :] if row.from_step else steps
-                known = find_needs(self._services.view.fleet, remaining)
+                remaining = StepOrder(waiting.job.steps, row.repeat).list_remaining(row.from_step)
+                known = find_needs(self._services.view.fleet, [each.step for each in remaining])
             except UnknownName:
                 known = JobNeeds(frozenset())
             self._needs[waiting.row.id] = known
@@ -412,11 +420,11 @@ class Scheduler:
         self._needs.pop(row.id, None)
         services.log.info(f"job is {state}: {reason}" if reason else f"job is {state}", job=row.id)
         services.bus.put(services.keys.job_report(row.id), report.to_json(), Priority.EVENT)
-        steps = len(job.steps) * row.repeat
-        done = len([step for step in report.steps if step.state == "done"])
+        steps = len(StepOrder(job.steps, row.repeat))
+        done = sum(step.steps_done for step in report.steps)
         progress = make_queued_progress(row, state, reason, transition.utc, steps).model_copy(
             update={
-                "step": row.from_step + max(0, len(report.steps) - 1),
+                "step": min(row.from_step + done, steps - 1),
                 "fraction": min(1.0, (row.from_step + done) / steps),
                 "remaining_s": 0.0,
             }
@@ -585,6 +593,11 @@ class Scheduler:
             run.abandon(JobInterrupted("aborted", reason, actor))
         self._conditions.note_estop(reason)
         self.gate.stop_queue(reason, actor)
+
+    def find_progress(self, job_id: str) -> JobProgress | None:
+        """The progress of a job while it runs."""
+        run = self._running.get(job_id)
+        return None if run is None else run.make_progress()
 
     def make_queue_state(self, total: int, rows: Iterable[JobRecord]) -> QueueState:
         """Jobs as a list shows them, with the state of the queue."""

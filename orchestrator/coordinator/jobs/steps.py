@@ -69,7 +69,15 @@ class PlainSteps:
     async def _set_output(self, step: SetOutput, actor: str) -> None:
         controller, _, output = step.output.partition(".")
         request = OutputRequest(**self._request_fields(actor), output=output, value=step.value)
-        await self._request_all("output", {controller: request}, ANSWER_S)
+        try:
+            await self._request_all("output", {controller: request}, ANSWER_S)
+            if step.pulse is not None:
+                await sleep_ns(self._fleet.clock, step.pulse)
+        finally:
+            # Also when the job ends meanwhile: a pulse that does not end may be a shutter that stays open.
+            if step.pulse is not None:
+                back = OutputRequest(**self._request_fields(actor), output=output, value=not step.value)
+                await self._request_all("output", {controller: back}, ANSWER_S)
 
     async def _wait_input(self, step: WaitInput) -> None:
         controller, _, name = step.input.partition(".")

@@ -14,6 +14,8 @@ from typing import Any, NamedTuple, TypeVar, get_args
 
 from pydantic import ValidationError
 
+from orchestrator.coordinator.journal.point_rows import PointRows
+from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import (
     CHECKED_COLUMNS,
     COLUMNS,
@@ -27,17 +29,18 @@ from orchestrator.coordinator.journal.records import (
     make_record,
 )
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.coordinator.journal.values import StoredValues
 from orchestrator.model.base import Model
-from orchestrator.model.job import Job
+from orchestrator.model.job import Job, find_digests
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
-from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 
 T = TypeVar("T")
 M = TypeVar("M", bound=Model)
 MAX_RECORDED_JOBS = 100  # the newest jobs only: recordings are large, and the reports are kept
+MAX_RECORDED_STEPS = 10_000  # the newest of a job
 
 LAST_CHARACTER = "\U0010ffff"  # after all others in the order of ids
 _UNFINISHED_STATES = tuple(sorted(set(get_args(JobState)) - FINISHED_STATES))
@@ -84,7 +87,7 @@ class Journal:
         self._path = str(path)
         try:
             if self._path != ":memory:":
-                _create_file(Path(path))
+                create_private_file(Path(path))
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False)
             # A damaged text makes its own record unreadable, not the whole query.
             self._db.text_factory = _decode_text
@@ -100,8 +103,10 @@ class Journal:
                 self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
             self._identity = self._find_identity()
             self._values = StoredValues(self._db)
+            self.point_rows = PointRows(self._db, self._path)
+            self.points = PointStore(self._path if self._path == ":memory:" else f"{self._path}-points")
         except (sqlite3.Error, OSError) as error:
-            raise _unusable_error(self._path, error) from None
+            raise make_unusable_error(self._path, error) from None
 
     def _check_file(self) -> int:
         """The schema version of the file, 0 for a new one. Raises `JournalError`, and `sqlite3.Error` if the file
@@ -142,6 +147,7 @@ class Journal:
         return self._db
 
     def close(self) -> None:
+        self.points.close()
         self._close()
 
     # Leadership
@@ -166,7 +172,7 @@ class Journal:
     def _read_epoch(self) -> int:
         known = self._read_value("epoch", "0")
         if not known.isdecimal() or int(known) > MAX_EPOCH:
-            raise _unusable_error(self._path, ValueError(f"its epoch {known!r} is damaged"))
+            raise make_unusable_error(self._path, ValueError(f"its epoch {known!r} is damaged"))
         return int(known)
 
     def fleet_time_scale(self, kernel_id: str, now_ns: int, scale_id: str) -> tuple[str, int]:
@@ -251,6 +257,8 @@ class Journal:
             marks = ", ".join("?" * len(values))
             made = self._db.execute(f"INSERT INTO jobs ({', '.join(values)}) VALUES ({marks})", (*values.values(),))
             self._db.execute("UPDATE jobs SET place = number WHERE number = ?", (made.lastrowid,))
+            digests = [(job_id, digest) for digest in find_digests(job.steps)]
+            self._db.executemany("INSERT INTO job_points VALUES (?, ?)", digests)
             self._db.execute(
                 "INSERT INTO transitions VALUES (?, 'queued', 'submitted', ?, ?, NULL)", (job_id, job.actor, utc)
             )
@@ -402,14 +410,21 @@ class Journal:
         values = (before_utc, *_UNFINISHED_STATES, keep, *_UNFINISHED_STATES)
         with self._transaction():
             self._db.execute(f"CREATE TEMP TABLE old AS {old}", values)
-            for table in ("recordings", "reports", "decisions", "transitions"):
+            named = self._db.execute("SELECT digest FROM job_points WHERE job_id IN (SELECT id FROM old)").fetchall()
+            for table in ("recordings", "reports", "decisions", "transitions", "job_points", "point_rows"):
                 self._db.execute(f"DELETE FROM {table} WHERE job_id IN (SELECT id FROM old)")
             gone = self._db.execute("DELETE FROM jobs WHERE id IN (SELECT id FROM old)").rowcount
             self._db.execute("DROP TABLE old")
+        for digest in {digest for (digest,) in named} - self.list_named_points():
+            self.points.delete_upload(digest)
         return gone
 
+    def list_named_points(self) -> set[str]:
+        """The digests of the stored points that jobs name."""
+        return {digest for (digest,) in self._select_rows("SELECT DISTINCT digest FROM job_points")}
+
     def store_recording(self, job_id: str, recording: StepRecording) -> None:
-        """Store the recording of a step, and delete recordings of old jobs."""
+        """Store the recording of a step, and delete recordings of old jobs, and the oldest ones of a long job."""
         with self._transaction():
             self._db.execute(
                 "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
@@ -418,6 +433,11 @@ class Journal:
             self._db.execute(
                 "DELETE FROM recordings WHERE job_id NOT IN (SELECT id FROM jobs ORDER BY number DESC LIMIT ?)",
                 (MAX_RECORDED_JOBS,),
+            )
+            self._db.execute(
+                "DELETE FROM recordings WHERE job_id = ? AND step <="
+                " (SELECT step FROM recordings WHERE job_id = ? ORDER BY step DESC LIMIT 1 OFFSET ?)",
+                (job_id, job_id, MAX_RECORDED_STEPS),
             )
 
     def load_recording(self, job_id: str, step: int) -> StepRecording | None:
@@ -463,42 +483,16 @@ class Journal:
         try:
             return self._db.execute(query, values).fetchall()
         except sqlite3.Error as error:
-            raise _unusable_error(self._path, error) from None
+            raise make_unusable_error(self._path, error) from None
 
     def _read_value(self, key: str, default: str = "") -> str:
         try:
             return self._values.read(key, default)
         except sqlite3.Error as error:
-            raise _unusable_error(self._path, error) from None
+            raise make_unusable_error(self._path, error) from None
 
-    def _transaction(self) -> "_Transaction":
-        return _Transaction(self._db, self._path)
-
-
-class _Transaction:
-    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK on an error; a database error becomes a `JournalError`."""
-
-    def __init__(self, db: sqlite3.Connection, path: str) -> None:
-        self._db = db
-        self._path = path
-
-    def __enter__(self) -> None:
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-        except sqlite3.Error as error:
-            raise _unusable_error(self._path, error) from None
-
-    def __exit__(self, kind: object, error: object, trace: object) -> None:
-        try:
-            if kind is None:
-                self._db.execute("COMMIT")
-        except sqlite3.Error as failure:
-            error = failure
-        # SQLite has rolled back already when the disk is full.
-        if self._db.in_transaction:
-            self._db.execute("ROLLBACK")
-        if isinstance(error, sqlite3.Error):
-            raise _unusable_error(self._path, error) from None
+    def _transaction(self) -> Transaction:
+        return Transaction(self._db, self._path)
 
 
 def require_journal(path: Path) -> None:
@@ -513,22 +507,3 @@ def require_journal(path: Path) -> None:
 
 def _decode_text(text: bytes) -> str:
     return text.decode("utf-8", "replace")
-
-
-def _create_file(path: Path) -> None:
-    """Create the file of a journal for this user alone. Raises `UnsafePath` for a symbolic link, and `OSError`."""
-    make_private_folder(path.parent)
-    try:
-        os.close(open_private_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL))
-    except FileExistsError:
-        refuse_link(path)
-
-
-def _unusable_error(path: str, error: Exception) -> JournalError:
-    """Describe what is wrong with the journal at `path`, and the remedy."""
-    if isinstance(error, UnsafePath):
-        return JournalError(str(error))
-    return JournalError(
-        f"{path}: the journal cannot be used ({error})",
-        "free space on its disk, repair it, or move it away to start with a new one",
-    )

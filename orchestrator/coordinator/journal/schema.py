@@ -1,6 +1,6 @@
 """The tables of the journal, and the migrations from older versions."""
 
-VERSION = 6
+VERSION = 7
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -72,5 +72,13 @@ ALTER TABLE jobs ADD COLUMN session TEXT;
     5: """
 CREATE TABLE meta_copies (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
 ALTER TABLE jobs ADD COLUMN crc INTEGER;
+""",
+    6: """
+CREATE TABLE job_points (job_id TEXT NOT NULL, digest TEXT NOT NULL, PRIMARY KEY (job_id, digest)) STRICT;
+CREATE TABLE point_rows (
+  job_id TEXT NOT NULL, step INTEGER NOT NULL, point INTEGER NOT NULL, state TEXT NOT NULL, verdict TEXT NOT NULL,
+  t0_fleet_ns INTEGER, skew_least_ns INTEGER, skew_most_ns INTEGER, took_s REAL, target TEXT NOT NULL,
+  measured TEXT NOT NULL, PRIMARY KEY (job_id, step, point)
+) STRICT, WITHOUT ROWID;
 """,
 }

@@ -255,7 +255,8 @@ def test_its_files_are_for_its_user_alone_and_no_link_is_followed(tmp_path: Path
     journal = Journal(path)
     journal.accept_job("a", "a", JOB, utc(1))
     modes = {each.name: each.stat().st_mode & 0o777 for each in (path.parent, *path.parent.iterdir())}
-    assert modes == {"state": 0o700, "journal.db": 0o600, "journal.db-wal": 0o600, "journal.db-shm": 0o600}
+    files = ("journal.db", "journal.db-points")
+    assert modes == {"state": 0o700} | {f"{name}{end}": 0o600 for name in files for end in ("", "-wal", "-shm")}
     victim, link = tmp_path / "victim", tmp_path / "link.db"
     victim.write_text("")
     link.symlink_to(victim)

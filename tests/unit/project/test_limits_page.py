@@ -7,10 +7,13 @@ import pytest
 from orchestrator.bus import answers, limits, log, logfile
 from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
 from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES
-from orchestrator.coordinator.journal.journal import MAX_RECORDED_JOBS
+from orchestrator.coordinator.journal.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
+from orchestrator.coordinator.journal.point_store import QUOTA_BYTES
 from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
 from orchestrator.model.base import MAX_RATIONAL_LENGTH
-from orchestrator.model.queue import MAX_STEPS
+from orchestrator.model.job import MAX_AT_EACH, MAX_REPEAT_DEPTH, MAX_REPEATED
+from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS
+from orchestrator.model.scan import MAX_LISTED, MAX_POINTS, MAX_SCAN_AXES
 from orchestrator.model.yaml_reader import MAX_BYTES
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "limits.md").read_text(encoding="utf-8")
@@ -28,13 +31,20 @@ ROWS = {
     "numbers that are read": [MAX_RATIONAL_LENGTH],
     "fleet or job file": [MAX_BYTES],
     "steps of a job": [MAX_STEPS],
+    "points or values": [MAX_LISTED, MAX_SCAN_AXES, MAX_AT_EACH],
+    "steps inside a repeat": [MAX_REPEATED, MAX_REPEAT_DEPTH],
+    "points of scans that are stored": [QUOTA_BYTES],
     "jobs without axes": [MAX_JOBS_WITHOUT_AXES],
     "jobs in the published queue": [MAX_PUBLISHED_JOBS],
-    "samples of an axis": [MAX_SAMPLES, MAX_RECORDED_JOBS],
+    "samples of an axis": [MAX_SAMPLES, MAX_RECORDED_STEPS, MAX_RECORDED_JOBS],
     "lines of one source": [log.MAX_LINES_PER_S, log.MAX_LINE_CHARS],
     "warnings of one source": [log.MAX_PUBLISHED_PER_S],
     "log file": [logfile.MAX_LOG_BYTES, logfile.KEPT_LOGS],
 }
+
+
+def test_the_numbers_of_points_are_those_of_the_code() -> None:
+    assert f"| {MAX_POINTS:,}, {MAX_FLAT_STEPS:,} |" in PAGE
 
 
 @pytest.mark.parametrize("row", ROWS)

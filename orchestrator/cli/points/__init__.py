@@ -1,0 +1,1 @@
+"""Points of scans on the command line."""

@@ -1,0 +1,155 @@
+"""`tutti job points`: what was recorded at the points of scans; the progress of sending points; their plot."""
+
+import csv
+import json
+from collections.abc import AsyncIterator, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED
+from orchestrator.cli.base.common import console, fleet_options, json_option, print_result, with_fleet
+from orchestrator.cli.base.errors import errors, exit_with_error
+from orchestrator.cli.base.jobs import job_argument, name_jobs
+
+if TYPE_CHECKING:
+    from orchestrator.client import Tutti
+    from orchestrator.client.points import OnPoints, PointProgress
+    from orchestrator.model.report import PointRecord, QueueEntry
+
+MAX_PLOTTED = 100_000  # points of a scan in one picture
+
+
+@click.command(epilog="Example: tutti job points raster --csv raster.csv")
+@job_argument
+@click.option("--step", type=click.IntRange(0), default=None, help="Only the scan at this step.")
+@click.option("--csv", "out", type=click.Path(path_type=Path), default=None, help="Write all points to this file.")
+@click.option("--limit", default=50, show_default=True, type=click.IntRange(1), help="Number of points in the table.")
+@fleet_options
+@json_option
+def points(
+    job: str, step: int | None, out: Path | None, limit: int, connect: str, fleet: str | None, *, as_json: bool
+) -> None:
+    """Show what was recorded at the points of the scans of JOB: targets, measured positions, verdicts.
+
+    While it runs, the points so far; they are written once a second. --json and --csv give all points.
+    """
+    from orchestrator.client import Tutti
+
+    async def show_points_of_job(tutti: Tutti) -> None:
+        entry = await tutti.find_job(job)
+        records = tutti.iterate_points(entry.id, step)
+        if out is not None:
+            number = await _write_csv(records, out)
+            print_result({"points": number, "file": str(out)}, f"{number} points: {out}", as_json=as_json)
+        elif as_json:
+            await _print_json(records)
+        else:
+            await _print_table(records, entry, limit)
+
+    with_fleet(connect, fleet, show_points_of_job)
+
+
+async def _print_json(records: "AsyncIterator[PointRecord]") -> None:
+    """One array, written as it comes: a scan may have millions of points."""
+    before = "["
+    async for each in records:
+        click.echo(f"{before}\n{json.dumps(each.to_plain())}", nl=False)
+        before = ","
+    click.echo("[]" if before == "[" else "\n]")
+
+
+async def _print_table(records: "AsyncIterator[PointRecord]", entry: "QueueEntry", limit: int) -> None:
+    from orchestrator.monitor.scan_points import make_point_table
+
+    shown: list[PointRecord] = []
+    more = False
+    async for each in records:
+        if len(shown) == limit:
+            more = True
+            break
+        shown.append(each)
+    if not shown:
+        console.print(f"{name_jobs(entry)} has no recorded points", highlight=False, markup=False)
+        return
+    console.print(make_point_table(shown))
+    if more:
+        console.print("more with --limit; all with --csv FILE or --json", highlight=False)
+
+
+async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path) -> int:
+    """Write a row a point; return how many."""
+    number, axes = 0, list[str]()
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            async for each in records:
+                if not number:
+                    axes = list(each.target)
+                    names = [*(f"{axis} target" for axis in axes), *(f"{axis} measured" for axis in axes)]
+                    skews = ["start_skew_least_ns", "start_skew_most_ns"]
+                    writer.writerow(["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"])
+                if list(each.target) != axes:
+                    text = f"the scan at step {each.step} has other axes than the one before"
+                    exit_with_error(text, BAD_INPUT, "choose one scan: --step")
+                skew = each.start_skew
+                writer.writerow(
+                    [
+                        each.step,
+                        each.point,
+                        *each.target.values(),
+                        *(each.measured.get(axis) for axis in axes),
+                        each.state,
+                        each.verdict,
+                        *((None, None) if skew is None else (skew.at_least_ns, skew.at_most_ns)),
+                        each.t0_fleet_ns,
+                        each.took_s,
+                    ]
+                )
+                number += 1
+    except OSError as error:
+        exit_with_error(f"{path} cannot be written: {error.strerror}", FAILED)
+    return number
+
+
+async def plot_scans(tutti: "Tutti", entry: "QueueEntry", step: int | None, out: Path | None) -> dict[int, Path]:
+    """Plot the points of each scan of a job; return the files by the first step of the scan."""
+    from orchestrator.monitor.scan_points import plot_points
+
+    scans: dict[int, list[PointRecord]] = {}
+    async for each in tutti.iterate_points(entry.id, step):
+        known = scans.setdefault(each.step, [])
+        if len(known) < MAX_PLOTTED:
+            known.append(each)
+    files: dict[int, Path] = {}
+    for number, records in scans.items():
+        path = out if out is not None and len(scans) == 1 else (out or Path(f"{entry.id}.png"))
+        if out is None or len(scans) > 1:
+            path = path.with_stem(f"{path.stem}-{number}")
+        try:
+            plot_points(records, f"job {entry.id} {entry.name!r}, step {number}: {len(records)} points", path)
+        except (OSError, ValueError) as error:
+            exit_with_error(f"{path} cannot be written: {error}", FAILED)
+        files[number] = path
+    return files
+
+
+@contextmanager
+def show_points(*, hidden: bool) -> "Generator[OnPoints]":
+    """Show on a terminal how many points of a file were read, and sent."""
+    if hidden or not errors.is_terminal:
+        yield lambda _: None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("points"))
+    with Progress(*columns, console=errors, transient=True) as progress:
+        tasks = {"reading": progress.add_task("reading", total=None, visible=False)}
+        tasks["sending"] = progress.add_task("sending", total=None, visible=False)
+
+        def take_progress(now: "PointProgress") -> None:
+            progress.update(tasks[now.doing], completed=now.points, total=now.total, visible=True)
+
+        yield take_progress

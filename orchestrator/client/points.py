@@ -1,0 +1,177 @@
+"""Points of scans: files and specs are read and checked here, and sent before the job that names them."""
+
+import asyncio
+import base64
+import hashlib
+from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+
+from orchestrator.client.connection import FleetConnection
+from orchestrator.model.errors import Refusal
+from orchestrator.model.job import Job, Scan, find_scans, named_axes, replace_scans
+from orchestrator.model.messages import Request
+from orchestrator.model.report import PointRecord
+from orchestrator.model.scan import PART_BYTES, ROW_TYPE, PointAxis, PointTable, find_row_bytes, make_header
+from orchestrator.model.service import FleetNames, PointsPut, PointsRead, PutPoints, ReadPoints
+from orchestrator.model.units import Unit
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+SEND_S = 30.0  # for one part; with the last one all points are checked
+RECORDS_AT_ONCE = 2000
+
+
+class PointProgress(NamedTuple):
+    """How many points of a table were read, or sent. total: None while it is not known."""
+
+    doing: Literal["reading", "sending"]
+    points: int
+    total: int | None = None
+
+
+OnPoints = Callable[[PointProgress], None]
+
+
+class PointSource(Protocol):
+    """Points, block by block. axes: the columns, once the first block was read."""
+
+    axes: list[PointAxis]
+
+    def read_blocks(self) -> Iterator["NDArray[np.float64]"]: ...
+
+
+class PointRequests(FleetConnection):
+    """Send points of scans, and read what was recorded at them."""
+
+    async def send_points(self, job: Job, on_points: OnPoints | None = None) -> Job:
+        """Read the points of all scans that are in files or specs, and send them; return the job that names what is
+        stored. Points that are stored already are not sent again.
+
+        on_points: called with the progress. Raises `FileError` with every wrong line, and `Refusal`: codes
+        `point-store-full`, `no-scanspec`, `bad-scanspec`.
+        """
+        unread = [scan for scan in find_scans(job.steps) if _is_unread(scan)]
+        if not unread:
+            return job
+        names = await self.request_service("names", Request(**self.request_fields()), FleetNames)
+        found: dict[int, Scan] = {}
+        for scan in unread:
+            table = await self._send_table(make_point_source(scan, names.axes), on_points or _ignore_progress)
+            found[id(scan)] = place_points(scan, table)
+        return job.model_copy(update={"steps": replace_scans(job.steps, found)})
+
+    async def _send_table(self, source: PointSource, on_points: OnPoints) -> PointTable:
+        # Only on a disk, because a million points as Python numbers take some 100 MB.
+        with TemporaryFile() as rows:
+            digest, count = await _spool_points(source, rows, on_points)
+            fields: dict[str, Any] = {"digest": digest, "axes": source.axes, "count": count}
+            part_bytes = PART_BYTES - PART_BYTES % find_row_bytes(source.axes)
+            data = b""
+            begin = 0
+            while True:
+                text = base64.b64encode(data).decode()
+                request = PutPoints(**self.request_fields(), **fields, begin=begin, data=text)
+                state = await self.request_service("put-points", request, PointsPut, SEND_S)
+                on_points(PointProgress("sending", state.received // find_row_bytes(source.axes), count))
+                if state.points is not None:
+                    return state.points
+                begin = state.received
+                rows.seek(begin)
+                data = rows.read(part_bytes)
+                if not data:
+                    raise Refusal("bad-points", "the points cannot be stored: their size has changed", "submit again")
+
+    async def iterate_points(self, job_id: str, step: int | None = None) -> AsyncGenerator[PointRecord]:
+        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`.
+
+        step: only of the scan that begins with this step.
+        """
+        last = (-1, 0) if step is None else (step, 0)
+        while True:
+            request = ReadPoints(
+                **self.request_fields(), job_id=job_id, limit=RECORDS_AT_ONCE, after_step=last[0], after_point=last[1]
+            )
+            points = (await self.request_service("points", request, PointsRead)).points
+            for each in points:
+                if step is not None and each.step != step:
+                    return
+                yield each
+            if len(points) < RECORDS_AT_ONCE:
+                return
+            last = points[-1].step, points[-1].point
+
+    async def load_points(self, job_id: str) -> list[PointRecord]:
+        """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises
+        `Refusal`."""
+        return [each async for each in self.iterate_points(job_id)]
+
+
+def read_points(job: Job, units: Mapping[str, Unit]) -> Job:
+    """The job with the extremes of the points of its files and specs, as the coordinator would find them; nothing is
+    sent. Raises `FileError`, `Refusal`."""
+    from orchestrator.model.scans.point_summary import ColumnSummary
+
+    found: dict[int, Scan] = {}
+    for scan in filter(_is_unread, find_scans(job.steps)):
+        source, digest = make_point_source(scan, units), hashlib.sha256()
+        summary: ColumnSummary | None = None
+        for block in source.read_blocks():
+            if summary is None:
+                summary = ColumnSummary(source.axes)
+                digest.update(make_header(source.axes))
+            summary.add_rows(block)
+            digest.update(block.astype(ROW_TYPE).tobytes())
+        assert summary is not None  # a source without points is refused
+        columns, name = summary.make_columns(), f"sha256:{digest.hexdigest()}"
+        found[id(scan)] = place_points(scan, PointTable(digest=name, count=summary.count, columns=columns))
+    return job.model_copy(update={"steps": replace_scans(job.steps, found)})
+
+
+def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
+    """The points of a scan that is in a file, or a spec. units: of all axes of the fleet. Raises `Refusal`."""
+    # Imported here, because most jobs need neither.
+    from orchestrator.model.scans.point_file import PointFile
+    from orchestrator.model.scans.spec_points import SpecPoints
+
+    if scan.scanspec is not None:
+        return SpecPoints(scan.scanspec, units)
+    assert scan.points is not None and scan.points.file is not None
+    return PointFile(Path(scan.points.file), units)
+
+
+def place_points(scan: Scan, table: PointTable) -> Scan:
+    """The scan with the points of `table`. Raises `Refusal` if a step at its points moves one of their axes."""
+    for number, step in enumerate(scan.at_each):
+        twice = sorted(set(table.axis_names) & set(named_axes(step)))
+        if twice:
+            text = f"at_each[{number}] moves {', '.join(twice)}, which the scan positions"
+            raise Refusal("bad-points", text, "move other axes there")
+    return scan.model_copy(update={"points": table, "scanspec": None})
+
+
+async def _spool_points(source: PointSource, rows: IO[bytes], on_points: OnPoints) -> tuple[str, int]:
+    """Write all points to a file; return their digest and number."""
+    digest, count = hashlib.sha256(), 0
+    for block in source.read_blocks():
+        if not count:
+            digest.update(make_header(source.axes))
+        data = block.astype(ROW_TYPE).tobytes()
+        digest.update(data)
+        rows.write(data)
+        count += len(block)
+        on_points(PointProgress("reading", count))
+        # What else runs in this program, such as the signs of life of a session, gets its turn.
+        await asyncio.sleep(0)
+    return f"sha256:{digest.hexdigest()}", count
+
+
+def _is_unread(scan: Scan) -> bool:
+    return scan.scanspec is not None or (scan.points is not None and scan.points.file is not None)
+
+
+def _ignore_progress(_: PointProgress) -> None:
+    return

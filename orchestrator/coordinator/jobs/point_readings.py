@@ -1,0 +1,57 @@
+"""Measured positions at the points of a scan: readings of axes that stand where the point has sent them."""
+
+from collections.abc import Mapping
+from fractions import Fraction
+
+from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.model.fleet import Axis
+from orchestrator.model.names import split_name
+from orchestrator.model.state import AxisState, ControllerState
+
+TOLERANCE_COUNTS = 1  # rounding of the last count
+
+
+class PointReadings:
+    """Takes readings from the end of the move to a point until the next point is reached. Controllers are read at their
+    own rate: an axis that leaves a point before its next reading has none there."""
+
+    def __init__(self, view: FleetView) -> None:
+        self._view = view
+        self._target: Mapping[str, float] = {}
+        self._found: dict[str, float | None] = {}
+        self._unlisten = view.add_state_listener(self._take_state)
+
+    def begin_point(self, target: Mapping[str, float]) -> None:
+        """The axes have reached a point. target: their positions, in their units."""
+        self._target, self._found = target, dict.fromkeys(target)
+        for controller in {split_name(axis)[0] for axis in target}:
+            state = self._view.last_state(controller)
+            if state is not None:
+                self._take_state(state)
+
+    def read_positions(self) -> dict[str, float | None]:
+        """The last readings at the point, in the axes' units; None: there was none."""
+        return dict(self._found)
+
+    def close(self) -> None:
+        """Take no more readings."""
+        self._unlisten()
+
+    def _take_state(self, state: ControllerState) -> None:
+        for axis, position in self._target.items():
+            controller, name = split_name(axis)
+            if controller == state.controller and name in state.axes and state.mode != "offline":
+                now = state.axes[name]
+                if _stands_at(self._view.fleet.axis(axis), now, position):
+                    self._found[axis] = now.position
+
+
+def _stands_at(axis: Axis, now: AxisState, position: float) -> bool:
+    """Whether a reading is of the axis at rest, commanded to this position."""
+    if now.moving or now.homing:
+        return False
+    off = now.commanded_counts - axis.to_counts(Fraction(str(position)) - now.offset)
+    if axis.turn_length is not None:
+        turn = abs(axis.to_counts(axis.turn_length) - axis.to_counts(Fraction(0)))
+        off = (off + turn // 2) % turn - turn // 2
+    return abs(off) <= TOLERANCE_COUNTS

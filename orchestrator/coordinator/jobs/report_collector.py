@@ -1,0 +1,197 @@
+"""The reports of a running job: one for each step, and one for each scan whose points it sums up.
+
+The points themselves are rows in the journal, written in batches. Memory does not grow with the points.
+"""
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.coordinator.jobs.skew_histogram import SkewHistogram
+from orchestrator.coordinator.motion.budget import worse_verdict
+from orchestrator.model.job import Scan
+from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
+from orchestrator.model.scans.step_order import StepPlace, count_point_steps
+
+MAX_FINDINGS = 10  # points that are not green and stand in the report
+ROWS_AT_ONCE = 100  # in a transaction
+ROWS_AFTER_NS = NS_PER_S  # a row is written at the latest with the first point after this time
+
+StoreRows = Callable[[Sequence[PointRecord]], Awaitable[None]]
+
+
+class PositionReader(Protocol):
+    """Reads the positions of axes at a point, from its move's end on."""
+
+    def begin_point(self, target: Mapping[str, float]) -> None: ...
+
+    def read_positions(self) -> dict[str, float | None]: ...
+
+
+@dataclass(slots=True)
+class _ScanProgress:
+    """What the points of a scan have done so far. begun_ns: of the scan; point_ns: of the present point."""
+
+    place: StepPlace
+    scan: Scan
+    begun_ns: int
+    point_ns: int
+    points: int = 0
+    steps_done: int = 0
+    verdicts: dict[Verdict, int] = field(default_factory=dict[Verdict, int])
+    worst: Verdict = "none"
+    skews: SkewHistogram = field(default_factory=SkewHistogram)
+    worst_report: StepReport | None = None
+    findings: list[PointFinding] = field(default_factory=list[PointFinding])
+    least_ns: int | None = None
+    most_ns: int = 0
+    moved: StepReport | None = None
+    ended: tuple[StepPlace, StepReport] | None = None
+
+
+class ReportCollector:
+    """Takes the report of every step. store_rows: writes rows of points."""
+
+    def __init__(self, clock: Clock, store_rows: StoreRows, readings: PositionReader) -> None:
+        self._clock = clock
+        self._store_rows = store_rows
+        self._readings = readings
+        self._reports: list[StepReport] = []
+        self._scan: _ScanProgress | None = None
+        self._rows: list[PointRecord] = []
+        self._last_motion: StepReport | None = None
+        self._last_row: PointRecord | None = None
+        """Of the last point, for which readings still come."""
+        self._written_ns = clock.now_ns()
+
+    @property
+    def reports(self) -> list[StepReport]:
+        """The reports so far, in the order of the steps."""
+        return [*self._reports, *self._make_scan_reports()]
+
+    @property
+    def last_motion(self) -> StepReport | None:
+        """The report of the motion step that ended last."""
+        return self._last_motion
+
+    def begin_step(self, place: StepPlace) -> None:
+        """A step begins."""
+        scan = place.step
+        if self._scan is not None and (place.point is None or place.first != self._scan.place.first):
+            self._reports += self._make_scan_reports()
+            self._scan = None
+        if isinstance(scan, Scan) and place.point is not None and self._scan is None:
+            now_ns = self._clock.now_ns()
+            self._scan = _ScanProgress(place, scan, now_ns, now_ns)
+
+    async def add_report(self, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
+        """Take the report of a step that has begun. target: of the point it belongs to. Raises `JournalError`."""
+        now = self._scan
+        if report.t0_fleet_ns is not None:
+            self._last_motion = report
+        if now is None:
+            self._reports.append(report)
+            return
+        if place.part == 0:
+            now.moved = report
+            self._close_row()
+            self._readings.begin_point(target)
+        now.steps_done += report.state == "done"
+        if report.state != "done":
+            now.ended = place, report
+        if report.state != "done" or place.part == count_point_steps(now.scan) - 1:
+            self._end_point(now, place, report, target)
+            waited_ns = self._clock.now_ns() - self._written_ns
+            if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:
+                await self._write_rows()
+
+    async def finish(self) -> None:
+        """Write what was recorded until now. Raises `JournalError`."""
+        self._close_row()
+        await self._write_rows()
+
+    def _close_row(self) -> None:
+        if self._last_row is not None:
+            self._rows.append(self._last_row.model_copy(update={"measured": self._readings.read_positions()}))
+            self._last_row = None
+
+    async def _write_rows(self) -> None:
+        rows, self._rows, self._written_ns = self._rows, [], self._clock.now_ns()
+        if rows:
+            await self._store_rows(rows)
+
+    def _end_point(self, now: _ScanProgress, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
+        assert place.point is not None
+        took_ns, moved = self._clock.now_ns() - now.point_ns, now.moved
+        now.point_ns += took_ns
+        verdict: Verdict = "none" if moved is None else moved.verdict
+        now.worst = worse_verdict(now.worst, verdict)
+        now.verdicts[verdict] = now.verdicts.get(verdict, 0) + 1
+        skew = None
+        if moved is not None:
+            skew = moved.promised_skew or moved.start_skew
+            self._note_skew(now, moved)
+            if verdict in ("amber", "red") and len(now.findings) < MAX_FINDINGS:
+                text = "; ".join(moved.deviations) or moved.reason
+                now.findings.append(PointFinding(point=place.point + 1, verdict=verdict, text=text))
+        if report.state == "done":
+            now.points += 1
+            now.least_ns = took_ns if now.least_ns is None else min(now.least_ns, took_ns)
+            now.most_ns = max(now.most_ns, took_ns)
+        self._last_row = PointRecord(
+            step=place.first,
+            point=place.point + 1,
+            state=report.state,
+            verdict=verdict,
+            t0_fleet_ns=None if moved is None else moved.t0_fleet_ns,
+            start_skew=skew,
+            took_s=took_ns / NS_PER_S,
+            target=dict(target),
+            measured={},
+        )
+        now.moved = None
+
+    def _note_skew(self, now: _ScanProgress, moved: StepReport) -> None:
+        skew = moved.promised_skew or moved.start_skew
+        if skew is None:
+            return
+        if skew.at_most_ns > now.skews.worst_ns or now.worst_report is None:
+            now.worst_report = moved
+        now.skews.add_skew(skew.at_most_ns)
+
+    def _make_scan_reports(self) -> list[StepReport]:
+        """The report of the scan that runs, or ended last, and of its point that was not done."""
+        now = self._scan
+        if now is None:
+            return []
+        summary = ScanSummary(
+            points=now.scan.point_count,
+            done=now.points,
+            steps_done=now.steps_done,
+            verdicts=dict(now.verdicts),
+            start_skew_worst_ns=now.skews.worst_ns if now.skews.count else None,
+            start_skew_p50_ns=now.skews.find_quantile(0.5),
+            start_skew_p99_ns=now.skews.find_quantile(0.99),
+            not_green=list(now.findings),
+            least_s=None if now.least_ns is None else now.least_ns / NS_PER_S,
+            mean_s=None if not now.points else (now.point_ns - now.begun_ns) / NS_PER_S / now.points,
+            most_s=None if now.least_ns is None else now.most_ns / NS_PER_S,
+        )
+        worst = now.worst_report
+        report = StepReport(
+            index=now.place.first,
+            do="scan",
+            name=now.scan.name or "",
+            state="done",
+            actual_s=(now.point_ns - now.begun_ns) / NS_PER_S,
+            budget=None if worst is None else worst.budget,
+            start_skew=None if worst is None else worst.promised_skew or worst.start_skew,
+            verdict=now.worst,
+            scan=summary,
+        )
+        if now.ended is None:
+            return [report]
+        place, ended = now.ended
+        reason = f"{place.describe()}: {ended.reason}"
+        return [report.model_copy(update={"state": ended.state, "reason": reason}), ended]

@@ -1,0 +1,139 @@
+"""The steps of a running job, made one by one when their turn comes: memory does not grow with passes and points."""
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.journal.point_store import PointStore
+from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Scan, Step
+from orchestrator.model.scan import GridPoints
+from orchestrator.model.scans.step_order import StepOrder, StepPlace
+from orchestrator.model.units import Unit, parse_quantity
+
+ROWS_AT_ONCE = 4096  # that are read of stored points; 32 kB an axis
+READERS_KEPT = 2  # of the present scan, and the one before or behind it
+
+
+class PointReader(Protocol):
+    """The positions of a scan's axes at its points, in their units."""
+
+    async def load_point(self, point: int) -> None:
+        """Have a point, and the next one, in memory. Raises `JournalError`."""
+        ...
+
+    def find_positions(self, point: int) -> Sequence[float]:
+        """Raises `KeyError` for a point that is not in memory."""
+        ...
+
+
+class StepSequence:
+    """The steps of a job by their numbers. A point of a scan is a move, then the steps at it."""
+
+    def __init__(self, order: StepOrder, fleet: Fleet, store: PointStore, execute: Executor) -> None:
+        self.order = order
+        self._fleet = fleet
+        self._store = store
+        self._execute = execute
+        self._readers: dict[int, tuple[Scan, PointReader]] = {}
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def __getitem__(self, index: int) -> Step:
+        """Step number `index`, without reading anything: those of the present point, of the next one, and all that are
+        in the job itself. Raises `IndexError`, and `KeyError` for a stored point that is not in memory."""
+        place = self.locate(index)
+        scan = place.step
+        if not isinstance(scan, Scan) or place.point is None:
+            return scan
+        return scan.at_each[place.part - 1] if place.part else scan.make_move(self.find_target(place))
+
+    def locate(self, index: int) -> StepPlace:
+        """Where step number `index` stands. Raises `IndexError`."""
+        return self.order.locate(index)
+
+    def describe_place(self, index: int) -> str:
+        """The place of a step in words: `step 2 (scan), point 17 of 66 (move)`."""
+        return self.locate(index).describe()
+
+    async def read_step(self, index: int) -> Step:
+        """Step number `index`; at most a block of points is read. Raises `JournalError`."""
+        place = self.locate(index)
+        if isinstance(place.step, Scan) and place.point is not None:
+            await self._find_reader(place.step).load_point(place.point)
+        return self[index]
+
+    def find_target(self, place: StepPlace) -> Mapping[str, float]:
+        """The positions of the point that a step belongs to, in the units of its axes; none outside a scan. Raises
+        `KeyError` for a stored point that is not in memory."""
+        if not isinstance(place.step, Scan) or place.point is None:
+            return {}
+        positions = self._find_reader(place.step).find_positions(place.point)
+        return dict(zip(place.step.axis_names, positions, strict=True))
+
+    def _find_reader(self, scan: Scan) -> PointReader:
+        if id(scan) not in self._readers:
+            if len(self._readers) == READERS_KEPT:
+                del self._readers[next(iter(self._readers))]
+            self._readers[id(scan)] = scan, self._make_reader(scan)
+        return self._readers[id(scan)][1]
+
+    def _make_reader(self, scan: Scan) -> PointReader:
+        units = [self._fleet.axis(name).unit for name in scan.axis_names]
+        table = scan.points
+        if table is None:
+            return _GridReader(GridPoints(scan.axes), units)
+        if table.rows is not None:
+            return _ListedReader(table.rows, units)
+        if table.digest is None:
+            raise JournalError("the points of the scan were not sent", "submit the job again")
+        return _StoredReader(self._store, self._execute, table.digest, table.count)
+
+
+class _GridReader:
+    def __init__(self, grid: GridPoints, units: Sequence[Unit]) -> None:
+        self._grid = grid
+        self._units = units
+
+    async def load_point(self, point: int) -> None:
+        return
+
+    def find_positions(self, point: int) -> Sequence[float]:
+        # The shortest decimal of the nearest double: exact again for every position that a file can state.
+        return [float(each) for each in self._grid.find_position(point, self._units)]
+
+
+class _ListedReader:
+    def __init__(self, rows: Sequence[Sequence[float | str]], units: Sequence[Unit]) -> None:
+        self._rows = rows
+        self._units = units
+
+    async def load_point(self, point: int) -> None:
+        return
+
+    def find_positions(self, point: int) -> Sequence[float]:
+        return [float(parse_quantity(each, unit)) for each, unit in zip(self._rows[point], self._units, strict=True)]
+
+
+class _StoredReader:
+    """Reads stored points in blocks, and keeps two of them."""
+
+    def __init__(self, store: PointStore, execute: Executor, digest: str, count: int) -> None:
+        self._store = store
+        self._execute = execute
+        self._digest = digest
+        self._count = count
+        self._blocks: dict[int, list[tuple[float, ...]]] = {}
+
+    async def load_point(self, point: int) -> None:
+        wanted = {each // ROWS_AT_ONCE for each in (point, min(point + 1, self._count - 1))}
+        for number in sorted(wanted - self._blocks.keys()):
+            rows = await self._execute(self._store.read_rows, self._digest, number * ROWS_AT_ONCE, ROWS_AT_ONCE)
+            self._blocks[number] = rows
+        if not wanted >= self._blocks.keys():
+            self._blocks = {number: self._blocks[number] for number in sorted(wanted)}
+
+    def find_positions(self, point: int) -> Sequence[float]:
+        return self._blocks[point // ROWS_AT_ONCE][point % ROWS_AT_ONCE]

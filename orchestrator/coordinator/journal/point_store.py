@@ -1,0 +1,213 @@
+"""Points of scans, sent by clients before the jobs that name them: a database of its own beside the journal.
+
+Points are rows of doubles (little-endian, one an axis, in the axis's unit) behind a line that names axes and units; the
+digest is that of both. A double keeps every decimal of 15 digits, so that `0.1` in a table of points is exactly the 0.1
+of a job file: the shortest decimal of the double is what is converted to counts.
+
+A database of its own, because the journal is checked as a whole at each start, and points may be half a gigabyte. Each
+part has a checksum: a bit that has changed on the disk moves nothing.
+"""
+
+import hashlib
+import sqlite3
+import weakref
+from collections.abc import Collection, Iterator, Sequence
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
+from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
+from orchestrator.model.errors import Refusal
+from orchestrator.model.queue import format_utc, parse_utc
+from orchestrator.model.scan import ROW_TYPE, VALUE_BYTES, PointAxis, PointColumn, find_row_bytes, make_header
+from orchestrator.model.scans.point_summary import ColumnSummary
+
+QUOTA_BYTES = 512_000_000  # of all stored points
+UNUSED_AFTER = timedelta(hours=1)  # then points that no job names are deleted, also parts of an upload that broke off
+
+_COLUMNS = TypeAdapter(list[PointColumn])
+_AXES = TypeAdapter(list[PointAxis])
+
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS uploads (
+  digest TEXT PRIMARY KEY, header TEXT NOT NULL, size INTEGER NOT NULL, received INTEGER NOT NULL,
+  columns TEXT, used_utc TEXT NOT NULL
+) STRICT;
+CREATE TABLE IF NOT EXISTS parts (
+  digest TEXT NOT NULL REFERENCES uploads (digest) ON DELETE CASCADE, begin INTEGER NOT NULL, data BLOB NOT NULL,
+  crc INTEGER NOT NULL, PRIMARY KEY (digest, begin)
+) STRICT;
+"""
+
+
+class UploadState(NamedTuple):
+    """How many bytes of an upload are here, of how many. columns: once all are, and the digest is right."""
+
+    received: int
+    size: int
+    columns: list[PointColumn] | None
+
+
+class PointStore:
+    """The stored points of one fleet. Every method that changes something has committed to disk when it returns; all
+    raise `JournalError` if the file cannot be used."""
+
+    def __init__(self, path: str, quota_bytes: int = QUOTA_BYTES) -> None:
+        """Open or create the store at `path` (`:memory:` for tests)."""
+        self._path = path
+        self.quota_bytes = quota_bytes
+        try:
+            if path != ":memory:":
+                create_private_file(Path(path))
+            self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self.close = weakref.finalize(self, self._db.close)
+            for setting in ("auto_vacuum=FULL", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+                self._db.execute(f"PRAGMA {setting}")
+            self._db.executescript(_SCHEMA)
+        except (sqlite3.Error, OSError) as error:
+            raise make_unusable_error(path, error) from None
+
+    # Uploads
+
+    def begin_upload(
+        self, digest: str, axes: Sequence[PointAxis], count: int, utc: str, named: Collection[str]
+    ) -> UploadState:
+        """Begin, or continue, to store `count` points. named: digests that jobs name. Raises `Refusal`, code
+        `point-store-full`."""
+        known = self.find_upload(digest, utc)
+        if known is not None:
+            return known
+        self.delete_unused(named, utc)
+        size = count * find_row_bytes(axes)
+        used = self.used_bytes
+        if used + size > self.quota_bytes:
+            raise Refusal(
+                "point-store-full",
+                f"the points need {_format_size(size)}; {_format_size(used)} of {_format_size(self.quota_bytes)} for "
+                "points are in use",
+                "delete finished jobs, and their points with them: `tutti job prune --older 7d --keep 0`; points that "
+                "no job names are deleted after an hour",
+            )
+        with self._transaction():
+            values = (digest, make_header(axes).decode(), size, 0, None, utc)
+            self._db.execute("INSERT INTO uploads VALUES (?, ?, ?, ?, ?, ?)", values)
+        return UploadState(0, size, None)
+
+    def find_upload(self, digest: str, utc: str) -> UploadState | None:
+        """The state of an upload, which counts as used now; None for an unknown digest."""
+        with self._transaction():
+            self._db.execute("UPDATE uploads SET used_utc = ? WHERE digest = ?", (utc, digest))
+            found = self._db.execute(
+                "SELECT received, size, columns FROM uploads WHERE digest = ?", (digest,)
+            ).fetchone()
+        if found is None:
+            return None
+        received, size, columns = found
+        return UploadState(received, size, None if columns is None else _COLUMNS.validate_json(columns))
+
+    def add_part(self, digest: str, begin: int, data: bytes, utc: str) -> UploadState:
+        """Add the bytes from `begin` on. A part that is not the next one changes nothing.
+
+        Raises `Refusal` for an upload that is not known, and with the last part for a wrong digest, or a point that is
+        not finite."""
+        state = self.find_upload(digest, utc)
+        if state is None:
+            raise Refusal("no-upload", "the upload of these points is not known any more", "begin it again")
+        if begin != state.received or not data or state.columns is not None:
+            return state
+        received = begin + len(data)
+        if received > state.size:
+            raise Refusal("bad-points", f"{received} bytes of points are more than the {state.size} announced", "")
+        with self._transaction():
+            self._db.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (digest, begin, data, crc32(data)))
+            self._db.execute("UPDATE uploads SET received = ? WHERE digest = ?", (received, digest))
+        if received < state.size:
+            return UploadState(received, state.size, None)
+        return UploadState(received, state.size, self._finish_upload(digest))
+
+    def _finish_upload(self, digest: str) -> list[PointColumn]:
+        """Check the digest, and find the extremes. Raises `Refusal`; the points are deleted then."""
+        (header,) = self._db.execute("SELECT header FROM uploads WHERE digest = ?", (digest,)).fetchone()
+        axes = _AXES.validate_json(header)
+        found, summary = hashlib.sha256(header.encode()), ColumnSummary(axes)
+        try:
+            for data in self._read_parts(digest, 0, None):
+                found.update(data)
+                summary.add_rows(np.frombuffer(data, ROW_TYPE).reshape(-1, len(axes)))
+            if f"sha256:{found.hexdigest()}" != digest:
+                raise Refusal(
+                    "bad-digest", "the points that arrived are not those that were announced", "send them again"
+                )
+        except (Refusal, ValueError) as error:
+            self.delete_upload(digest)
+            if isinstance(error, Refusal):
+                raise
+            raise Refusal("bad-points", "a part of the points does not end with a row", "send whole rows") from None
+        columns = summary.make_columns()
+        with self._transaction():
+            self._db.execute(
+                "UPDATE uploads SET columns = ? WHERE digest = ?", (_COLUMNS.dump_json(columns).decode(), digest)
+            )
+        return columns
+
+    # Reading
+
+    def read_rows(self, digest: str, first: int, count: int) -> list[tuple[float, ...]]:
+        """Up to `count` points from number `first` on. Raises `JournalError`, also where they are not stored."""
+        found = self._select("SELECT header, columns FROM uploads WHERE digest = ?", (digest,))
+        if not found or found[0][1] is None:
+            raise JournalError(f"the points {digest[:15]}… are not stored any more", "submit the job again")
+        width = len(_AXES.validate_json(found[0][0]))
+        row_bytes = width * VALUE_BYTES
+        begin, end = first * row_bytes, (first + count) * row_bytes
+        data = b"".join(self._read_parts(digest, begin, end))
+        return [tuple(row) for row in np.frombuffer(data, ROW_TYPE).reshape(-1, width).tolist()]
+
+    def _read_parts(self, digest: str, begin: int, end: int | None) -> Iterator[bytes]:
+        """The stored bytes from `begin` to `end`, part by part. Raises `DamagedRecord`."""
+        parts = self._select("SELECT begin, length(data) FROM parts WHERE digest = ? ORDER BY begin", (digest,))
+        for start, length in parts:
+            if start + length <= begin or (end is not None and start >= end):
+                continue
+            ((data, crc),) = self._select("SELECT data, crc FROM parts WHERE digest = ? AND begin = ?", (digest, start))
+            if crc32(data) != crc:
+                text = f"{self._path}: points of {digest[:15]}… have changed on the disk"
+                raise DamagedRecord(text, "submit the job again, with its points; check the disk")
+            yield data[max(0, begin - start) : None if end is None else end - start]
+
+    # Space
+
+    @property
+    def used_bytes(self) -> int:
+        """The bytes of all points, with those of uploads that have begun."""
+        return self._select("SELECT coalesce(sum(size), 0) FROM uploads", ())[0][0]
+
+    def delete_upload(self, digest: str) -> None:
+        """Delete points."""
+        with self._transaction():
+            self._db.execute("DELETE FROM uploads WHERE digest = ?", (digest,))
+
+    def delete_unused(self, named: Collection[str], utc: str) -> None:
+        """Delete points that no job names and that were not used for an hour."""
+        before = format_utc(parse_utc(utc) - UNUSED_AFTER)
+        old = self._select("SELECT digest FROM uploads WHERE used_utc <= ?", (before,))
+        for digest in {digest for (digest,) in old} - set(named):
+            self.delete_upload(digest)
+
+    def _select(self, query: str, values: tuple[object, ...]) -> list[Any]:
+        try:
+            return self._db.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            raise make_unusable_error(self._path, error) from None
+
+    def _transaction(self) -> Transaction:
+        return Transaction(self._db, self._path)
+
+
+def _format_size(size: int) -> str:
+    return f"{size} B" if size < 1_000_000 else f"{size / 1e6:.1f} MB"

@@ -1,0 +1,53 @@
+"""Parts that the files of the journal share: transactions, private files, and errors in words."""
+
+import os
+import sqlite3
+from pathlib import Path
+
+from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
+
+
+class Transaction:
+    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK on an error; a database error becomes a `JournalError`."""
+
+    def __init__(self, db: sqlite3.Connection, path: str) -> None:
+        self._db = db
+        self._path = path
+
+    def __enter__(self) -> None:
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+        except sqlite3.Error as error:
+            raise make_unusable_error(self._path, error) from None
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        try:
+            if kind is None:
+                self._db.execute("COMMIT")
+        except sqlite3.Error as failure:
+            error = failure
+        # SQLite has rolled back already when the disk is full.
+        if self._db.in_transaction:
+            self._db.execute("ROLLBACK")
+        if isinstance(error, sqlite3.Error):
+            raise make_unusable_error(self._path, error) from None
+
+
+def create_private_file(path: Path) -> None:
+    """Create a file for this user alone, unless it is there. Raises `UnsafePath` for a symbolic link, and `OSError`."""
+    make_private_folder(path.parent)
+    try:
+        os.close(open_private_file(path, os.O_RDWR | os.O_CREAT | os.O_EXCL))
+    except FileExistsError:
+        refuse_link(path)
+
+
+def make_unusable_error(path: str, error: Exception) -> JournalError:
+    """Describe what is wrong with the journal at `path`, and the remedy."""
+    if isinstance(error, UnsafePath):
+        return JournalError(str(error))
+    return JournalError(
+        f"{path}: the journal cannot be used ({error})",
+        "free space on its disk, repair it, or move it away to start with a new one",
+    )

@@ -1,0 +1,58 @@
+"""Points of a scan that is written as a spec of scanspec 1.x (the optional extra `tutti[scanspec]`)."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.scan import MAX_POINTS, PointAxis
+from orchestrator.model.units import Unit
+
+ROWS_AT_ONCE = 4096  # points in a block
+
+Rows = NDArray[np.float64]
+
+
+class SpecPoints:
+    """The points of a spec. units: of all axes of the fleet. Values are in the units of the axes."""
+
+    def __init__(self, spec: Mapping[str, Any], units: Mapping[str, Unit]) -> None:
+        """Raises `Refusal`: codes `no-scanspec` without the extra, `bad-scanspec`."""
+        path_type, spec_type = _import_scanspec()
+        try:
+            parsed = spec_type.deserialize(dict(spec))
+            self._path: Any = path_type(parsed.calculate(bounds=False))
+            timed = parsed.duration() is not None
+        except Exception as error:  # whatever another project raises for a spec that it cannot read
+            raise Refusal("bad-scanspec", f"scanspec cannot read the spec: {error}", "correct the spec") from None
+        names = [str(each) for each in parsed.axes()]
+        unknown = [name for name in names if name not in units]
+        if unknown:
+            text = f"the fleet has no axis {', '.join(unknown)}; its axes are: {', '.join(units)}"
+            raise Refusal("unknown-name", text, "name the axes of the spec as in the fleet file")
+        if timed:
+            text = "the spec has durations, which a scan of steps does not follow"
+            raise Refusal("bad-scanspec", text, "remove them, and put a dwell into `at_each`")
+        if len(self._path) > MAX_POINTS:
+            text = f"the spec has {len(self._path)} points; the maximum is {MAX_POINTS}"
+            raise Refusal("bad-scanspec", text, "use several scans")
+        self.axes = [PointAxis(axis=name, unit=units[name]) for name in names]
+
+    def read_blocks(self) -> Iterator[Rows]:
+        """The points, `ROWS_AT_ONCE` at a time: a row a point."""
+        while len(self._path):
+            chunk = self._path.consume(ROWS_AT_ONCE)
+            yield np.column_stack([chunk.midpoints[each.axis] for each in self.axes]).astype(np.float64)
+
+
+def _import_scanspec() -> tuple[Any, Any]:
+    """The classes `Path` and `Spec`. Raises `Refusal`, code `no-scanspec`."""
+    try:
+        from scanspec.core import Path  # pyright: ignore[reportMissingImports, reportUnknownVariableType]
+        from scanspec.specs import Spec  # pyright: ignore[reportMissingImports, reportUnknownVariableType]
+    except ImportError:
+        text = "a scan is written as a scanspec, and scanspec is not installed here"
+        raise Refusal("no-scanspec", text, "pip install 'tutti[scanspec]'; or write `axes` or `points`") from None
+    return Path, Spec  # pyright: ignore[reportUnknownVariableType]

@@ -1,0 +1,155 @@
+"""The steps of a job in the order in which they run, by arithmetic: repeats and scans are never written out.
+
+Every pass of a repeat and every point of a scan has step numbers of its own, from 0: a point is one move, then the
+steps at it. These are the numbers on the bus, in reports and of a re-run. Points and passes are counted from 1 for
+people.
+"""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import NamedTuple
+
+from orchestrator.model.job import Repeat, Scan, Step
+
+
+class RemainingStep(NamedTuple):
+    """What is left of a written step. first: the number of the first step left of it; number: in the job file."""
+
+    first: int
+    number: int
+    step: Step
+
+
+@dataclass(frozen=True, slots=True)
+class StepPlace:
+    """Where a numbered step stands.
+
+    index: its number. step: as it is written; for a point, the whole scan. first: the number of the first step of the
+    scan, or of the step itself. point: of a scan, from 0. part: 0 is the move to the point, k the k-th step at it.
+    passes: pass and number of passes of each repeat around it, from 1, the outermost first.
+    """
+
+    index: int
+    step: Step
+    first: int
+    point: int | None = None
+    part: int = 0
+    passes: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """What the numbered step does: that of its own, of a point its move or the step at it."""
+        if not isinstance(self.step, Scan):
+            return self.step.do
+        return self.step.at_each[self.part - 1].do if self.part else "move"
+
+    @property
+    def is_later_point(self) -> bool:
+        """Whether it belongs to a scan, and is not its first step."""
+        return self.point is not None and self.index > self.first
+
+    def describe(self, *, kinds: bool = True) -> str:
+        """The place in words: `step 2 (scan), point 17 of 66 (move)`. kinds: with what is done there."""
+        words = f"step {self.first}" + f" ({self.step.do})" * kinds
+        if isinstance(self.step, Scan) and self.point is not None:
+            words += f", point {self.point + 1} of {self.step.point_count}" + f" ({self.kind})" * kinds
+        return words + "".join(f", pass {number} of {times}" for number, times in self.passes)
+
+
+def count_point_steps(scan: Scan) -> int:
+    """The number of steps at one point of a scan, its move included."""
+    return 1 + len(scan.at_each)
+
+
+def count_steps(steps: Sequence[Step]) -> int:
+    """The number of steps that run: every pass, every point with the steps at it."""
+    return sum(map(_count_step, steps))
+
+
+def count_reports(steps: Sequence[Step]) -> int:
+    """The number of entries in the report: as `count_steps`, but one for each pass of a scan."""
+    return sum(each.times * count_reports(each.steps) if isinstance(each, Repeat) else 1 for each in steps)
+
+
+def _count_step(step: Step) -> int:
+    if isinstance(step, Repeat):
+        return step.times * count_steps(step.steps)
+    return step.point_count * count_point_steps(step) if isinstance(step, Scan) else 1
+
+
+class StepOrder:
+    """The order of `steps`, run `repeat` times. Memory: that of the written steps."""
+
+    def __init__(self, steps: Sequence[Step], repeat: int = 1) -> None:
+        self._block = _Block(steps)
+        self._repeat = repeat
+
+    def __len__(self) -> int:
+        return self._block.size * self._repeat
+
+    def locate(self, index: int) -> StepPlace:
+        """Where step number `index` stands. Raises `IndexError`."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"no step {index}; the steps are 0 to {len(self) - 1}")
+        block, within, passes = self._block, index % self._block.size, tuple[tuple[int, int], ...]()
+        while True:
+            number, within = block.find(within)
+            step = block.steps[number]
+            if isinstance(step, Repeat):
+                block = block.inner[number]
+                done, within = divmod(within, block.size)
+                passes = (*passes, (done + 1, step.times))
+            elif isinstance(step, Scan):
+                point, part = divmod(within, count_point_steps(step))
+                return StepPlace(index, step, index - within, point, part, passes)
+            else:
+                return StepPlace(index, step, index, passes=passes)
+
+    def list_remaining(self, first: int = 0) -> list[RemainingStep]:
+        """What is left from step number `first` on: a scan is whole, a repeat has the passes that are left, after the
+        rest of the present one. None beyond the last step."""
+        done, within = divmod(first, self._block.size)
+        left = [] if done >= self._repeat else list(self._block.list_rest(within))
+        left += list(self._block.list_rest(0)) * (self._repeat - done - 1)
+        indices = accumulate((size for _, _, size in left), initial=first)
+        return [RemainingStep(index, number, step) for index, (number, step, _) in zip(indices, left, strict=False)]
+
+    def iterate_written(self) -> Iterator[tuple[int, Step]]:
+        """The written steps of the job, each with the number of its first step in the first run."""
+        return iter(zip(self._block.begins, self._block.steps, strict=True))
+
+
+class _Block:
+    """Steps that run one after the other. begins: by step, how many come before it; size: of all."""
+
+    def __init__(self, steps: Sequence[Step]) -> None:
+        self.steps = steps
+        ends = list(accumulate(map(_count_step, steps)))
+        self.size = ends[-1]
+        self.begins = [0, *ends[:-1]]
+        self.inner = {number: _Block(step.steps) for number, step in enumerate(steps) if isinstance(step, Repeat)}
+
+    def find(self, within: int) -> tuple[int, int]:
+        """The written step that step `within` of this block belongs to, and how far inside that one it is."""
+        number = bisect_right(self.begins, within) - 1
+        return number, within - self.begins[number]
+
+    def list_rest(self, within: int) -> Iterator[tuple[int, Step, int]]:
+        """What is left from step `within` on: the number of the written step in this block, what is left of it, and of
+        how many steps that is."""
+        number, inside = self.find(within)
+        step = self.steps[number]
+        if inside and isinstance(step, Repeat):
+            block = self.inner[number]
+            done, inside = divmod(inside, block.size)
+            if inside:
+                yield from ((number, each, size) for _, each, size in block.list_rest(inside))
+            left = step.times - done - bool(inside)
+            if left:
+                yield number, step.model_copy(update={"times": left}), left * block.size
+        else:
+            yield number, step, _count_step(step) - inside
+        for later, each in list(enumerate(self.steps))[number + 1 :]:
+            yield later, each, _count_step(each)

@@ -1,0 +1,81 @@
+"""The recorded points of a scan: as a table, and as a picture of planned and measured positions."""
+
+# Matplotlib types its keyword arguments only in part.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich.console import RenderableType
+
+from orchestrator.model.report import PointRecord
+from orchestrator.monitor.job_plot import COLOUR_PLAN, COLOUR_SEEN, DPI
+from orchestrator.monitor.tables import make_plain_table
+
+WIDTH, HEIGHT = 9.0, 4.6
+MAX_MARKED = 2000  # points with a circle for each planned position
+
+
+def make_point_table(records: Sequence[PointRecord]) -> RenderableType:
+    """A row a point: targets, measured positions, verdict, start skew, time."""
+    table = make_plain_table(["step>", "point>", "target", "measured", "verdict", "start skew>", "took>"])
+    for each in records:
+        skew = "" if each.start_skew is None else f"≤ {each.start_skew.at_most_ns / 1e6:.1f} ms"
+        table.add_row(
+            str(each.step),
+            str(each.point),
+            " ".join(f"{axis}={value:g}" for axis, value in each.target.items()),
+            " ".join(f"{axis}={'-' if value is None else f'{value:g}'}" for axis, value in each.measured.items()),
+            each.verdict if each.state == "done" else each.state,
+            skew,
+            "" if each.took_s is None else f"{each.took_s:.3f} s",
+        )
+    return table
+
+
+def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = None) -> Figure:
+    """Plot planned and measured points: of the first two axes of a scan against each other, of a single axis over the
+    points; and on the right the differences of all axes. records: of one scan, at least one. path: also write it there.
+    """
+    mpl.rcParams["font.size"] = 9
+    axes = list(records[0].target)
+    figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=11)
+    left, *differences = figure.subplot_mosaic(
+        [["map", f"{k}"] for k in range(len(axes))], width_ratios=(3, 2)
+    ).values()
+    planned = {axis: [each.target[axis] for each in records] for axis in axes}
+    measured = {axis: [_or_nan(each.measured.get(axis)) for each in records] for axis in axes}
+    numbers = [float(each.point) for each in records]
+    across, up = (axes[0], axes[1]) if len(axes) > 1 else (None, axes[0])
+    x_planned = numbers if across is None else planned[across]
+    x_measured = numbers if across is None else measured[across]
+    # Without lines between: the path there is that of each axis on its own limits.
+    left.plot(x_planned, planned[up], color=COLOUR_PLAN, linewidth=0.6, alpha=0.6, zorder=1)
+    if len(records) <= MAX_MARKED:
+        left.plot(
+            x_planned, planned[up], "o", markersize=7, fillstyle="none", color=COLOUR_PLAN, zorder=2, label="planned"
+        )
+    left.plot(x_measured, measured[up], ".", markersize=5, color=COLOUR_SEEN, zorder=3, label="measured")
+    left.set_xlabel("point" if across is None else across)
+    left.set_ylabel(up)
+    left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    left.grid(alpha=0.3)
+    for axis, difference in zip(axes, differences, strict=True):
+        off = [seen - meant for seen, meant in zip(measured[axis], planned[axis], strict=True)]
+        difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
+        difference.plot(numbers, off, ".-", color=COLOUR_SEEN, markersize=4, linewidth=0.6)
+        difference.set_ylabel(f"{axis}: off plan")
+        difference.grid(alpha=0.3)
+    differences[-1].set_xlabel("point")
+    if path is not None:
+        figure.savefig(path)
+    return figure
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value

@@ -1,0 +1,123 @@
+"""The extremes of a scan and the distances between its points, without going from point to point."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
+from itertools import pairwise
+from typing import NamedTuple
+
+from orchestrator.model.job import Scan
+from orchestrator.model.scan import GridPoints, PointTable
+from orchestrator.model.units import Unit, parse_quantity
+
+Way = tuple[Fraction, Fraction]
+"""From one position to another."""
+
+
+class ScanCorner(NamedTuple):
+    """An extreme position of an axis. point: the first there, from 1. positions: of all axes at that point, as far as
+    they are known."""
+
+    position: Fraction
+    point: int
+    positions: Mapping[str, float]
+
+
+class ScanWays(NamedTuple):
+    """Ways between neighbouring points. often: how many. nearest, farthest: by axis, bounds of them; without the axes
+    that stand."""
+
+    often: int
+    nearest: Mapping[str, Way]
+    farthest: Mapping[str, Way]
+
+
+def find_corners(scan: Scan, units: Sequence[Unit]) -> dict[str, list[ScanCorner]]:
+    """By axis: its first, lowest, highest and last position. Raises `UnitError`."""
+    names = scan.axis_names
+    if scan.points is not None and scan.points.rows is None:
+        return {
+            each.axis: [
+                _make_corner({each.axis: value}, each.axis, point)
+                for value, point in (
+                    (each.first, 1),
+                    (each.least, each.least_at),
+                    (each.most, each.most_at),
+                    (each.last, scan.point_count),
+                )
+            ]
+            for each in scan.points.columns
+        }
+    points = _find_extreme_points(scan, units)
+    return {
+        name: [
+            _make_corner(dict(zip(names, _find_point(scan, point, units), strict=True)), name, point + 1)
+            for point in each
+        ]
+        for name, each in zip(names, points, strict=True)
+    }
+
+
+def _make_corner(positions: Mapping[str, Fraction | float], axis: str, point: int) -> ScanCorner:
+    shown = {name: float(value) for name, value in positions.items()}
+    # As it will be sent: the decimal of the nearest double.
+    return ScanCorner(Fraction(str(shown[axis])), point, shown)
+
+
+def _find_point(scan: Scan, point: int, units: Sequence[Unit]) -> list[Fraction]:
+    if scan.points is not None and scan.points.rows is not None:
+        return [parse_quantity(each, unit) for each, unit in zip(scan.points.rows[point], units, strict=True)]
+    return GridPoints(scan.axes).find_position(point, units)
+
+
+def _find_extreme_points(scan: Scan, units: Sequence[Unit]) -> list[list[int]]:
+    """By axis: the numbers of the points at its first, lowest, highest and last position, from 0."""
+    found: list[list[int]] = []
+    if scan.points is not None and scan.points.rows is not None:
+        for column, unit in enumerate(units):
+            values = [parse_quantity(row[column], unit) for row in scan.points.rows]
+            found.append([0, values.index(min(values)), values.index(max(values)), len(values) - 1])
+        return found
+    grid = GridPoints(scan.axes)
+    for axis, unit, count, stride in zip(scan.axes.values(), units, grid.counts, grid.strides, strict=True):
+        listed = range(count) if axis.values is not None else (0, count - 1)
+        values = {index: axis.position(index, unit) for index in listed}
+        low, high = min(values, key=lambda k: values[k]), max(values, key=lambda k: values[k])
+        # In its first pass every axis goes forward.
+        found.append([0, low * stride, high * stride, grid.count - 1])
+    return found
+
+
+def iterate_ways(scan: Scan, units: Sequence[Unit]) -> Iterator[ScanWays]:
+    """The ways between all neighbouring points, in as few kinds as there are axes. Raises `UnitError`."""
+    names, table = scan.axis_names, scan.points
+    if table is not None:
+        yield _find_table_ways(names, table, units)
+        return
+    for count, pairs in GridPoints(scan.axes).iterate_ways():
+        nearest: dict[str, Way] = {}
+        farthest: dict[str, Way] = {}
+        for name, axis, unit, each in zip(names, scan.axes.values(), units, pairs, strict=True):
+            ways = [(axis.position(begin, unit), axis.position(end, unit)) for begin, end in each]
+            if ways:
+                nearest[name] = min(ways, key=_length)
+                farthest[name] = max(ways, key=_length)
+        yield ScanWays(count, nearest, farthest)
+
+
+def _find_table_ways(names: Sequence[str], table: PointTable, units: Sequence[Unit]) -> ScanWays:
+    if table.rows is None:
+        zero = Fraction(0)
+        nearest = {each.axis: (zero, Fraction(str(each.least_step))) for each in table.columns}
+        farthest = {each.axis: (zero, Fraction(str(each.most_step))) for each in table.columns}
+        return ScanWays(table.count - 1, nearest, farthest)
+    nearest, farthest = dict[str, Way](), dict[str, Way]()
+    for column, (name, unit) in enumerate(zip(names, units, strict=True)):
+        values = [parse_quantity(row[column], unit) for row in table.rows]
+        ways = list(pairwise(values))
+        if ways:
+            nearest[name], farthest[name] = min(ways, key=_length), max(ways, key=_length)
+    return ScanWays(len(table.rows) - 1, nearest, farthest)
+
+
+def _length(way: Way) -> Fraction:
+    return abs(way[1] - way[0])
