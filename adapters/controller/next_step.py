@@ -10,9 +10,12 @@ from dataclasses import dataclass, field, replace
 
 from adapters.contract import Driver, Lowered
 from adapters.controller.armed_step import ArmedStep, StepPhase
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ArmedReply, ArmRequest
+
+NEVER_NS = 3600 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,14 @@ class NextStepSlot:
     def armed_step(self) -> ArmedStep | None:
         """The following step; None if there is none."""
         return None if self._following is None else self._following.armed_step
+
+    def spare_ns(self, now_ns: int) -> int:
+        """The time until the following step needs the controller; a long one without such a step."""
+        following = self._following
+        if following is None:
+            return NEVER_NS
+        loading_ns = 0 if following.in_controller else following.move.lowered.costs.arm_ns
+        return following.armed_step.t0_host_ns - loading_ns - now_ns
 
     def find_waiting(self, job: str, step: int) -> FollowingStep | None:
         """The step with that number, if the adapter still has to load it, or is loading it."""

@@ -43,8 +43,9 @@ QUIET_BEFORE_T0_NS = 300 * NS_PER_MS
 # A participant is not polled for this long after a request of a step: arming reads the controller as well, and the
 # fleet waits for it.
 QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
-# A controller that turns from one step to the next by its own program is not polled for this long before the next one.
-QUIET_TURN_NS = 25 * NS_PER_MS
+# From this long before the end of a step a controller is not polled, if another step follows: a poll would delay that.
+QUIET_TURN_NS = 40 * NS_PER_MS
+READING_ROOM_NS = 100 * NS_PER_MS  # between two steps, in which the controller is read at rest
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
 
 
@@ -518,17 +519,20 @@ class StepParticipant:
         until_ns = self._requested_ns + QUIET_AFTER_REQUEST_NS
         if armed_step is not None:
             if armed_step.phase is StepPhase.MOVING:
-                return self._quiet_turn_until_ns(now_ns)
+                return self._quiet_turn_until_ns(armed_step, now_ns)
             if armed_step.t0_host_ns - QUIET_BEFORE_T0_NS <= now_ns <= armed_step.t0_host_ns:
                 until_ns = armed_step.t0_host_ns
         return until_ns if now_ns <= until_ns else None
 
-    def _quiet_turn_until_ns(self, now_ns: int) -> int | None:
-        """Return until when a moving controller is not polled because it begins the following step by itself."""
+    def _quiet_turn_until_ns(self, present: ArmedStep, now_ns: int) -> int | None:
+        """Return until when a moving controller is not polled because the following step is near: it begins that by its
+        own program, or this adapter loads it."""
         following = self._next.armed_step
-        if following is None or following.phase is not StepPhase.RELEASED:
+        if following is None:
             return None
-        return following.t0_host_ns if 0 <= following.t0_host_ns - now_ns <= QUIET_TURN_NS else None
+        ends_ns = present.t0_host_ns + round(max(present.promised_s.values(), default=0.0) * NS_PER_S)
+        near_ns = min(ends_ns, following.t0_host_ns) - QUIET_TURN_NS
+        return following.t0_host_ns if near_ns <= now_ns <= following.t0_host_ns else None
 
     # Internals
 
@@ -619,8 +623,9 @@ class StepParticipant:
 
     async def _settle_end(self, axes: Sequence[str], outcome: MoveOutcome) -> SettlingResult:
         """Wait until the axes are at rest. The coordinator plans the next step from the state: at the end event it must
-        be the state after the move. The start of a following step, which is planned already, does not wait for that."""
-        settles = self._next.armed_step is None or self._must_settle(axes)
+        be the state after the move. A following step, which is planned already, leaves room for that only behind a
+        dwell."""
+        settles = self._must_settle(axes) or self._next.spare_ns(self._clock.now_ns()) >= READING_ROOM_NS
         self._reading_is_old = not settles
         if not settles:
             return SettlingResult()

@@ -16,6 +16,7 @@ WITNESS = "witness"  # of a fleet that works again
 WITNESS_SHARE = 0.2  # of the way of other moves
 DWELL_CHANCE = 0.25
 CHAIN_STEPS = 4
+CHAIN_SHARE = 0.7  # of the other controllers in a step of a chain
 CHAIN_MOVE_S = (0.8, 1.3)  # of a move in a chain at that speed, without its ramps, to and from near its beginning
 CHAIN_BACK_S = (0.0, 0.15)
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
@@ -69,7 +70,7 @@ def draw_orders(
         first = [{"do": "home", "axes": [member]}]
         there |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
     axes = _JobAxes(fleet, main, there)
-    job = _draw_chain("main", axes, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
+    job = _draw_chain("main", axes, member, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
     orders = [JobOrder(job, QueueTerms(), tuple(main))]
     if beside:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
@@ -139,16 +140,20 @@ def _draw_moves(name: str, axes: _JobAxes, draw: Random, steps_before: Sequence[
     return make_job(name, [*steps_before, *steps])
 
 
-def _draw_chain(name: str, axes: _JobAxes, draw: Random) -> Job:
-    """Draw a job of short moves, one after the other; some with a dwell in between."""
+def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random) -> Job:
+    """Draw a job of short moves, one after the other, all of `member` and most of the others; some with a dwell in
+    between."""
     steps: list[dict[str, Any]] = []
-    names = [f"{name}.{axis}" for name in axes.controllers for axis in axes.fleet.controllers[name].axes]
-    reaches = {axis: axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION for axis in names}
-    ways = {axis: 1 if axes.positions[axis] < reaches[axis] * MAX_MOVE_S / 2 else -1 for axis in names}
+    groups = [each for each in _group_inseparable(axes.fleet) if set(each) <= set(axes.controllers)]
     begins = dict(axes.positions)
     for number in range(CHAIN_STEPS):
         share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
-        targets = {axis: round(begins[axis] + ways[axis] * reaches[axis] * share, 2) for axis in names}
+        moved = [group for group in groups if member in group or not number or draw.random() < CHAIN_SHARE]
+        targets: dict[str, float] = {}
+        for axis in (f"{each}.{axis}" for each in chain(*moved) for axis in axes.fleet.controllers[each].axes):
+            reach = axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION
+            way = reach if begins[axis] < reach * MAX_MOVE_S / 2 else -reach
+            targets[axis] = round(begins[axis] + way * share, 2)
         axes.positions.update(targets)
         steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION})
         if draw.random() < DWELL_CHANCE:

@@ -10,9 +10,10 @@ import pytest
 from cluster.test_busy_host import delayed_starts
 from cluster.worlds import PREPARE, demo_fleet, outcome, run_fleet
 
-from adapters.controller import participant
+from adapters.controller import step_end
 from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
+from adapters.controller.next_step import PreparedMove
 from adapters.controller.participant import StepParticipant
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.supervisor import ControllerSupervisor
@@ -172,7 +173,7 @@ def judges_starts_only(patch: Patch) -> None:
         return ()
 
     patch.setattr(SMC4000Driver, "check_settings", find_nothing)
-    patch.setattr(participant, "_find_wrong_durations", lambda *_: {})
+    patch.setattr(step_end, "_find_wrong_durations", lambda *_: {})
     patch.setattr(step, "judge_completed_step", lambda report, *_: report)
 
 
@@ -190,6 +191,20 @@ def adopts_once(patch: Patch) -> None:
 def names_no_command(patch: Patch) -> None:
     """A job that waits states its reason, and no remedy."""
     patch.setattr(Obstacle, "describe", lambda self: self.text)  # pyright: ignore[reportUnknownLambdaType]
+
+
+def opens_its_gate_behind_a_step(patch: Patch) -> None:
+    """A step that is loaded behind a moving one starts without promises and decision."""
+    honest = StepParticipant._load_behind
+
+    async def eager(self: StepParticipant, move: PreparedMove) -> Any:
+        armed = await honest(self, move)
+        if not armed.waits:
+            await self._driver.release_next()
+        return armed
+
+    patch.setattr(StepParticipant, "_load_behind", eager)
+    patch.setattr(StepParticipant, "_unload_at_t0", nothing_async)
 
 
 class Mutation(NamedTuple):
@@ -218,6 +233,8 @@ MUTATIONS = (
     Mutation("3", misses_absence, FaultCell("motion", "operator-lost", "smc4000")),
     Mutation("13", adopts_once, FaultCell("arm", "host-killed", "smc4000")),
     Mutation("13", names_no_command, FaultCell("motion", "estop", "shrc203")),
+    Mutation("1", goes_without_promises, FaultCell("chain", "host-killed", "smc4000")),
+    Mutation("3", opens_its_gate_behind_a_step, FaultCell("chain", "coordinator-killed", "smc4000")),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000")),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.

@@ -50,6 +50,7 @@ def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMoti
             pause_ns += step.duration
         elif isinstance(step, SetOutput):
             acts = True
+            pause_ns += step.pulse or 0
         else:
             between = between or f"step {number} ({step.do}) comes before it"
     return ChainBreak(None, "")
