@@ -6,10 +6,10 @@ adapter as soon as the present move has ended; the promise is made after that.
 """
 
 import asyncio
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from adapters.contract import Driver, Lowered
-from adapters.controller.armed_step import ArmedStep, StepPhase
+from adapters.controller.armed_step import ArmedStep
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -56,8 +56,13 @@ class NextStepSlot:
 
     @property
     def armed_step(self) -> ArmedStep | None:
-        """The following step; None if there is none."""
+        """The following step in its present phase; None if there is none."""
         return None if self._following is None else self._following.armed_step
+
+    @armed_step.setter
+    def armed_step(self, armed_step: ArmedStep) -> None:
+        if self._following is not None:
+            self._following.armed_step = armed_step
 
     def spare_ns(self, now_ns: int) -> int:
         """The time until the following step needs the controller; a long one without such a step."""
@@ -89,28 +94,6 @@ class NextStepSlot:
     def note_loaded(self, move: PreparedMove) -> None:
         """The controller holds the move beside the present one."""
         self._following = FollowingStep(move, move.armed_step, in_controller=True)
-
-    # Phases of a step that the controller holds
-
-    async def commit(self) -> None:
-        """Check the loaded move, and note the promise. Raises `Refusal`."""
-        await self._driver.verify_next()
-        self._set_phase(StepPhase.COMMITTED)
-
-    async def release(self, released: ArmedStep, advance_ns: int) -> None:
-        """Release the loaded move, noted as `released`. Raises `Refusal`."""
-        following = self._require_following()
-        following.armed_step = released
-        await self._driver.release_next(advance_ns)
-
-    def _set_phase(self, phase: StepPhase) -> None:
-        following = self._require_following()
-        following.armed_step = replace(following.armed_step, phase=phase)
-
-    def _require_following(self) -> FollowingStep:
-        if self._following is None:
-            raise Refusal("stopped", "the step was unloaded meanwhile", "")
-        return self._following
 
     # Ends
 

@@ -342,13 +342,16 @@ class StepParticipant:
             armed_step = self._require_phase(request, request.t0_fleet_ns, StepPhase.ARMED)
             interruptions = self._interruptions
             if armed_step is self._next.armed_step:
-                await self._next.commit()
+                await self._driver.verify_next()
             else:
                 await self._driver.verify_armed()
-                if self.armed_step is armed_step:
-                    self.armed_step = replace(armed_step, phase=StepPhase.COMMITTED)
             if interruptions != self._interruptions or not armed_step.is_same(self._find_step(request)):
                 raise Refusal("stopped", "a stop came before the commit", "")
+            committed = replace(armed_step, phase=StepPhase.COMMITTED)
+            if armed_step is self._next.armed_step:
+                self._next.armed_step = committed
+            else:  # the step before may have ended meanwhile
+                self.armed_step = committed
             return CommittedReply()
 
     async def start_step(self, request: GoRequest) -> Reply:
@@ -385,8 +388,9 @@ class StepParticipant:
     async def _release_following(self, released: ArmedStep, advance_ns: int) -> Reply:
         """Release the step that the controller holds beside the present one."""
         interruptions = self._interruptions
+        self._next.armed_step = released
         try:
-            await self._next.release(released, advance_ns)
+            await self._driver.release_next(advance_ns)
         except (Refusal, ControllerFault):
             # The controller may have released the move all the same: a lost reply must not let it run.
             await self.stop("the release of the following step has failed", abort=False)

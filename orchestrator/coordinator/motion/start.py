@@ -206,8 +206,13 @@ class StartSequence:
             "arm", requests, ArmedReply, timeout_s, answered=took_ns.__setitem__
         )
         await self._disarm_if_refused(self.state.armed)
-        if agreement.present is None:
-            self._estimator.record_arming(declared_ns, took_ns)
+        # Members that load a following step later, or beside the present one, need other times.
+        at_rest = [
+            name
+            for name, reply in self.state.armed.items()
+            if not reply.waits and (agreement.present is None or agreement.proposals[name].gap_ns is None)
+        ]
+        self._estimator.record_arming(declared_ns, {name: took_ns[name] for name in at_rest if name in took_ns})
 
     async def _judge_frozen_mappings(self) -> None:
         """Judge the budget again, with the clock mappings that are frozen into what is armed."""
