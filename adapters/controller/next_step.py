@@ -52,7 +52,8 @@ class NextStepSlot:
     def __init__(self, driver: Driver) -> None:
         self._driver = driver
         self._following: FollowingStep | None = None
-        self._loading: FollowingStep | None = None
+        self._behind: FollowingStep | None = None
+        """The last step that the adapter loaded, or loads, behind another one."""
 
     @property
     def armed_step(self) -> ArmedStep | None:
@@ -73,8 +74,8 @@ class NextStepSlot:
         return following.armed_step.t0_host_ns - loading_ns - now_ns
 
     def find_waiting(self, job: str, step: int) -> FollowingStep | None:
-        """The step with that number, if the adapter still has to load it, or is loading it."""
-        for each in (self._following, self._loading):
+        """The step with that number, if the adapter loads it behind the one before, or has done so."""
+        for each in (self._following, self._behind):
             if (
                 each is not None
                 and not each.in_controller
@@ -104,13 +105,11 @@ class NextStepSlot:
             if following.in_controller:
                 self._driver.take_next()
             else:
-                self._loading = following
+                self._behind = following
         return following
 
     def finish_loading(self, following: FollowingStep, result: ArmedReply | Exception) -> None:
         """The adapter has loaded the step, or could not."""
-        if self._loading is following:
-            self._loading = None
         if following.loaded.done():
             return
         if isinstance(result, Exception):
@@ -122,10 +121,10 @@ class NextStepSlot:
     def drop(self, reason: str) -> ArmedStep | None:
         """Forget the following step; the controller is stopped, unloaded or unreachable."""
         dropped = None if self._following is None else self._following.armed_step
-        for following in (self._following, self._loading):
+        for following in (self._following, self._behind):
             if following is not None:
                 self.finish_loading(following, Refusal("stopped", reason, ""))
-        self._following = self._loading = None
+        self._following = self._behind = None
         return dropped
 
     async def unload(self) -> None:

@@ -97,6 +97,11 @@ class LeadTimeEstimator:
         at_rest, seen = self.arming_share(member), self._behind.get(member)
         return at_rest if seen is None else seen.allowed_time(at_rest)
 
+    def knows_loading(self, members: Iterable[str]) -> bool:
+        """Whether the time that each member needs to load a step behind the one before, from its planned end, is known
+        from earlier steps."""
+        return all((seen := self._behind.get(member)) is not None and seen.is_known for member in members)
+
     def record_release(self, took_ns: int, go_ns: int) -> None:
         """Record a release. took_ns: from armed to the last answer to `go`; go_ns: from the last promise."""
         self._releases_ns.add_duration(took_ns)

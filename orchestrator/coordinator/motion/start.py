@@ -294,7 +294,7 @@ class StartSequence:
             declared_ns = {
                 name: costs.arm_ns for name in loaded if (costs := agreement.proposals[name].costs) is not None
             }
-            self._estimator.record_arming(declared_ns, {name: loaded[name].took_ns for name in declared_ns})
+            self._estimator.record_loading(declared_ns, {name: loaded[name].took_ns for name in declared_ns})
 
     async def _record_decision(self) -> None:
         request, services = self._request, self._services
