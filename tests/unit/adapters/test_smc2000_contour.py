@@ -386,4 +386,4 @@ def test_the_resident_program_fits_into_the_controller(count: int):
     assert len(labels) == len(set(labels)) <= LABELS_MOST
     assert all(len(label) <= 8 for label in labels)
     assert any(line.startswith("CM ") for line in lines) == (count <= 4)
-    assert all(len(name) <= 8 for name in (*program_variables(axes), *contour_arrays(axes)))
+    assert all(len(name) <= 8 for name in (*program_variables(axes, chained=False), *contour_arrays(axes)))
