@@ -13,8 +13,9 @@ from orchestrator.model.job import Job
 from orchestrator.model.report import QueueEntry
 
 _COMMAND = re.compile(r"`tutti ([^`]+)`")
-MOST_REPEATS = 5
-"""The same command is named again while it is refused, or while it was run a moment too early; not for ever."""
+MOST_REPEATS = 12
+"""The same command is named again while it is refused, or while it was run too early: a daisy chain takes ten seconds
+until it is reached; not for ever."""
 
 
 class NamedCommands:
