@@ -67,7 +67,7 @@ def submit(
         stop_own_job,
     )
     from orchestrator.client import Tutti
-    from orchestrator.model.files import load_job
+    from orchestrator.model.templates.template import load_job
     from orchestrator.monitor.report_table import make_report_tables
 
     wanted = make_terms(terms)

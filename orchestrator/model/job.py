@@ -14,6 +14,8 @@ from orchestrator.model.units import Quantity
 UNKNOWN_ACTOR = "unknown"
 _MISSING: Any = object()
 
+ParameterText = Annotated[str, Field(max_length=120)]
+
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
 
 
@@ -183,6 +185,12 @@ class Job(Model):
     )
     max_path_skew: Duration | None = Field(
         default=None, description="Maximum time offset between axes along their path."
+    )
+    parameters_used: dict[str, ParameterText] = Field(
+        default={},
+        max_length=100,
+        description="The parameters of the template that the job was made of, with their values; they are written "
+        "there when it is filled, and change nothing.",
     )
     steps: list[Step] = Field(min_length=1, max_length=10_000)
 
