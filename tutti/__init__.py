@@ -19,13 +19,14 @@ from orchestrator.client.manual import ManualControl
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.steps import JobFailed
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
-from orchestrator.model.files import FileError, load_fleet, load_job
+from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Disable, Dwell, Enable, Home, Job, Move, SetOutput, SetPosition, Step, WaitInput
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport, JobTransition, QueueEntry, StepRecording, StepReport
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
+from orchestrator.model.templates.template import Template, load_job
 
 __version__ = _version("tutti")
 
@@ -64,6 +65,7 @@ __all__ = [
     "StepRecording",
     "StepReport",
     "SubmittedJob",
+    "Template",
     "Tutti",
     "TuttiError",
     "WaitInput",

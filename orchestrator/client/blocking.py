@@ -10,6 +10,7 @@ interrupted call has begun, and says so; a job that was submitted stays in the q
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal, Self
 
 from orchestrator.bus.base import Bus
@@ -38,6 +39,7 @@ from orchestrator.model.report import (
 )
 from orchestrator.model.service import FleetNames, JobRetried, JobShown, WireFinding
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo
+from orchestrator.model.templates.template import Template
 from orchestrator.model.units import Quantity
 
 
@@ -249,13 +251,22 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Wait, as a step of the fleet's own. Raises `Refusal`, `JobFailed`."""
         return self._run(self._wrapped.dwell(seconds))
 
-    def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> BlockingJob:
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`.
+    def submit(
+        self,
+        job: Job | Template | Path | str,
+        client_key: str | None = None,
+        terms: QueueTerms | None = None,
+        *,
+        parameters: Mapping[str, object] | None = None,
+    ) -> BlockingJob:
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file or a
+        template.
 
-        job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
-        often it is submitted. terms: priority, repeats, predecessor and start time.
+        job: a job, a template, or the path of a job file; without an actor it gets the actor of this connection.
+        client_key: the same key is the same job, however often it is submitted. terms: priority, repeats, predecessor
+        and start time. parameters: values for those of the template or file, `{"width": "20 mm"}`.
         """
-        return BlockingJob(self._run(self._wrapped.submit(job, client_key, terms)), self._worker)
+        return BlockingJob(self._run(self._wrapped.submit(job, client_key, terms, parameters=parameters)), self._worker)
 
     def attend(self) -> BlockingAttendance:
         """A session for jobs that a person waits for: they end when its context does, or its process."""

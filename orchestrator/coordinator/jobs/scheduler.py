@@ -476,6 +476,7 @@ class Scheduler:
             repeat=row.repeat,
             origin=row.origin,
             from_step=row.from_step,
+            parameters_used=job.parameters_used if job is not None else {},
         )
 
     # Times

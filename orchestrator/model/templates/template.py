@@ -4,6 +4,7 @@ Values are put in after the file is read and before the job is validated, so tha
 that is submitted has plain steps; the coordinator knows no templates.
 """
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -105,7 +106,9 @@ class Template:
             raise FileError([*problems, *more])
         return filled
 
-    def list_extremes(self, settings: Mapping[str, ParameterSetting]) -> Iterator[tuple[str, dict[str, object]]]:
+    def list_extremes(
+        self, settings: Mapping[str, ParameterSetting]
+    ) -> Iterator[tuple[str, dict[str, ParameterSetting]]]:
         """Further values that its bounds and choices allow: one parameter at a time, in words, with the settings."""
         for name, parameter in self.parameters.items():
             for what, value in parameter.list_extremes():
@@ -272,8 +275,6 @@ class _ValueFiller:
 
 
 def _validate_declarations(value: Any) -> tuple[ParameterDeclarations | None, list[Any]]:
-    import json
-
     try:
         return ParameterDeclarations.model_validate_json(json.dumps({DECLARATIONS: value}), strict=True), []
     except ValidationError as error:
@@ -285,6 +286,14 @@ def _describe_problem(
 ) -> FileProblem:
     origin = origins.get(id(file.find_node(place)))
     return file.problem(place, text if origin is None else f"{text} ({origin})")
+
+
+def read_settings_file(path: Path) -> dict[str, ParameterSetting]:
+    """The settings in a YAML file, `name: value`. Raises `FileError`."""
+    file = read_file(path)
+    if not isinstance(file.root.children, dict):
+        raise FileError([FileProblem(file.name, 1, "", "must be a mapping of names to values, e.g. `width: 20 mm`")])
+    return {name: ParameterSetting(node.value, file.name, node.line) for name, node in file.root.children.items()}
 
 
 def load_job(path: Path | str, parameters: Mapping[str, object] | None = None) -> Job:
