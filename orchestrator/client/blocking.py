@@ -27,6 +27,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import TraceReply
+from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
     JobProgress,
@@ -205,7 +206,7 @@ class BlockingTutti(BlockingObject[Tutti]):
 
     def move(
         self,
-        to: Mapping[str, Quantity] | None = None,
+        to: Mapping[str, Quantity] | str | None = None,
         by: Mapping[str, Quantity] | None = None,
         *,
         speed: float = 1.0,
@@ -214,6 +215,7 @@ class BlockingTutti(BlockingObject[Tutti]):
     ) -> JobResult:
         """Move axes together: to positions, or by distances, in their units or with one (`"6 mm"`).
 
+        to: by axis, a quantity or the name of a position; or one name, for all its axes.
         speed: fraction of each axis's velocity limit. sync, wait: as in a job, and in `run`. Raises `Refusal`,
         `JobFailed`.
         """
@@ -416,6 +418,26 @@ class BlockingTutti(BlockingObject[Tutti]):
         i_know: must be True, because no limit is checked.
         """
         return self._run(self._wrapped.send_raw(controller, command, i_know=i_know))
+
+    def list_positions(self) -> list[PositionEntry]:
+        """All named positions: those of the fleet file, and those that are saved. Raises `Refusal`."""
+        return self._run(self._wrapped.list_positions())
+
+    def save_position(
+        self, name: str, *axes: str, at: Mapping[str, Quantity] | None = None, description: str | None = None
+    ) -> PositionEntry:
+        """Save the present user positions of axes (groups, controllers) under a name; an earlier saved position of
+        this name is replaced. Without axes and `at`: of all axes that are referenced.
+
+        at: values that are given instead, by axis. Raises `Refusal`: codes `bad-name`, `moving`, `not-referenced`,
+        `offline`, `unknown-name`, `bad-unit`, `soft-limit`.
+        """
+        return self._run(self._wrapped.save_position(name, *axes, at=at, description=description))
+
+    def remove_position(self, name: str) -> PositionEntry | None:
+        """Remove a saved position; return that of the fleet file with the same name, which counts again. Raises
+        `Refusal`: codes `unknown-name`, `in-file`."""
+        return self._run(self._wrapped.remove_position(name))
 
     def axes(self) -> dict[str, AxisState]:
         """The state of every axis, by `controller.axis`; those of controllers that are offline are old."""

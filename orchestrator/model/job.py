@@ -3,17 +3,19 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
+from orchestrator.model.names import ALL_AXES, is_position_name
 from orchestrator.model.numbers import Part
 from orchestrator.model.state import StartWish
-from orchestrator.model.units import Quantity
+from orchestrator.model.units import Quantity, check_quantity
 
 UNKNOWN_ACTOR = "unknown"
 _MISSING: Any = object()
 
+_NUMBER_OR_TEXT: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
 ParameterText = Annotated[str, Field(max_length=120)]
 
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
@@ -36,11 +38,33 @@ class StepBase(Model):
     name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
 
 
+def _check_target(value: object) -> object:
+    return value if is_position_name(value) else check_quantity(value)
+
+
+Target = Annotated[int | float | str, BeforeValidator(_check_target), WithJsonSchema(_NUMBER_OR_TEXT)]
+"""A quantity; or the name of a position, which stands for its value for that axis."""
+
+
+def _read_whole_position(to: object) -> object:
+    """`to: sample` stands for all axes of that position."""
+    return {ALL_AXES: to} if is_position_name(to) else to
+
+
 class Move(StepBase):
     """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one instant."""
 
     do: Literal["move"] = "move"
-    to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
+    to: Annotated[
+        dict[str, Target],
+        BeforeValidator(_read_whole_position),
+        WithJsonSchema(
+            {"anyOf": [{"type": "object", "additionalProperties": _NUMBER_OR_TEXT}, {"type": "string"}], "default": {}}
+        ),
+    ] = Field(
+        default={},
+        description="Absolute targets by axis: quantities, or names of positions; or one name, for all its axes.",
+    )
     by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
     speed: Part = Field(default=1.0, description="Fraction of each axis's velocity limit.")
     sync: Literal["time", "phase", "none"] = Field(
@@ -69,7 +93,7 @@ class Move(StepBase):
         def __init__(
             self,
             *,
-            to: Mapping[str, float | str] = ...,
+            to: Mapping[str, float | str] | str = ...,
             by: Mapping[str, float | str] = ...,
             speed: float | str = 1.0,
             **more: Any,
@@ -77,6 +101,8 @@ class Move(StepBase):
 
     @model_validator(mode="after")
     def _targets(self) -> "Move":
+        if ALL_AXES in self.to and not is_position_name(self.to[ALL_AXES]):
+            raise ValueError(f"{self.to[ALL_AXES]} for all axes (`*`) must be the name of a position")
         if not self.to and not self.by:
             raise ValueError("a move needs `to` (absolute) or `by` (relative) with at least one axis")
         twice = sorted(self.to.keys() & self.by.keys())
@@ -155,9 +181,10 @@ Step = Annotated[
 
 
 def named_axes(step: Step) -> list[str]:
-    """The axes, groups and controllers that a step names; none for a homing of the whole fleet."""
+    """The axes, groups and controllers that a step names; none for a homing of the whole fleet, and for the axes that
+    only a position names."""
     if isinstance(step, Move):
-        return [*step.to, *step.by]
+        return [axis for axis in (*step.to, *step.by) if axis != ALL_AXES]
     if isinstance(step, Home | Enable | Disable):
         return step.axes or []
     return list(step.axes) if isinstance(step, SetPosition) else []

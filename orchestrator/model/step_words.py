@@ -4,6 +4,7 @@ import json
 
 from orchestrator.model.duration import format_ns, parse_duration
 from orchestrator.model.job import Step
+from orchestrator.model.names import ALL_AXES
 
 
 def describe_step(step: Step) -> str:
@@ -15,6 +16,8 @@ def describe_step(step: Step) -> str:
 
 def _describe_field(key: str, value: dict[str, object] | list[str] | str | float | None) -> str:
     if isinstance(value, dict):
+        if list(value) == [ALL_AXES]:
+            return f"{key} {value[ALL_AXES]}"
         return f"{key} " + " ".join(f"{name}={_format_value(each)}" for name, each in value.items())
     if isinstance(value, list):
         return f"{key} " + " ".join(value)

@@ -15,7 +15,8 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.job import Disable, Dwell, Enable, Home, Move, SetOutput, SetPosition, Step, WaitInput
-from orchestrator.model.names import controller_of
+from orchestrator.model.names import ALL_AXES, controller_of, is_position_name
+from orchestrator.model.positions.resolve import PositionResolver, list_file_positions
 from orchestrator.model.step_words import describe_step
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
@@ -88,6 +89,9 @@ class JobForecaster:
 
     @_run.register
     def _(self, step: Move) -> _Span:
+        known = self._leave_names(step)
+        if known is not step:
+            return _Span(self._run(known).least if known.to or known.by else 0.0, None)
         nearest: list[AxisMove] = []
         farthest: list[AxisMove] = []
         exact: dict[str, tuple[Fraction, int]] = {}
@@ -202,6 +206,21 @@ class JobForecaster:
         return _Span(0.0, step.timeout / 1e9)
 
     # Parts of steps
+
+    def _leave_names(self, step: Move) -> Move:
+        """The move without the targets that name positions which only the running fleet knows; where these axes will
+        be is not known then. The step itself if it has none."""
+        named = {axis: str(target) for axis, target in step.to.items() if is_position_name(target)}
+        if not named:
+            return step
+        for axis, name in named.items():
+            self.conditions[f"position {name} is saved in the running fleet; the fleet file has none of that name"] = (
+                None
+            )
+            for each in list(self.axes) if axis == ALL_AXES else [axis]:
+                if axis == ALL_AXES or self._find_axis(axis, ("to", axis)) is not None:
+                    self.axes[each] = self._state(each).model_copy(update=self._unknown_position())
+        return step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in named}})
 
     def _switch(self, step: Enable | Disable, *, on: bool) -> _Span:
         axes = self._expand(step.axes, ("axes",))
@@ -392,12 +411,14 @@ def _find_reserved_outputs(fleet: Fleet) -> dict[str, str]:
 def forecast_job(
     fleet: Fleet, steps: list[Step], repeat: int = 1, on_step: Callable[[int], None] | None = None
 ) -> JobForecast:
-    """Run all steps forward from an unknown beginning. on_step: called with the number of steps done."""
+    """Run all steps forward from an unknown beginning, by the positions of the fleet file. on_step: called with the
+    number of steps done."""
     forecaster = JobForecaster(fleet)
+    resolver = PositionResolver(fleet, list_file_positions(fleet))
     found: list[StepForecast] = []
     for _ in range(repeat):
         for index, step in enumerate(steps):
-            found.append(forecaster.take(index, step))
+            found.append(forecaster.take(index, resolver.resolve_known(step)))
             if on_step is not None:
                 on_step(len(found))
     return forecaster.finish(found)

@@ -59,6 +59,7 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         Journal.load_report,
         Journal.require_latest_epoch,
         Journal.list_reservations,
+        Journal.list_positions,
         Journal.load_record,
         Journal.list_transitions,
         Journal.list_unfinished,

@@ -29,7 +29,8 @@ class JobIntake:
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
         """Accept a job: it is in the journal when this returns. Raises `Refusal`."""
         _check_length(request.job, request.terms)
-        await check_job(self._services.view.fleet, request.job.steps, request.terms.repeat)
+        steps = self._services.positions.make_resolver().resolve_steps(request.job.steps)
+        await check_job(self._services.view.fleet, steps, request.terms.repeat)
         await self._check_terms(request.terms, request.client_key)
         if request.terms.now:
             await self._require_free_way(request)
@@ -52,12 +53,13 @@ class JobIntake:
             text = f"job {record.id} has the steps 0 to {len(all_steps) - 1}"
             raise Refusal("no-step", text, "choose one of them with --from-step")
         _check_length(job, terms)
-        await check_job(services.view.fleet, job.steps, terms.repeat, request.from_step)
+        resolver = services.positions.make_resolver()
+        await check_job(services.view.fleet, resolver.resolve_steps(job.steps), terms.repeat, request.from_step)
         await self._check_terms(terms, request.client_key)
         described = enumerate(steps[:MAX_DESCRIBED_STEPS], request.from_step)
         reply = JobRetried(
             steps=[f"{number} {describe_step(step)}" for number, step in described],
-            axes=[self._axis_position(axis) for axis in find_axes(services.view.fleet, steps)],
+            axes=[self._axis_position(axis) for axis in find_axes(services.view.fleet, resolver.resolve_steps(steps))],
             warnings=_find_warnings(request.from_step, steps),
         )
         if request.dry_run:

@@ -12,6 +12,7 @@ from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
+from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.queue import expand_repeats, find_axes
@@ -58,6 +59,7 @@ class JobServices:
     motion: MotionServices
     plain_steps: PlainSteps
     leases: LeaseRegistry
+    positions: PositionBook
     leadership: Leadership
     log: ProcessLog
 
@@ -223,6 +225,7 @@ class JobRun:
         state: JobState = "done"
         reason, actor = "", self.row.actor
         try:
+            self._take_positions()
             # Again, because the fleet may have changed since the job was accepted.
             await check_job(services.view.fleet, self.steps_to_run)
             axes = find_axes(services.view.fleet, self.steps_to_run)
@@ -264,6 +267,12 @@ class JobRun:
             state, reason = "failed", f"a defect of the coordinator: {error!r}"
             await services.fleet.stop_members(self.members, "decelerate", "coordinator", reason)
         return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports}))
+
+    def _take_positions(self) -> None:
+        """Take the values of the named positions of its targets, for the whole run. Raises `Refusal`."""
+        resolver, first = self._services.positions.make_resolver(), self.row.from_step
+        self._steps = self._steps[:first] + resolver.resolve_steps(self._steps[first:])
+        self._report = self._report.model_copy(update={"positions_used": resolver.used})
 
     async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""

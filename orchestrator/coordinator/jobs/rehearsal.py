@@ -42,7 +42,7 @@ class JobRehearsal:
         forecaster = JobForecaster(view.fleet, axes, orders)
         steps: list[StepForecast] = []
         rehearsals: list[Awaitable[StepForecast]] = []
-        for number, step in enumerate(request.job.steps):
+        for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):
             index = request.first + number
             forecast, motion = forecaster.take(index, step), forecaster.motion
             steps.append(forecast)

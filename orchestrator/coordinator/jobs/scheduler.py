@@ -32,7 +32,7 @@ from orchestrator.coordinator.journal.records import DamagedRecord, JobHasEnded,
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import Job
+from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import QueueTerms, parse_utc
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry, QueueState, make_queued_progress
@@ -294,8 +294,9 @@ class Scheduler:
         return "" if obstacle is None else obstacle.describe()
 
     def find_obstacle(self, job: Job, terms: QueueTerms) -> Obstacle | None:
-        """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`."""
-        needs = find_needs(self._services.view.fleet, list(job.steps))
+        """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`,
+        `Refusal`."""
+        needs = self._find_needs_of(job.steps)
         stopped, attended = self.gate.stopped, terms.session is not None
         if stopped is not None and not attended:
             text = f"the queue is stopped since {stopped.utc}: {stopped.reason}"
@@ -325,14 +326,19 @@ class Scheduler:
             row, steps = waiting.row, waiting.job.steps
             try:
                 remaining = expand_repeats(row, waiting.job)[row.from_step :] if row.from_step else steps
-                known = find_needs(self._services.view.fleet, remaining)
-            except UnknownName:
+                known = self._find_needs_of(remaining)
+            except (UnknownName, Refusal):
                 known = JobNeeds(frozenset())
             self._needs[waiting.row.id] = known
         return known
 
+    def _find_needs_of(self, steps: list[Step]) -> JobNeeds:
+        """What steps need, by the named positions of this moment. Raises `UnknownName`, `Refusal`."""
+        resolver = self._services.positions.make_resolver()
+        return find_needs(self._services.view.fleet, resolver.resolve_steps(steps))
+
     def forget_needs(self) -> None:
-        """The fleet file has changed."""
+        """The fleet file, or a named position, has changed."""
         self._needs.clear()
         self.wake_up()
 

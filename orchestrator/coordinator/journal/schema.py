@@ -1,6 +1,6 @@
 """The tables of the journal, and the migrations from older versions."""
 
-VERSION = 6
+VERSION = 7
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -72,5 +72,8 @@ ALTER TABLE jobs ADD COLUMN session TEXT;
     5: """
 CREATE TABLE meta_copies (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
 ALTER TABLE jobs ADD COLUMN crc INTEGER;
+""",
+    6: """
+CREATE TABLE positions (name TEXT PRIMARY KEY, body TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
 """,
 }
