@@ -90,6 +90,12 @@ def parse_quantity(value: int | float | str, unit: Unit, owner: str = "the axis"
     return convert_units(Fraction(number), _parse_unit(name), unit, owner)
 
 
+def format_quantity(value: int | float | str, unit: Unit) -> str:
+    """A quantity as text with its unit; a number without one is in `unit`."""
+    parts = split_number(value) if isinstance(value, str) else (f"{value:.15g}", "")
+    return str(value) if parts is None else f"{parts[0]} {parts[1] or unit}"
+
+
 _PER_TIME = re.compile(r"(.+?)/(s|min)(?:\^?([23])|([²³]))?")
 _MARKS = {1: "", 2: "²", 3: "³"}
 

@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.fleet_names import suggest_name
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.job import Disable, Dwell, Enable, Home, Move, SetOutput, SetPosition, Step, WaitInput
 from orchestrator.model.names import ALL_AXES, controller_of, is_position_name
@@ -74,6 +75,11 @@ class JobForecaster:
             most_s=None if span.most is None else round(span.most, 6),
             conditions=self._notes,
         )
+
+    def add_refusal(self, index: int, error: Refusal) -> None:
+        """Add a problem of a whole step. index: its number in the job file."""
+        self._index = index
+        self._add_problem((), error.code, error.text, error.remedy)
 
     def finish(self, steps: Iterable[StepForecast] = ()) -> JobForecast:
         """The forecast of the job whose steps were taken."""
@@ -214,9 +220,9 @@ class JobForecaster:
         if not named:
             return step
         for axis, name in named.items():
-            self.conditions[f"position {name} is saved in the running fleet; the fleet file has none of that name"] = (
-                None
-            )
+            hint = suggest_name(name, self._fleet.names.positions).strip()
+            known = f"position {name} is saved in the running fleet"
+            self.conditions[f"{known} ({hint})" if hint else known] = None
             for each in list(self.axes) if axis == ALL_AXES else [axis]:
                 if axis == ALL_AXES or self._find_axis(axis, ("to", axis)) is not None:
                     self.axes[each] = self._state(each).model_copy(update=self._unknown_position())
@@ -418,7 +424,12 @@ def forecast_job(
     found: list[StepForecast] = []
     for _ in range(repeat):
         for index, step in enumerate(steps):
-            found.append(forecaster.take(index, resolver.resolve_known(step)))
+            try:
+                known = resolver.resolve_known(step)
+            except Refusal as error:
+                forecaster.add_refusal(index, error)
+                known = step
+            found.append(forecaster.take(index, known))
             if on_step is not None:
                 on_step(len(found))
     return forecaster.finish(found)

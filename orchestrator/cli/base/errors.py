@@ -31,6 +31,7 @@ _NAME_CODES = {
     "unknown-job",
     "ambiguous",
     "bad-unit",
+    "bad-name",
     "which-fleet",
 }
 _PLAIN_CODES = {FAILED: "failed", BAD_INPUT: "bad-input", UNREACHABLE: "unreachable", INTERRUPTED: "interrupted"}

@@ -24,7 +24,7 @@ from orchestrator.model.positions.entries import (
 )
 from orchestrator.model.positions.resolve import PositionResolver, explain_value, list_file_positions
 from orchestrator.model.state import AxisState, ControllerState
-from orchestrator.model.units import Quantity, parse_quantity
+from orchestrator.model.units import Quantity, format_quantity, parse_quantity
 from orchestrator.plan.targets import explain_beyond_limits
 
 T = TypeVar("T", covariant=True)
@@ -143,7 +143,7 @@ class PositionBook:
         beyond = None if config.turn_length is not None else explain_beyond_limits(axis, config, motor, offset)
         if beyond is not None:
             raise Refusal("soft-limit", beyond, "give another value", controller_of(axis))
-        return value if isinstance(value, str) and not _is_bare(value) else f"{value} {config.unit}"
+        return format_quantity(value, config.unit)
 
     async def _read_present(self, axes: list[str]) -> dict[str, str]:
         """The present user positions of axes that stand and are referenced. Raises `Refusal`."""
@@ -197,7 +197,3 @@ def format_position(axis: Axis, position: float) -> str:
     text = f"{position:.{digits}f}"
     text = text.rstrip("0").rstrip(".") if "." in text else text
     return f"{'0' if text == '-0' else text} {axis.unit}"
-
-
-def _is_bare(value: str) -> bool:
-    return value.strip()[-1].isdigit() or value.strip().endswith(".")

@@ -8,7 +8,7 @@ from orchestrator.model.fleet_names import list_names, suggest_name
 from orchestrator.model.job import Move, Step
 from orchestrator.model.names import ALL_AXES, is_position_name
 from orchestrator.model.positions.entries import PositionEntry
-from orchestrator.model.units import Quantity, UnitError, parse_quantity
+from orchestrator.model.units import Quantity, UnitError, format_quantity, parse_quantity
 
 REMEDY = "see `tutti position ls`"
 SAVE_REMEDY = "save it again, or remove it: `tutti position save`, `tutti position rm`"
@@ -34,11 +34,14 @@ class PositionResolver:
         return step
 
     def resolve_known(self, step: Step) -> Step:
-        """The step with quantities for the names that it can have here; the other names stay, and are not checked."""
-        try:
+        """The step with quantities for the names that are known here; the others stay. Raises `Refusal` for a known one
+        that does not fit."""
+        if not isinstance(step, Move) or not names_positions(step):
             return self.resolve_step(step)
-        except Refusal:
-            return step
+        unknown = {axis: name for axis, name in step.to.items() if is_position_name(name) and name not in self._entries}
+        known = {axis: target for axis, target in step.to.items() if axis not in unknown}
+        targets = self._resolve_move(step.model_copy(update={"to": known}))
+        return step.model_copy(update={"to": {**targets, **unknown}})
 
     def find_target(self, axis: str, target: Quantity) -> Quantity:
         """The quantity of one target of `axis`: itself, or the value of the position that it names.
@@ -89,8 +92,7 @@ class PositionResolver:
         problem = explain_value(self._fleet, axis, value)
         if problem is not None:
             raise Refusal("bad-position", f"position {entry.name}: {problem}", SAVE_REMEDY)
-        text = value if isinstance(value, str) else f"{value} {self._fleet.axis(axis).unit}"
-        self.used.setdefault(entry.name, {})[axis] = text
+        self.used.setdefault(entry.name, {})[axis] = format_quantity(value, self._fleet.axis(axis).unit)
         return value
 
 

@@ -15,7 +15,7 @@ from orchestrator.model.duration import parse_duration
 from orchestrator.model.explain import show_value
 from orchestrator.model.numbers import MAX_NUMBER, split_number, suggest_flag, suggest_number
 from orchestrator.model.problems import Problem, raise_problems
-from orchestrator.model.units import Quantity, Unit, check_quantity, parse_quantity
+from orchestrator.model.units import Quantity, Unit, check_quantity, format_quantity, parse_quantity
 
 PARAMETER_NAME = r"[a-z][a-z0-9_]{0,39}"
 MAX_PARAMETERS = 100
@@ -113,8 +113,7 @@ class QuantityParameter(RangedParameter):
         return parse_quantity(quantity, self.unit, "the parameter")
 
     def form_value(self, given: Any) -> ParameterValue:
-        number, unit = (split_number(given) or (given, "")) if isinstance(given, str) else (str(given), "")
-        text = f"{number} {unit or self.unit}"
+        text = format_quantity(given, self.unit)
         return ParameterValue(text, text)
 
     def negate_value(self, value: ParameterValue) -> ParameterValue:
