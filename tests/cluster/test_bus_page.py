@@ -44,6 +44,7 @@ EXAMPLES: dict[str, Any] = {
     "check": True,
     "client_key": "of mine",
     "command": "MG TIME",
+    "description": None,
     "dry_run": False,
     "event": None,
     "first": 0,
@@ -69,6 +70,7 @@ EXAMPLES: dict[str, Any] = {
     "terms": {},
     "ttl_s": 2.0,
     "valid_ms": 150,
+    "values": {},
     "velocities": {"gantry.x": 0.0},
     "what": "reading",
 }

@@ -18,6 +18,7 @@ def fleet_with(**positions: dict[str, object]) -> Fleet:
     return Fleet.model_validate(demo_fleet().to_plain() | {"positions": positions})
 
 
+PLAIN = fleet_with()
 FLEET = fleet_with(park={"gantry.x": 0, "gantry.y": 0}, sample={"gantry.x": "120 mm", "stage.u": "5 mm"})
 
 
@@ -79,7 +80,7 @@ def test_values_are_fixed_for_a_run_and_a_waiting_job_takes_those_of_its_own_beg
         assert (first.state, second.state) == ("done", "done")
         assert await positions(fleet, "gantry.x") == [50.0]
 
-    run_fleet(main)
+    run_fleet(main, PLAIN)
 
 
 def test_saved_positions_outlive_a_coordinator_and_removing_one_uncovers_that_of_the_file() -> None:
@@ -124,7 +125,7 @@ def test_a_saved_position_is_a_user_position() -> None:
         text = (await refused(client.save_position("far", at={"gantry.x": 361}))).text
         assert text == "axis gantry.x: target 361 mm is beyond its soft limits -50 to 360 mm"
 
-    run_fleet(main)
+    run_fleet(main, PLAIN)
 
 
 def test_what_cannot_be_saved_is_refused_with_the_reason() -> None:
@@ -158,7 +159,7 @@ def test_what_cannot_be_saved_is_refused_with_the_reason() -> None:
         await fleet.wait_until(lambda states: states["stage"].mode == "offline")
         assert (await refused(save("a", "stage.u"))).code == "offline"
 
-    run_fleet(main)
+    run_fleet(main, PLAIN)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +195,7 @@ def test_a_job_whose_position_is_removed_while_it_waits_fails_before_anything_mo
         assert report.state == "failed" and report.reason.startswith("not begun: the fleet has no position here")
         assert await positions(fleet, "gantry.x") == [1.0]
 
-    run_fleet(main)
+    run_fleet(main, PLAIN)
 
 
 def test_positions_of_an_axis_that_has_changed_are_listed_and_a_job_with_them_is_refused() -> None:
@@ -202,7 +203,7 @@ def test_positions_of_an_axis_that_has_changed_are_listed_and_a_job_with_them_is
         client = fleet.make_client()
         await client.save_position("both", at={"gantry.x": "12 mm", "stage.focus": "20 um"})
         await client.save_position("good", at={"gantry.x": "12 mm"})
-        plain = demo_fleet().to_plain()
+        plain = PLAIN.to_plain()
         del plain["controllers"]["stage"]["axes"]["focus"]
         plain["home_order"].remove("stage.focus")
         plain["controllers"]["gantry"]["axes"]["x"] |= {"unit": "deg"}
@@ -217,7 +218,7 @@ def test_positions_of_an_axis_that_has_changed_are_listed_and_a_job_with_them_is
         assert wrong.code == "bad-position" and wrong.text.startswith("position good: gantry.x is 12 mm")
         assert "tutti position rm" in wrong.remedy
 
-    run_fleet(main)
+    run_fleet(main, PLAIN)
 
 
 def test_a_damaged_position_moves_nothing_and_can_be_replaced() -> None:
@@ -263,4 +264,4 @@ def test_a_full_disk_saves_nothing_and_says_so() -> None:
         await asyncio.gather(*(client.save_position(f"p{number}", at={"gantry.x": number}) for number in range(5)))
         assert len(await client.list_positions()) == 5
 
-    run_fleet(main)
+    run_fleet(main, PLAIN)

@@ -53,7 +53,7 @@ class SavePosition(Request):
     are referenced. values: user positions that are given, by axis. description: None keeps that of the earlier one.
     """
 
-    name: str = Field(min_length=1, max_length=200)
+    name: str = Field(max_length=200)
     axes: list[str] = Field(default=[], max_length=10_000)
     values: dict[str, Quantity] = Field(default={}, max_length=10_000)
     description: str | None = Field(default=None, max_length=MAX_DESCRIPTION)
@@ -69,7 +69,7 @@ class PositionSaved(Reply):
 class RemovePosition(Request):
     """Remove a saved position; one of the fleet file with the same name counts again."""
 
-    name: str = Field(min_length=1, max_length=200)
+    name: str = Field(max_length=200)
 
 
 class PositionRemoved(Reply):
