@@ -17,6 +17,7 @@ import tutti.testing
 from orchestrator.cli.main import main as command
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
+from orchestrator.model.templates.parameters import ParameterDeclarations
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 
@@ -83,6 +84,17 @@ def file_page(kind: str, schema: dict[str, Any], title: str) -> str:
         f"An example is `deploy/examples/demo.{kind}.yaml`.\n"
     )
     return "\n".join([head, *model_tables(schema, title)])
+
+
+def job_page() -> str:
+    """The page of job files: the fields of a job, and the declarations of its parameters."""
+    page = file_page("job", Job.model_json_schema(), "Job")
+    declarations = model_tables(ParameterDeclarations.model_json_schema(), "Parameters")
+    about = (
+        "A job file may declare parameters; `${name}` stands for their values in all fields above: "
+        "[templates](../how-to/use-templates.md). Each has the fields of its type.\n"
+    )
+    return "\n".join([page, "# Parameters of a job file\n", about, *declarations])
 
 
 def commands(group: click.Command, words: list[str]) -> Iterator[tuple[list[str], click.Command]]:
@@ -170,7 +182,7 @@ def pages() -> dict[str, str]:
     """The generated pages by file name."""
     return {
         "fleet-file.md": file_page("fleet", Fleet.model_json_schema(), "Fleet"),
-        "job-file.md": file_page("job", Job.model_json_schema(), "Job"),
+        "job-file.md": job_page(),
         "command-line.md": command_page(),
         "python.md": python_page(),
         "testing.md": testing_page(),

@@ -22,6 +22,8 @@ PAGES = (
     "tutorial/first-script.md",
     "how-to/write-a-fleet.md",
     "how-to/write-a-job.md",
+    "how-to/use-templates.md",
+    "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",
     "how-to/use-python.md",
     "how-to/test-your-jobs.md",
