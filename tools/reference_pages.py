@@ -19,6 +19,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.templates.parameters import ParameterDeclarations
 
+WITH_MEMBERS = ("orchestrator.client", "orchestrator.testing", "orchestrator.model.templates")
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 
 
@@ -88,13 +89,8 @@ def file_page(kind: str, schema: dict[str, Any], title: str) -> str:
 
 def job_page() -> str:
     """The page of job files: the fields of a job, and the declarations of its parameters."""
-    page = file_page("job", Job.model_json_schema(), "Job")
     declarations = model_tables(ParameterDeclarations.model_json_schema(), "Parameters")
-    about = (
-        "A job file may declare parameters; `${name}` stands for their values in all fields above: "
-        "[templates](../how-to/use-templates.md). Each has the fields of its type.\n"
-    )
-    return "\n".join([page, "# Parameters of a job file\n", about, *declarations])
+    return "\n".join([file_page("job", Job.model_json_schema(), "Job"), *declarations])
 
 
 def commands(group: click.Command, words: list[str]) -> Iterator[tuple[list[str], click.Command]]:
@@ -141,7 +137,7 @@ def _describe_module(module: ModuleType) -> Iterator[str]:
         if waiting:
             same = {"Job": "SubmittedJob"}.get(waiting, waiting)
             yield f"It has every method of [{same}](#{same.lower()}), with the same arguments, without `async`.\n"
-        elif inspect.isclass(found) and found.__module__.startswith(("orchestrator.client", "orchestrator.testing")):
+        elif inspect.isclass(found) and found.__module__.startswith(WITH_MEMBERS):
             yield from _describe_members(name, found)
 
 

@@ -23,6 +23,7 @@ from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Disable, Dwell, Enable, Home, Job, Move, SetOutput, SetPosition, Step, WaitInput
+from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport, JobTransition, QueueEntry, StepRecording, StepReport
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
@@ -56,6 +57,7 @@ __all__ = [
     "JobTransition",
     "ManualControl",
     "Move",
+    "PositionEntry",
     "QueueEntry",
     "QueueTerms",
     "Refusal",

@@ -290,7 +290,10 @@ ParameterName = Annotated[str, BeforeValidator(_check_name)]
 
 
 class ParameterDeclarations(Model):
-    """The part of a job file that declares its parameters."""
+    """The part of a job file that declares its parameters; each has the fields of its type.
+
+    `${name}` stands for its value in all other fields of the file: see `docs/how-to/use-templates.md`.
+    """
 
     parameters: dict[ParameterName, Parameter] = Field(
         default={},
