@@ -24,8 +24,9 @@ T = TypeVar("T")
 
 
 def demo_fleet() -> Fleet:
-    """The example fleet: SMC-4000 on TCP, SHRC-203 on a serial line."""
-    return load_fleet(EXAMPLES / "demo.fleet.yaml")
+    """The example fleet: SMC-4000 on TCP, SHRC-203 on a serial line; without its named positions, because tests change
+    its axes."""
+    return load_fleet(EXAMPLES / "demo.fleet.yaml").model_copy(update={"positions": {}})
 
 
 def demo_job() -> Job:

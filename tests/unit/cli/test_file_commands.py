@@ -180,7 +180,9 @@ def test_the_parameters_of_a_job_file_are_listed_for_people_and_for_forms(tmp_pa
 
 def test_named_positions_are_checked_offline_as_far_as_the_fleet_file_knows_them(tmp_path: Path) -> None:
     fleet = tmp_path / "x.fleet.yaml"
-    fleet.write_text(DEMO.read_text() + "\npositions: {sample: {gantry.x: 390, stage.u: 2}}\n")
+    text = DEMO.read_text()
+    assert "{gantry.x: 120 mm, gantry.y: 80 mm, stage.u: 6 mm}" in text
+    fleet.write_text(text.replace("{gantry.x: 120 mm, gantry.y: 80 mm, stage.u: 6 mm}", "{gantry.x: 390, stage.u: 2}"))
     steps = ("{do: move, to: sample}", "{do: move, by: {gantry.x: 20}}")
     beyond = run("job", "check", str(job_file(tmp_path, *steps)), "--fleet", str(fleet))
     assert beyond.exit_code == 2 and "steps[1].by.gantry.x: axis gantry.x: target 410 mm is beyond" in beyond.output

@@ -11,7 +11,10 @@ from orchestrator.model.job import Job
 from orchestrator.model.templates.template import load_job
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
-FILES = [EXAMPLES / name for name in ("demo.fleet.yaml", "demo.job.yaml", "chain.fleet.yaml", "all.job.yaml")]
+FILES = [
+    EXAMPLES / name
+    for name in ("demo.fleet.yaml", "demo.job.yaml", "chain.fleet.yaml", "all.job.yaml", "scan.template.job.yaml")
+]
 LIMIT_S = 1.0
 CASES = 5000
 NIGHTLY = 500_000
