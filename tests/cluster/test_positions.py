@@ -198,6 +198,21 @@ def test_a_job_whose_position_is_removed_while_it_waits_fails_before_anything_mo
     run_fleet(main, PLAIN)
 
 
+def test_a_retry_needs_no_position_of_the_steps_before_its_first() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        await outcome(fleet, PREPARE)
+        await client.save_position("here", at={"gantry.x": 10})
+        done = await outcome(fleet, job("[{do: move, to: here}, {do: move, to: {gantry.x: 5}}]"))
+        await client.remove_position("here")
+        assert (await refused(client.retry_job(done.job_id))).code == "unknown-name"
+        again = await client.wait_for_job((await client.retry_job(done.job_id, 1)).job_id)
+        assert again.state == "done" and again.positions_used == {}
+        assert await positions(fleet, "gantry.x") == [5.0]
+
+    run_fleet(main, PLAIN)
+
+
 def test_positions_of_an_axis_that_has_changed_are_listed_and_a_job_with_them_is_refused() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()

@@ -54,13 +54,17 @@ class JobIntake:
             raise Refusal("no-step", text, "choose one of them with --from-step")
         _check_length(job, terms)
         resolver = services.positions.make_resolver()
-        await check_job(services.view.fleet, resolver.resolve_steps(job.steps), terms.repeat, request.from_step)
+        # Of a single run, the steps before the first one are not needed, nor are their positions.
+        first = request.from_step if terms.repeat == 1 else 0
+        checked = [*job.steps[:first], *resolver.resolve_steps(job.steps[first:])]
+        await check_job(services.view.fleet, checked, terms.repeat, request.from_step)
         await self._check_terms(terms, request.client_key)
+        resolved = resolver.resolve_steps(steps)
         described = enumerate(steps[:MAX_DESCRIBED_STEPS], request.from_step)
         reply = JobRetried(
             steps=[f"{number} {describe_step(step)}" for number, step in described],
-            axes=[self._axis_position(axis) for axis in find_axes(services.view.fleet, resolver.resolve_steps(steps))],
-            warnings=_find_warnings(request.from_step, steps),
+            axes=[self._axis_position(axis) for axis in find_axes(services.view.fleet, resolved)],
+            warnings=_find_warnings(request.from_step, resolved),
         )
         if request.dry_run:
             return reply
