@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import FileError, load_job, parse_document
+from orchestrator.model.files import FileError, parse_document
 from orchestrator.model.job import Job, Move, Repeat, Scan, Step
 from orchestrator.model.scan import GridPoints, PointAxis
 from orchestrator.model.scans.point_file import PointFile
 from orchestrator.model.scans.point_summary import ColumnSummary
 from orchestrator.model.scans.spec_points import SpecPoints
 from orchestrator.model.scans.step_order import StepOrder, count_reports
+from orchestrator.model.templates.template import load_job
 from orchestrator.model.units import Unit
 
 UNITS = {"gantry.x": Unit.MM, "stage.u": Unit.MM, "stage.r": Unit.DEG}
