@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from orchestrator.model.files import FileError, read_document
-from orchestrator.model.job import Dwell, Job, Move, SetOutput
+from orchestrator.model.job import Dwell, Job, Move, Repeat, Scan, SetOutput
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.model.templates.template import ParameterSetting, Template, load_job, read_settings_file
 
@@ -217,6 +217,45 @@ def test_the_example_is_filled_by_name() -> None:
     assert [words for words, _ in example.list_extremes({})][:2] == ["width=1 mm (its min)", "width=100 mm (its max)"]
 
 
+SCANS = """schema: tutti.job/1
+name: x
+parameters:
+  times: {type: integer, default: 3}
+  points: {type: integer, default: 5, min: 2}
+  width: {type: quantity, unit: mm, default: 20 mm}
+  start: {type: text, default: sample}
+  snake: {type: boolean, default: true}
+  pulse: {type: duration, default: 10 ms}
+steps:
+  - do: repeat
+    times: ${times}
+    steps:
+      - do: scan
+        axes:
+          gantry.x: {from: "${start}", to: "-${width}", points: "${points}", snake: "${snake}"}
+          stage.u: {values: [0, "${width}"]}
+        at_each:
+          - {do: output, output: gantry.lamp, value: true, pulse: "${pulse}"}
+  - {do: scan, points: {file: "${start}.csv"}}
+"""
+
+
+def test_parameters_stand_in_scans_and_repeats(tmp_path: Path) -> None:
+    path = tmp_path / "x.job.yaml"
+    path.write_text(SCANS, encoding="utf-8")
+    repeat, table = Template.load(path).fill(points=7, pulse="2 ms").steps
+    assert isinstance(repeat, Repeat) and repeat.times == 3 and isinstance(repeat.steps[0], Scan)
+    x, u = repeat.steps[0].axes.values()
+    assert (x.from_, x.to, x.points, x.snake, u.values) == ("sample", "-20 mm", 7, True, [0, "20 mm"])
+    assert repeat.steps[0].at_each == [SetOutput(output="gantry.lamp", value=True, pulse="2 ms")]
+    # A path in a template is one beside it, like one in a job.
+    assert isinstance(table, Scan) and table.points is not None and table.points.file == str(tmp_path / "sample.csv")
+    assert problems(SCANS, points=1) == ["parameters:0: points: found 1; must be at least 2"]
+    assert problems(SCANS, times=0) == [
+        "test:12: steps[0].times: found 0; must be greater than or equal to 1 (${times} is 0)"
+    ]
+
+
 def test_the_schema_for_editors_accepts_references_where_values_stand() -> None:
     schema = make_job_file_schema()
     steps = schema["$defs"]
@@ -229,13 +268,15 @@ def test_the_schema_for_editors_accepts_references_where_values_stand() -> None:
 
     for step, name in (
         ("Move", "speed"), ("Move", "sync"), ("Move", "align"), ("Move", "max_start_skew"), ("Dwell", "duration"),
-        ("SetOutput", "value"), ("SetOutput", "output"), ("WaitInput", "timeout"),
+        ("SetOutput", "value"), ("SetOutput", "output"), ("WaitInput", "timeout"), ("SetOutput", "pulse"),
+        ("ScanAxis", "from"), ("ScanAxis", "points"), ("ScanAxis", "snake"), ("Repeat", "times"), ("PointTable", "file"),
     ):  # fmt: skip
         assert takes(steps[step]["properties"][name], "${width}"), (step, name)
     assert takes(steps["Dwell"]["properties"]["duration"], "${count} ms")
     assert not takes(steps["Dwell"]["properties"]["duration"], "often")
     assert not takes(steps["Dwell"]["properties"]["do"], "${width}")
     assert takes(steps["Enable"]["properties"]["axes"]["items"], "${axis}")
+    assert takes(steps["PointTable"]["properties"]["rows"]["anyOf"][0]["items"]["items"], "${there}")
     assert schema["properties"]["parameters"]["additionalProperties"]["discriminator"]["propertyName"] == "type"
     assert {each["$ref"].rpartition("/")[2] for each in schema["properties"]["parameters"]["additionalProperties"]["oneOf"]} <= steps.keys()  # fmt: skip
     json.dumps(schema)
