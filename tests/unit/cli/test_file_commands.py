@@ -161,6 +161,36 @@ def test_a_template_is_checked_with_its_values_and_at_the_ends_of_their_ranges(t
     assert json.loads(over.output)["parameters_used"] == {"width": "4 cm", "passes": "2", "lamp": "false"}
 
 
+SCANS = """schema: tutti.job/1
+name: x
+parameters:
+  last: {type: quantity, unit: mm, default: 10 mm, min: 5 mm, max: 402 mm}
+  table: {type: text, default: near, choices: [near, far, none]}
+steps:
+  - {do: repeat, times: 1000000, steps: [{do: scan, axes: {gantry.x: {from: sample, to: "${last}", points: 1000001}}}]}
+  - {do: scan, points: {file: "${table}.csv"}}
+"""
+
+
+def test_the_check_runs_through_scans_and_tables_of_a_template_at_the_ends_of_their_ranges(tmp_path: Path) -> None:
+    path = tmp_path / "x.job.yaml"
+    path.write_text(SCANS)
+    (tmp_path / "near.csv").write_text("gantry.x\n1\n2\n")
+    (tmp_path / "far.csv").write_text("gantry.x\n1\n2\n403\n")
+    found = run("job", "check", str(path), "--fleet", str(DEMO))
+    assert found.exit_code == 0
+    notes = [line for line in found.output.splitlines() if line.startswith("note:")]
+    assert [note.partition(": ")[2].partition(": ")[0] for note in notes] == [
+        "with last=402 mm (its max)", "with table=far (one of its choices)", "with table=none (one of its choices)",
+    ]  # fmt: skip
+    assert "target 402 mm is beyond its soft limits -10 to 400 mm, at point 1000001 of 1000001" in notes[0]
+    assert ":8: steps[1]" in notes[1] and "at point 3 of 3 (gantry.x 403)" in notes[1]
+    assert "none.csv: cannot be read" in notes[2]
+    bad = run("job", "check", str(path), "--fleet", str(DEMO), "--set", "table=far")
+    assert bad.exit_code == 2 and "target 403 mm is beyond its soft limits" in bad.stderr
+    assert "with last=402 mm" not in bad.stderr
+
+
 def test_the_parameters_of_a_job_file_are_listed_for_people_and_for_forms(tmp_path: Path) -> None:
     path = tmp_path / "x.job.yaml"
     path.write_text(TEMPLATE)

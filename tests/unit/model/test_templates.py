@@ -213,7 +213,7 @@ def test_values_of_a_file_have_its_lines(tmp_path: Path) -> None:
 def test_the_example_is_filled_by_name() -> None:
     example = Template.load(EXAMPLE)
     assert example.parameters["width"].description == "length of a line"
-    assert load_job(EXAMPLE, {"width": 30}).steps[3] == example.fill(width="30 mm").steps[3]
+    assert load_job(EXAMPLE, {"width": 30}).steps == example.fill(width="30 mm").steps
     assert [words for words, _ in example.list_extremes({})][:2] == ["width=1 mm (its min)", "width=100 mm (its max)"]
 
 
@@ -250,10 +250,8 @@ def test_parameters_stand_in_scans_and_repeats(tmp_path: Path) -> None:
     assert repeat.steps[0].at_each == [SetOutput(output="gantry.lamp", value=True, pulse="2 ms")]
     # A path in a template is one beside it, like one in a job.
     assert isinstance(table, Scan) and table.points is not None and table.points.file == str(tmp_path / "sample.csv")
-    assert problems(SCANS, points=1) == ["parameters:0: points: found 1; must be at least 2"]
-    assert problems(SCANS, times=0) == [
-        "test:12: steps[0].times: found 0; must be greater than or equal to 1 (${times} is 0)"
-    ]
+    assert problems(SCANS, points=1) == ["parameters: points: found 1; must be at least 2"]
+    assert problems(SCANS, times=0) == ["f.yaml:12: steps[0].times: found 0; must be at least 1 (${times} is 0)"]
 
 
 def test_the_schema_for_editors_accepts_references_where_values_stand() -> None:
