@@ -17,7 +17,9 @@ import tutti.testing
 from orchestrator.cli.main import main as command
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
+from orchestrator.model.templates.parameters import ParameterDeclarations
 
+WITH_MEMBERS = ("orchestrator.client", "orchestrator.testing", "orchestrator.model.templates")
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 
 
@@ -85,6 +87,12 @@ def file_page(kind: str, schema: dict[str, Any], title: str) -> str:
     return "\n".join([head, *model_tables(schema, title)])
 
 
+def job_page() -> str:
+    """The page of job files: the fields of a job, and the declarations of its parameters."""
+    declarations = model_tables(ParameterDeclarations.model_json_schema(), "Parameters")
+    return "\n".join([file_page("job", Job.model_json_schema(), "Job"), *declarations])
+
+
 def commands(group: click.Command, words: list[str]) -> Iterator[tuple[list[str], click.Command]]:
     """All commands below `group`, depth first."""
     yield words, group
@@ -129,7 +137,7 @@ def _describe_module(module: ModuleType) -> Iterator[str]:
         if waiting:
             same = {"Job": "SubmittedJob"}.get(waiting, waiting)
             yield f"It has every method of [{same}](#{same.lower()}), with the same arguments, without `async`.\n"
-        elif inspect.isclass(found) and found.__module__.startswith(("orchestrator.client", "orchestrator.testing")):
+        elif inspect.isclass(found) and found.__module__.startswith(WITH_MEMBERS):
             yield from _describe_members(name, found)
 
 
@@ -170,7 +178,7 @@ def pages() -> dict[str, str]:
     """The generated pages by file name."""
     return {
         "fleet-file.md": file_page("fleet", Fleet.model_json_schema(), "Fleet"),
-        "job-file.md": file_page("job", Job.model_json_schema(), "Job"),
+        "job-file.md": job_page(),
         "command-line.md": command_page(),
         "python.md": python_page(),
         "testing.md": testing_page(),

@@ -19,7 +19,7 @@ from orchestrator.client.manual import ManualControl
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.steps import JobFailed
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
-from orchestrator.model.files import FileError, load_fleet, load_job
+from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import (
@@ -36,6 +36,7 @@ from orchestrator.model.job import (
     Step,
     WaitInput,
 )
+from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
     JobProgress,
@@ -47,6 +48,7 @@ from orchestrator.model.report import (
     StepReport,
 )
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
+from orchestrator.model.templates.template import Template, load_job
 
 __version__ = _version("tutti")
 
@@ -77,6 +79,7 @@ __all__ = [
     "ManualControl",
     "Move",
     "PointRecord",
+    "PositionEntry",
     "QueueEntry",
     "QueueTerms",
     "Refusal",
@@ -88,6 +91,7 @@ __all__ = [
     "StepRecording",
     "StepReport",
     "SubmittedJob",
+    "Template",
     "Tutti",
     "TuttiError",
     "WaitInput",

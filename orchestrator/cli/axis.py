@@ -137,12 +137,13 @@ def move(
     wait: bool,
     as_json: bool,
 ) -> None:
-    """Move axes together to VALUE (with --relative: by VALUE), in the axis's unit or a given unit.
+    """Move axes together to VALUE (with --relative: by VALUE), in the axis's unit or a given unit; VALUE may also be
+    the name of a position, as `gantry.x=sample`.
 
     Ctrl-C, a closed terminal, or the end of this process in any other way stops the axes by their ramps. This is
     software: it is no substitute for a wired emergency stop.
     """
-    wanted = _parse_targets(targets, "TARGETS")
+    wanted = parse_targets(targets, "TARGETS")
     step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
     run_single_step(connect, fleet, step, "", wait=wait, as_json=as_json)
 
@@ -164,7 +165,7 @@ def set_position(
     axes: dict[str, str | float | None] = {}
     if clear and any("=" in name for name in positions):
         raise click.BadParameter("with --clear name the axes alone, without =VALUE", param_hint="POSITIONS")
-    axes |= dict.fromkeys(positions) if clear else _parse_targets(positions, "POSITIONS")
+    axes |= dict.fromkeys(positions) if clear else parse_targets(positions, "POSITIONS")
     run_single_step(connect, fleet, {"do": "set-position", "axes": axes}, "", wait=wait, as_json=as_json)
 
 
@@ -175,7 +176,7 @@ axis.add_command(acquire)
 axis.add_command(release)
 
 
-def _parse_targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:
+def parse_targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:
     """Parse AXIS=VALUE arguments into values by axis."""
     wanted: dict[str, str | float] = {}
     for target in targets:

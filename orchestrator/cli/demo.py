@@ -36,8 +36,9 @@ def demo(which: str, keep: Path | None, *, headless: bool, verbose: bool, as_jso
     verdicts are checked against. Exit 0 only if the job is done and every start skew is guaranteed within the limit
     of the job; 130 when interrupted.
     """
-    from orchestrator.model.files import load_fleet, load_job
+    from orchestrator.model.files import load_fleet
     from orchestrator.model.report import JobReport
+    from orchestrator.model.templates.template import load_job
     from orchestrator.runtime.demo_truth import VerdictCheck, check_verdicts
     from orchestrator.runtime.examples import find_example
     from orchestrator.runtime.live import LiveFleet, find_free_port

@@ -191,9 +191,12 @@ def say(text: str) -> None:
 
 def controllers_of(job: "Job") -> list[str]:
     """The controllers, or groups, that a job's steps name; none for the whole fleet."""
-    from orchestrator.model.job import SetOutput, iterate_steps, named_axes
+    from orchestrator.model.job import Move, SetOutput, iterate_steps, named_axes
+    from orchestrator.model.names import ALL_AXES
 
     names: list[str] = []
     for step in iterate_steps(job.steps):
+        if isinstance(step, Move) and ALL_AXES in step.to:
+            return []  # those of a position, which the fleet knows
         names += [step.output] if isinstance(step, SetOutput) else named_axes(step)
     return list(dict.fromkeys(name.partition(".")[0] for name in names))

@@ -21,10 +21,13 @@ from orchestrator.cli.job_terms import (
     terms_options,
 )
 from orchestrator.cli.points.command import points, show_points
+from orchestrator.cli.templates.command import parameters
+from orchestrator.cli.templates.options import read_settings, set_options
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
     from orchestrator.model.service import JobShown
+    from orchestrator.model.templates.template import FilledJob
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 
@@ -46,12 +49,15 @@ def job() -> None:
     help="Only check all steps from the current positions, and show what each controller would be sent.",
 )
 @click.option("--key", default=None, help="Client key: repeating a key returns the same job, never a second one.")
+@set_options
 @terms_options
 def submit(
     file: Path,
     connect: str,
     fleet: str | None,
     key: str | None,
+    values: tuple[str, ...],
+    values_file: Path | None,
     *,
     as_json: bool,
     wait: bool,
@@ -59,7 +65,10 @@ def submit(
     dry_run: bool,
     **terms: Unpack[TermsOptions],
 ) -> None:
-    """Submit the job in FILE. It begins when its axes are free, and no earlier job waits for them."""
+    """Submit the job in FILE. It begins when its axes are free, and no earlier job waits for them.
+
+    --set gives values to the parameters of FILE, which `tutti job parameters FILE` lists.
+    """
     from orchestrator.cli.follow import follow_job
     from orchestrator.cli.foreground import (
         controllers_of,
@@ -69,17 +78,19 @@ def submit(
         stop_own_job,
     )
     from orchestrator.client import Tutti
-    from orchestrator.model.files import load_job
+    from orchestrator.model.files import read_file
+    from orchestrator.model.templates.template import Template
     from orchestrator.monitor.report_table import make_report_tables
 
-    wanted = make_terms(terms)
+    wanted, settings = make_terms(terms), read_settings(values, values_file)
 
     async def submit_job(tutti: Tutti) -> None:
+        filled = Template(read_file(file)).fill_settings(settings)
         if dry_run:
-            await _show_dry_run(tutti, file, as_json=as_json)
+            await _show_dry_run(tutti, filled, as_json=as_json)
             return
         with show_points(hidden=as_json) as on_points:
-            loaded = await tutti.send_points(load_job(file), on_points)
+            loaded = await tutti.send_points(filled.job, on_points)
         entry = await tutti.enqueue_job(loaded, key, await resolve_after(tutti, wanted))
         if not wait:
             print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else print_accepted(entry)
@@ -102,7 +113,7 @@ def submit(
 
 
 job.add_command(submit)
-for command in (check, list_jobs, points, prune, hold, release, reorder, pause, resume, retry):
+for command in (check, parameters, list_jobs, points, prune, hold, release, reorder, pause, resume, retry):
     job.add_command(command)
 
 
@@ -117,6 +128,7 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.model.scans.step_order import StepOrder
     from orchestrator.model.step_words import describe_step
     from orchestrator.monitor.fleet_view import format_step
+    from orchestrator.monitor.report_table import describe_used
     from orchestrator.monitor.times import format_time, localize_times
 
     async def show_job(tutti: Tutti) -> None:
@@ -127,7 +139,9 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
         assert shown.entry is not None
         head = f"{name_jobs(shown.entry)} of {shown.entry.actor}: {shown.entry.state}"
         console.print(head, highlight=False, markup=False)
-        for line in make_entry_lines(shown.entry):
+        parameters = shown.job.parameters_used if shown.job else {}
+        positions = shown.report.positions_used if shown.report else {}
+        for line in [*make_entry_lines(shown.entry), *describe_used(parameters, positions)]:
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown.report.steps} if shown.report else {}
         for index, step in StepOrder(shown.job.steps).iterate_written() if shown.job else ():
@@ -241,24 +255,22 @@ def _list_moves(shown: "JobShown") -> list[int]:
     return [index for index in range(min(len(order), MAX_STEPS)) if order.locate(index).point is None]
 
 
-async def _show_dry_run(tutti: "Tutti", file: Path, *, as_json: bool) -> None:
+async def _show_dry_run(tutti: "Tutti", filled: "FilledJob", *, as_json: bool) -> None:
     """Run a job forward from the present positions and print what every controller would be sent."""
     from orchestrator.cli.job_check import describe_totals, make_plain, print_steps, show_progress
-    from orchestrator.model.files import FileError, locate_point_files, parse_file, read_file
-    from orchestrator.model.job import Job
+    from orchestrator.model.files import FileError
 
-    source = read_file(file)
     with show_points(hidden=as_json) as on_points:
-        loaded = await tutti.send_points(locate_point_files(parse_file(source, Job), file.parent), on_points)
+        loaded = await tutti.send_points(filled.job, on_points)
     with show_progress(len(loaded.steps), hidden=as_json) as on_steps:
         forecast = await tutti.dry_run(loaded, on_steps)
     if as_json:
         print_json(make_plain(forecast))
     elif forecast.problems:
-        raise FileError(source.problem(each.place, each.text) for each in forecast.problems)
+        raise FileError(filled.problem(each.place, each.text) for each in forecast.problems)
     else:
         totals = describe_totals(loaded, forecast)
-        console.print(f"{file}: {totals}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"{filled.file.name}: {totals}", highlight=False, markup=False, soft_wrap=True)
         print_steps(forecast, commands=True)
     if forecast.problems:
         raise SystemExit(FAILED)

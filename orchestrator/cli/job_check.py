@@ -9,13 +9,16 @@ import click
 
 from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import console, json_option, print_json
-from orchestrator.cli.base.errors import errors, run_main
+from orchestrator.cli.base.errors import errors, escape_markup, run_main
+from orchestrator.cli.templates.extremes import check_extremes, list_misfits
+from orchestrator.cli.templates.options import read_settings, set_options
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from orchestrator.model.forecast import JobForecast, StepForecast
     from orchestrator.model.job import Job
+    from orchestrator.model.templates.template import ParameterSetting
 
 PROGRESS_STEPS = 200  # a job of fewer is checked before anyone could read how far it is
 
@@ -29,38 +32,52 @@ PROGRESS_STEPS = 200  # a job of fewer is checked before anyone could read how f
     help="The fleet file; without it only the form is checked.",
 )
 @click.option("--repeat", type=click.IntRange(1, 10_000), default=1, help="Check that many runs, one after the other.")
+@set_options
 @json_option
-def check(file: Path, fleet: Path | None, repeat: int, *, as_json: bool) -> None:
+def check(
+    file: Path,
+    fleet: Path | None,
+    repeat: int,
+    values: tuple[str, ...],
+    values_file: Path | None,
+    *,
+    as_json: bool,
+) -> None:
     """Check the job in FILE offline: names, units, limits and durations of all its steps. Nothing is connected.
 
     Targets are run forward through all steps. What only the machine decides, such as an input to wait for, is listed as
-    a condition, and is no mistake.
+    a condition, and is no mistake. A job file with parameters is checked with the values of --set, or else the
+    defaults; what fails at the ends of their ranges is noted.
     """
-    run_main(_check_file(file, fleet, repeat, as_json=as_json))
+    run_main(_check_file(file, fleet, repeat, read_settings(values, values_file), as_json=as_json))
 
 
-async def _check_file(file: Path, fleet_file: Path | None, repeat: int, *, as_json: bool) -> None:
-    from orchestrator.client.points import read_points
-    from orchestrator.model.files import FileError, locate_point_files, parse_file, read_file
+async def _check_file(
+    file: Path, fleet_file: Path | None, repeat: int, settings: "Mapping[str, ParameterSetting]", *, as_json: bool
+) -> None:
+    from orchestrator.client.points import PointSummaries
+    from orchestrator.model.files import FileError, read_file
     from orchestrator.model.forecast import JobForecast
-    from orchestrator.model.job import Job
+    from orchestrator.model.templates.template import Template
     from orchestrator.plan.forecast import forecast_job
     from orchestrator.runtime.checked import load_checked_fleet
 
-    source = read_file(file)
-    job = parse_file(source, Job)
-    forecast = JobForecast()
-    if fleet_file is not None:
+    template = Template(read_file(file))
+    filled = template.fill_settings(settings)
+    job, forecast, notes = filled.job, JobForecast(), [str(each) for each in template.list_unused()]
+    if fleet_file is None:
+        notes += list_misfits(template, settings)
+    else:
         fleet = load_checked_fleet(fleet_file)
-        job = read_points(
-            locate_point_files(job, file.parent), {name: fleet.axis(name).unit for name in fleet.axis_names}
-        )
+        summaries = PointSummaries({name: fleet.axis(name).unit for name in fleet.axis_names})
+        job = summaries.place_summaries(job)
         with show_progress(len(job.steps) * repeat, hidden=as_json) as on_steps:
             forecast = forecast_job(fleet, job.steps, repeat, on_steps)
         if forecast.problems and not as_json:
-            raise FileError(source.problem(each.place, each.text) for each in forecast.problems)
+            raise FileError(filled.problem(each.place, each.text) for each in forecast.problems)
+        notes += check_extremes(template, settings, fleet, summaries, repeat)
     if as_json:
-        print_json(make_plain(forecast))
+        print_json({**make_plain(forecast), "parameters_used": job.parameters_used, "notes": notes})
     else:
         console.print(
             f"{file}: {describe_totals(job, forecast, repeat)}", highlight=False, markup=False, soft_wrap=True
@@ -68,6 +85,8 @@ async def _check_file(file: Path, fleet_file: Path | None, repeat: int, *, as_js
         if fleet_file is None:
             console.print("names, units and limits are not checked: give --fleet FILE", highlight=False)
         print_steps(forecast)
+        for note in notes:
+            console.print(f"[bold yellow]note:[/] {escape_markup(note)}", highlight=False, soft_wrap=True)
     if forecast.problems:
         raise SystemExit(BAD_INPUT)
 

@@ -20,6 +20,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "queue": ("queue", "Start, stop and show the queue of jobs."),
     "job": ("job", "Submit, list, show, cancel jobs; read reports."),
     "axis": ("axis", "Manual operation: list, enable, home, jog, move."),
+    "position": ("positions.command", "Named positions: save, list, move to them."),
     "io": ("io", "Inputs and outputs by name."),
     "fleet": ("fleet_file", "Check a fleet file; load it into the running fleet."),
     "wiring": ("wiring", "Check the trigger wires between controllers."),

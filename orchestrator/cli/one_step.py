@@ -47,7 +47,10 @@ def run_single_step(
         exit_with_error(str(error.errors()[0]["msg"]).removeprefix("Value error, "), BAD_INPUT)
 
     async def submit_step(tutti: "Tutti") -> None:
-        axes = _check_names(await tutti.list_names(), job.steps[0])
+        nonlocal job
+        names = await tutti.list_names()
+        job = job.model_copy(update={"steps": [_spread_groups(names, job.steps[0])]})
+        axes = _check_names(names, job.steps[0])
         report = await run_attended(tutti, job, wait=wait, quiet=as_json or not console.is_terminal)
         if report.state != "done":
             _exit_with_failure(report)
@@ -56,11 +59,33 @@ def run_single_step(
     with_fleet(connect, fleet, submit_step)
 
 
+def _spread_groups(names: "FleetNames", step: "Step") -> "Step":
+    """A move to a position, with the axes of it that its groups and controllers stand for. Raises `Refusal`."""
+    from orchestrator.model.errors import Refusal
+    from orchestrator.model.job import Move
+    from orchestrator.model.names import is_position_name
+
+    if not isinstance(step, Move) or not any(map(is_position_name, step.to.values())):
+        return step
+    targets = dict[str, Any]()
+    for name, target in step.to.items():
+        if name in names.axes or not is_position_name(target) or not names.expand_name(name):
+            targets[name] = target
+            continue
+        inside = [axis for axis in names.expand_name(name) if axis in names.positions.get(str(target), ())]
+        if not inside and str(target) in names.positions:
+            text = f"position {target} has no axis of {name}; it has: {', '.join(names.positions[str(target)])}"
+            raise Refusal("not-in-position", text, "name axes of it, or none for all of them")
+        targets |= dict.fromkeys(inside or [name], target)
+    return step.model_copy(update={"to": targets})
+
+
 def _check_names(names: "FleetNames", step: "Step") -> list[str]:
     """Check names and quantities of a step; return its axes. Raises `Refusal`, which speaks of no job file."""
     from orchestrator.cli.base.names import require_axes, unknown_name
     from orchestrator.model.errors import Refusal
     from orchestrator.model.job import Move, SetOutput, SetPosition, named_axes
+    from orchestrator.model.names import ALL_AXES, is_position_name
     from orchestrator.model.units import UnitError, parse_quantity
 
     if isinstance(step, SetOutput):
@@ -70,8 +95,16 @@ def _check_names(names: "FleetNames", step: "Step") -> list[str]:
     if not isinstance(step, Move | SetPosition):
         return require_axes(names, named_axes(step) or names.controllers)
     values = step.to | step.by if isinstance(step, Move) else step.axes
+    wanted = {str(target): None for target in values.values() if is_position_name(target)}
+    for name in wanted:
+        if name not in names.positions:
+            raise unknown_name("position", name, names.positions, "see `tutti position ls`")
+    if ALL_AXES in values:
+        return list(names.positions[str(values[ALL_AXES])])
     for name in require_axes(names, values, groups=False):
         value = values[name]
+        if str(value) in wanted:
+            continue
         try:
             if value is not None:
                 parse_quantity(value, names.axes[name])

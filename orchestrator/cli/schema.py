@@ -10,7 +10,6 @@ from orchestrator.cli.base.common import print_json
 def schema(kind: str) -> None:
     """Print the JSON Schema of a fleet or job file, so that editors complete and check it."""
     from orchestrator.model.fleet import Fleet
-    from orchestrator.model.job import Job
+    from orchestrator.model.templates.file_schema import make_job_file_schema
 
-    model = Fleet if kind == "fleet" else Job
-    print_json(model.model_json_schema())
+    print_json(Fleet.model_json_schema() if kind == "fleet" else make_job_file_schema())

@@ -10,6 +10,7 @@ interrupted call has begun, and says so; a job that was submitted stays in the q
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal, Self
 
 from orchestrator.bus.base import Bus
@@ -27,6 +28,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import TraceReply
+from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
     JobProgress,
@@ -40,6 +42,7 @@ from orchestrator.model.report import (
 )
 from orchestrator.model.service import FleetNames, JobRetried, JobShown, WireFinding
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo
+from orchestrator.model.templates.template import Template
 from orchestrator.model.units import Quantity
 
 
@@ -205,7 +208,7 @@ class BlockingTutti(BlockingObject[Tutti]):
 
     def move(
         self,
-        to: Mapping[str, Quantity] | None = None,
+        to: Mapping[str, Quantity] | str | None = None,
         by: Mapping[str, Quantity] | None = None,
         *,
         speed: float = 1.0,
@@ -214,6 +217,7 @@ class BlockingTutti(BlockingObject[Tutti]):
     ) -> JobResult:
         """Move axes together: to positions, or by distances, in their units or with one (`"6 mm"`).
 
+        to: by axis, a quantity or the name of a position; or one name, for all its axes.
         speed: fraction of each axis's velocity limit. sync, wait: as in a job, and in `run`. Raises `Refusal`,
         `JobFailed`.
         """
@@ -251,13 +255,22 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Wait, as a step of the fleet's own. Raises `Refusal`, `JobFailed`."""
         return self._run(self._wrapped.dwell(seconds))
 
-    def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> BlockingJob:
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file of points.
+    def submit(
+        self,
+        job: Job | Template | Path | str,
+        client_key: str | None = None,
+        terms: QueueTerms | None = None,
+        *,
+        parameters: Mapping[str, object] | None = None,
+    ) -> BlockingJob:
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file or a
+        template.
 
-        job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
-        often it is submitted. terms: priority, repeats, predecessor and start time.
+        job: a job, a template, or the path of a job file; without an actor it gets the actor of this connection.
+        client_key: the same key is the same job, however often it is submitted. terms: priority, repeats, predecessor
+        and start time. parameters: values for those of the template or file, `{"width": "20 mm"}`.
         """
-        return BlockingJob(self._run(self._wrapped.submit(job, client_key, terms)), self._worker)
+        return BlockingJob(self._run(self._wrapped.submit(job, client_key, terms, parameters=parameters)), self._worker)
 
     def attend(self) -> BlockingAttendance:
         """A session for jobs that a person waits for: they end when its context does, or its process."""
@@ -429,6 +442,26 @@ class BlockingTutti(BlockingObject[Tutti]):
         i_know: must be True, because no limit is checked.
         """
         return self._run(self._wrapped.send_raw(controller, command, i_know=i_know))
+
+    def list_positions(self) -> list[PositionEntry]:
+        """All named positions: those of the fleet file, and those that are saved. Raises `Refusal`."""
+        return self._run(self._wrapped.list_positions())
+
+    def save_position(
+        self, name: str, *axes: str, at: Mapping[str, Quantity] | None = None, description: str | None = None
+    ) -> PositionEntry:
+        """Save the present user positions of axes (groups, controllers) under a name; an earlier saved position of
+        this name is replaced. Without axes and `at`: of all axes that are referenced.
+
+        at: values that are given instead, by axis. Raises `Refusal`: codes `bad-name`, `moving`, `not-referenced`,
+        `offline`, `unknown-name`, `bad-unit`, `soft-limit`.
+        """
+        return self._run(self._wrapped.save_position(name, *axes, at=at, description=description))
+
+    def remove_position(self, name: str) -> PositionEntry | None:
+        """Remove a saved position; return that of the fleet file with the same name, which counts again. Raises
+        `Refusal`: codes `unknown-name`, `in-file`."""
+        return self._run(self._wrapped.remove_position(name))
 
     def axes(self) -> dict[str, AxisState]:
         """The state of every axis, by `controller.axis`; those of controllers that are offline are old."""

@@ -1,7 +1,8 @@
 """Requests about jobs, and a submitted job that can be followed."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
+from pathlib import Path
 from typing import Self
 
 from orchestrator.bus.base import BusSample
@@ -46,6 +47,7 @@ from orchestrator.model.service import (
     RetryJob,
     SubmitJob,
 )
+from orchestrator.model.templates.template import Template, load_job
 
 POLL_S = 1.0  # period of reading the journal while the bus is silent
 DRY_RUN_STEPS = 50  # in one request, so that other requests get their turn
@@ -59,13 +61,22 @@ MAX_RESULT_POINTS = 10_000
 class JobRequests(PointRequests):
     """Submit jobs, follow them, and change the queue."""
 
-    async def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> "SubmittedJob":
-        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file of points.
+    async def submit(
+        self,
+        job: Job | Template | Path | str,
+        client_key: str | None = None,
+        terms: QueueTerms | None = None,
+        *,
+        parameters: Mapping[str, object] | None = None,
+    ) -> "SubmittedJob":
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file or a
+        template.
 
-        job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
-        often it is submitted. terms: priority, repeats, predecessor and start time.
+        job: a job, a template, or the path of a job file; without an actor it gets the actor of this connection.
+        client_key: the same key is the same job, however often it is submitted. terms: priority, repeats, predecessor
+        and start time. parameters: values for those of the template or file, `{"width": "20 mm"}`.
         """
-        return self.job((await self.enqueue_job(job, client_key, terms)).id)
+        return self.job((await self.enqueue_job(_fill_job(job, parameters), client_key, terms)).id)
 
     def attend(self) -> Attendance:
         """A session for jobs that a person waits for: they end when its context does, or its process."""
@@ -358,6 +369,18 @@ class SubmittedJob(str):
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         await self._requests.resume_job(self)
+
+
+def _fill_job(job: Job | Template | Path | str, parameters: Mapping[str, object] | None) -> Job:
+    """The job to submit. Raises `FileError`, and `Refusal` for parameters that nothing declares."""
+    if isinstance(job, Template):
+        return job.fill(parameters)
+    if not isinstance(job, Job):
+        return load_job(job, parameters)
+    if parameters:
+        text = f"a job has no parameters, but {', '.join(parameters)} is given"
+        raise Refusal("no-template", text, "submit the job file or its `Template`, or leave the parameters out")
+    return job
 
 
 async def _next_progress(samples: "asyncio.Queue[BusSample]") -> JobProgress | None:

@@ -3,6 +3,7 @@
 import asyncio
 import base64
 import hashlib
+import json
 from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -110,25 +111,42 @@ class PointRequests(FleetConnection):
         return [each async for each in self.iterate_points(job_id)]
 
 
-def read_points(job: Job, units: Mapping[str, Unit]) -> Job:
-    """The job with the extremes of the points of its files and specs, as the coordinator would find them; nothing is
-    sent. Raises `FileError`, `Refusal`."""
+class PointSummaries:
+    """The points of files and specs, read once each; nothing is sent. units: of all axes of the fleet."""
+
+    def __init__(self, units: Mapping[str, Unit]) -> None:
+        self._units = units
+        self._tables: dict[str, PointTable] = {}
+
+    def place_summaries(self, job: Job) -> Job:
+        """The job with the extremes of the points of its files and specs, as the coordinator would find them. Raises
+        `FileError`, `Refusal`."""
+        found = {
+            id(scan): place_points(scan, self._find_table(scan)) for scan in find_scans(job.steps) if _is_unread(scan)
+        }
+        return job.model_copy(update={"steps": replace_scans(job.steps, found)}) if found else job
+
+    def _find_table(self, scan: Scan) -> PointTable:
+        source = json.dumps([scan.scanspec, None if scan.points is None else scan.points.file])
+        if source not in self._tables:
+            self._tables[source] = _summarize_points(make_point_source(scan, self._units))
+        return self._tables[source]
+
+
+def _summarize_points(source: PointSource) -> PointTable:
     from orchestrator.model.scans.point_summary import ColumnSummary
 
-    found: dict[int, Scan] = {}
-    for scan in filter(_is_unread, find_scans(job.steps)):
-        source, digest = make_point_source(scan, units), hashlib.sha256()
-        summary: ColumnSummary | None = None
-        for block in source.read_blocks():
-            if summary is None:
-                summary = ColumnSummary(source.axes)
-                digest.update(make_header(source.axes))
-            summary.add_rows(block)
-            digest.update(block.astype(ROW_TYPE).tobytes())
-        assert summary is not None  # a source without points is refused
-        columns, name = summary.make_columns(), f"sha256:{digest.hexdigest()}"
-        found[id(scan)] = place_points(scan, PointTable(digest=name, count=summary.count, columns=columns))
-    return job.model_copy(update={"steps": replace_scans(job.steps, found)})
+    digest = hashlib.sha256()
+    summary: ColumnSummary | None = None
+    for block in source.read_blocks():
+        if summary is None:
+            summary = ColumnSummary(source.axes)
+            digest.update(make_header(source.axes))
+        summary.add_rows(block)
+        digest.update(block.astype(ROW_TYPE).tobytes())
+    assert summary is not None  # a source without points is refused
+    columns, name = summary.make_columns(), f"sha256:{digest.hexdigest()}"
+    return PointTable(digest=name, count=summary.count, columns=columns)
 
 
 def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:

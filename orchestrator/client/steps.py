@@ -70,7 +70,7 @@ class StepRequests(JobRequests):
 
     async def move(
         self,
-        to: Mapping[str, Quantity] | None = None,
+        to: Mapping[str, Quantity] | str | None = None,
         by: Mapping[str, Quantity] | None = None,
         *,
         speed: float = 1.0,
@@ -79,10 +79,13 @@ class StepRequests(JobRequests):
     ) -> JobResult:
         """Move axes together: to positions, or by distances, in their units or with one (`"6 mm"`).
 
+        to: by axis, a quantity or the name of a position; or one name, for all its axes.
         speed: fraction of each axis's velocity limit. sync, wait: as in a job, and in `run`. Raises `Refusal`,
         `JobFailed`.
         """
-        return await self.run(Move(to=dict(to or {}), by=dict(by or {}), speed=speed, sync=sync), wait=wait)
+        return await self.run(
+            Move(to=to if isinstance(to, str) else dict(to or {}), by=dict(by or {}), speed=speed, sync=sync), wait=wait
+        )
 
     async def home(self, *axes: str, wait: bool = False) -> JobResult:
         """Find the reference of axes (groups, controllers); without any, of the whole fleet in its home_order.

@@ -15,6 +15,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.fleet.permits import PermitMonitor
+from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.intake import JobIntake
@@ -57,6 +58,7 @@ class Coordinator:
         permits = PermitMonitor(self._view, clock)
         access = self._fleet = FleetAccess(self._view, requests, permits, clock, self._log, tasks)
         self._leases = LeaseRegistry(access, bus, keys)
+        self._positions = PositionBook(access, environment.journal, self._execute)
         motion = MotionServices(access, self.leadership, environment.journal, self._execute)
         self._plain_steps = PlainSteps(access, motion.targets)
         services = JobServices(
@@ -70,10 +72,12 @@ class Coordinator:
             motion=motion,
             plain_steps=self._plain_steps,
             leases=self._leases,
+            positions=self._positions,
             leadership=self.leadership,
             log=self._log,
         )
         self.scheduler = Scheduler(services)
+        self._positions.on_change = self.scheduler.forget_needs
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         maintenance = (
             FleetReload(access, self._leases, environment.save_fleet),
@@ -102,6 +106,7 @@ class Coordinator:
         bus, keys = self._environment.bus, self._environment.keys
         await self._leases.start()
         await self._manual.start()
+        await self._positions.start()
         await self.scheduler.start()
         self._declared = [
             await bus.serve(keys.service(), self._requests.answer),

@@ -22,6 +22,13 @@ from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import RefusalDetails, Reply, Request
+from orchestrator.model.positions.entries import (
+    PositionRemoved,
+    PositionSaved,
+    PositionsListed,
+    RemovePosition,
+    SavePosition,
+)
 from orchestrator.model.report import QueueState
 from orchestrator.model.service import (
     AcquireAxes,
@@ -112,6 +119,9 @@ class UserRequests:
             "reload": Verb(ReloadFleet, FleetReloaded, self._reload_fleet),
             "check-wiring": Verb(Request, WiringChecked, self._check_wiring),
             "repair-epoch": Verb(Request, EpochRepaired, self._repair_epoch),
+            "positions": Verb(Request, PositionsListed, services.positions.list_positions, cached=False),
+            "save-position": Verb(SavePosition, PositionSaved, services.positions.save_position),
+            "remove-position": Verb(RemovePosition, PositionRemoved, services.positions.remove_position),
             "names": Verb(Request, FleetNames, self._list_names, cached=False),
         }
 
@@ -263,6 +273,7 @@ class UserRequests:
             controllers=list(fleet.controllers),
             axes={name: fleet.axis(name).unit for name in fleet.axis_names},
             groups=fleet.groups,
+            positions={each.name: list(each.axes) for each in self._services.positions.list_entries()},
             inputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.inputs],
             outputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.outputs],
         )

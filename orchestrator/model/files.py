@@ -1,10 +1,10 @@
 """Read fleet and job files: YAML in, models out; every mistake is named with file, line, field, value and remedy."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -13,6 +13,7 @@ from orchestrator.model.errors import TuttiError
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job, Scan, find_scans, replace_scans
+from orchestrator.model.problems import Problem
 from orchestrator.model.yaml_reader import MAX_BYTES, YamlError, YamlNode, decode_text, read_yaml
 
 M = TypeVar("M", bound=Model)
@@ -58,15 +59,14 @@ class LoadedFile:
         node, field = _locate(self.root, place)
         return FileProblem(self.name, node.line, field, text)
 
+    def find_node(self, place: Sequence[str | int]) -> YamlNode:
+        """The node at a place, or the last one that leads there."""
+        return _locate(self.root, place)[0]
+
 
 def load_fleet(path: Path | str) -> Fleet:
     """Load the fleet file at `path`. Raises `FileError`."""
     return parse_file(read_file(Path(path)), Fleet)
-
-
-def load_job(path: Path | str) -> Job:
-    """Load the job file at `path`; files of points stand beside it. Raises `FileError`."""
-    return locate_point_files(parse_file(read_file(Path(path)), Job), Path(path).parent)
 
 
 def locate_point_files(job: Job, folder: Path) -> Job:
@@ -110,20 +110,30 @@ def parse_document(text: str, model: type[M], name: str) -> M:
 
 def parse_file(file: LoadedFile, model: type[M]) -> M:
     """Make a model of what was read. Raises `FileError` with every mistake."""
+    require_mapping(file, model)
+    found, problems = validate_value(file.root.value, model)
+    if found is None:
+        raise FileError(file.problem(each.place, each.text) for each in problems)
+    return found
+
+
+def require_mapping(file: LoadedFile, model: type[Model]) -> None:
+    """Raises `FileError` for a file that is no mapping, and so has no fields."""
     if not isinstance(file.root.children, dict):
         text = f"must be a mapping that starts with `schema:`, e.g. {_example_line(model)}"
         raise FileError([FileProblem(file.name, 1, "", text)])
+
+
+def validate_value(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:
+    """Make a model of the plain value of a whole file; or None, and every mistake."""
     # In Python a job needs none: there its version is that of the program.
-    problems = [] if "schema" in file.root.children else [file.problem(("schema",), "is missing")]
+    problems = [] if "schema" in value else [Problem(("schema",), "is missing")]
     try:
         # As JSON, because that is where pydantic is strict about text and numbers, but not about enums and lists.
-        found = model.model_validate_json(json.dumps(file.root.value), strict=True)
+        found = model.model_validate_json(json.dumps(value), strict=True)
     except ValidationError as error:
-        problems += [file.problem(each.place, each.text) for each in list_problems(error, model)]
-    else:
-        if not problems:
-            return found
-    raise FileError(problems)
+        return None, [*problems, *list_problems(error, model)]
+    return (None if problems else found), problems
 
 
 def _make_file_error(error: YamlError, name: str) -> FileError:
@@ -142,6 +152,11 @@ def format_place(path: Iterable[str | int]) -> str:
     return text
 
 
+def _find_tags(node: YamlNode) -> list[Any]:
+    """The values of the fields that select the kind of a mapping."""
+    return [child.value for key, child in node.entries() if key in ("do", "kind", "type")]
+
+
 def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, str]:
     """Find the node at `location`, and its path as text.
 
@@ -150,7 +165,11 @@ def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, st
     """
     node, path = root, list[str | int]()
     absent: str | int | None = None
+    tagged: YamlNode | None = None
     for part in location:
+        if node is not tagged and part in _find_tags(node):
+            tagged = node  # `output` is the kind of a step, and also one of its fields
+            continue
         below = next((child for key, child in node.entries() if key == part or str(key) == str(part)), None)
         if below is None:
             absent = part

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast
 from pydantic import (
     AfterValidator,
     BeforeValidator,
+    ConfigDict,
     Field,
     ModelWrapValidatorHandler,
     ValidationInfo,
@@ -25,9 +26,10 @@ from orchestrator.model.fleet_names import DefinedNames, collect_names, find_ref
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
-from orchestrator.model.units import Quantity, Unit, parse_quantity
+from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
+MAX_POSITIONS, MAX_DESCRIPTION = 1_000, 200  # named positions, characters
 MIN_SCALE, MAX_SCALE = Fraction(1, 10**6), 10**12  # counts per unit
 
 
@@ -408,6 +410,34 @@ class Permit(Model):
     settle: Duration = Field(default=0, ge=0, description="How long it must have held before anything moves.")
 
 
+def _read_short_position(data: Any) -> Any:
+    """`{gantry.x: 120 mm}` is `{axes: {gantry.x: 120 mm}}`; only axes have a dot in their names."""
+    plain = cast(Mapping[str, Any], data)
+    if not isinstance(data, Mapping) or "axes" in plain:
+        return plain
+    fields = {name: value for name, value in plain.items() if "." not in name}
+    return {**fields, "axes": {name: value for name, value in plain.items() if "." in name}}
+
+
+def _describe_short_position(schema: dict[str, Any]) -> None:
+    """In a file the axes may stand beside the description."""
+    schema["additionalProperties"] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+    schema.pop("required", None)
+
+
+class NamedPosition(Model):
+    """A named position of axes, in user positions, like the targets of jobs: `{gantry.x: 120 mm, stage.u: 5 mm}`."""
+
+    model_config = ConfigDict(json_schema_extra=_describe_short_position)
+
+    description: str = Field(default="", max_length=MAX_DESCRIPTION)
+    axes: dict[str, Quantity] = Field(
+        min_length=1, description="User positions by axis; they may also stand in the place of `axes` themselves."
+    )
+
+    _short = model_validator(mode="before")(_read_short_position)
+
+
 class QueuePolicy(Model):
     """What happens to waiting jobs after a break and after a failure.
 
@@ -432,6 +462,9 @@ class Fleet(Model):
     permits: dict[Id, Permit] = Field(default={}, description='Named conditions, such as "door-closed".')
     groups: dict[Id, list[str]] = Field(default={}, description="Named groups of axes, `controller.axis`.")
     home_order: list[str] = Field(default=[], description="Groups, controllers or axes, homed one after another.")
+    positions: dict[Id, NamedPosition] = Field(
+        default={}, max_length=MAX_POSITIONS, description="Named positions, for the targets of jobs and commands."
+    )
     queue: QueuePolicy = QueuePolicy()
 
     @field_validator("controllers")
@@ -445,6 +478,32 @@ class Fleet(Model):
     def _check_names(cls, data: Any, handler: ModelWrapValidatorHandler["Fleet"]) -> "Fleet":
         """Check references by the names that the file has, also when other parts of it are wrong."""
         return validate_with(find_reference_problems(data), cls.__name__, lambda: handler(data))
+
+    @model_validator(mode="after")
+    def _check_positions(self) -> "Fleet":
+        """Units and soft limits of named positions; their axes are checked with the other names."""
+        problems: list[Problem] = []
+        for name, position in self.positions.items():
+            for axis, value in position.axes.items():
+                text = self._explain_position(axis, value) if axis in self.names.axes else None
+                if text is not None:
+                    problems.append(Problem(("positions", name, "axes", axis), text, value))
+        raise_problems(problems, type(self).__name__)
+        return self
+
+    def _explain_position(self, axis: str, value: int | float | str) -> str | None:
+        """Why `value` cannot be a position of `axis` without a user offset; None if it can."""
+        config = self.axis(axis)
+        try:
+            position = parse_quantity(value, config.unit)
+        except UnitError as error:
+            return str(error)
+        limits = config.soft_limits_counts
+        # On an axis that wraps, a position exists once in each turn.
+        if limits is None or config.turn_length is not None or limits[0] <= config.to_counts(position) <= limits[1]:
+            return None
+        low, high = sorted(config.to_unit(limit) for limit in limits)
+        return f"{value} is beyond the soft limits of {axis}, {low:g} to {high:g} {config.unit}; change one of them"
 
     @property
     def connections(self) -> list[WireConnection]:

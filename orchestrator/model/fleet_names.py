@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from orchestrator.model.base import Model
+from orchestrator.model.names import is_position_name
 from orchestrator.model.problems import Problem
 
 Place = tuple[str | int, ...]
@@ -25,6 +26,7 @@ class DefinedNames:
     axes: list[str] = field(default_factory=list[str])
     inputs: list[str] = field(default_factory=list[str])
     outputs: list[str] = field(default_factory=list[str])
+    positions: list[str] = field(default_factory=list[str])
 
     def explain_unknown(self, name: object, kind: str) -> str | None:
         """Why `name` is no name of that kind: axis, axes (also groups and controllers), input or output; or None."""
@@ -60,6 +62,7 @@ def find_reference_problems(data: Any) -> list[Problem]:
     return [
         *_find_unknown(plain, names),
         *_find_group_problems(plain, names),
+        *_find_position_problems(plain, names),
         *_find_double_use(plain),
         *_find_homing_circles(plain),
     ]
@@ -73,6 +76,7 @@ def collect_names(plain: Mapping[str, Any]) -> DefinedNames:
     for kind, found in (("axes", names.axes), ("inputs", names.inputs), ("outputs", names.outputs)):
         found += [f"{place[1]}.{place[3]}" for place, _ in select(plain, "controllers", EACH, kind, EACH)]
     names.groups.extend(str(place[1]) for place, _ in select(plain, "groups", EACH))
+    names.positions.extend(str(place[1]) for place, _ in select(plain, "positions", EACH))
     return names
 
 
@@ -120,6 +124,32 @@ def _find_group_problems(plain: Mapping[str, Any], names: DefinedNames) -> Itera
     for group in names.groups:
         if group in names.controllers:
             yield Problem(("groups", group), f"group {group} has the name of a controller; rename one of them")
+
+
+def _find_position_problems(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Problem]:
+    for name in names.positions:
+        text = explain_position_name(name, names)
+        if text is not None:
+            yield Problem(("positions", name), text, name)
+    for place, value in (*select(plain, "positions", EACH, EACH), *select(plain, "positions", EACH, "axes", EACH)):
+        axis = str(place[-1])
+        # Without a dot it is a field, which reports itself; only axes have a dot.
+        text = names.explain_unknown(axis, "axis") if "." in axis or "axes" in place[2:-1] else None
+        if text is not None:
+            yield Problem(place, text, value)
+
+
+def explain_position_name(name: str, names: DefinedNames) -> str | None:
+    """Why `name` cannot name a position; None if it can."""
+    if not is_position_name(name):
+        return (
+            f"{name[:80]!r} is no name of a position; write a-z, 0-9, _ and -, first a letter, and no word that reads "
+            "as a value"
+        )
+    for kind, others in (("controller", names.controllers), ("group", names.groups)):
+        if name in others:
+            return f"position {name} has the name of a {kind}; rename the position"
+    return None
 
 
 def _find_double_use(plain: Mapping[str, Any]) -> Iterator[Problem]:

@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
+from orchestrator.model.names import ALL_AXES, MoveTarget, is_position_name
 from orchestrator.model.numbers import Part
 from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.state import StartWish
@@ -17,6 +18,8 @@ MAX_AT_EACH = 50  # steps at each point of a scan
 MAX_REPEATED = 200  # steps inside a repeat, those at the points of its scans included
 MAX_REPEAT_DEPTH = 3  # of repeats inside each other
 _MISSING: Any = object()
+
+ParameterText = Annotated[str, Field(max_length=120)]
 
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
 
@@ -68,7 +71,10 @@ class MoveTargets(StepBase):
     """Where axes move to."""
 
     do: Literal["move"] = "move"
-    to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
+    to: MoveTarget = Field(
+        default={},
+        description="Absolute targets by axis: quantities, or names of positions; or one name, for all its axes.",
+    )
     by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
 
 
@@ -80,7 +86,7 @@ class Move(MotionOptions, MoveTargets):
         def __init__(
             self,
             *,
-            to: Mapping[str, float | str] = ...,
+            to: Mapping[str, float | str] | str = ...,
             by: Mapping[str, float | str] = ...,
             speed: float | str = 1.0,
             **more: Any,
@@ -88,6 +94,8 @@ class Move(MotionOptions, MoveTargets):
 
     @model_validator(mode="after")
     def _targets(self) -> "Move":
+        if ALL_AXES in self.to and not is_position_name(self.to[ALL_AXES]):
+            raise ValueError(f"{self.to[ALL_AXES]} for all axes (`*`) must be the name of a position")
         if not self.to and not self.by:
             raise ValueError("a move needs `to` (absolute) or `by` (relative) with at least one axis")
         twice = sorted(self.to.keys() & self.by.keys())
@@ -312,9 +320,10 @@ def iterate_steps(steps: Iterable[Step]) -> Iterator[Step]:
 
 
 def named_axes(step: Step) -> list[str]:
-    """The axes, groups and controllers that a step names itself; none for a homing of the whole fleet."""
+    """The axes, groups and controllers that a step names itself; none for a homing of the whole fleet, and for the axes
+    that only a position names."""
     if isinstance(step, Move):
-        return [*step.to, *step.by]
+        return [axis for axis in (*step.to, *step.by) if axis != ALL_AXES]
     if isinstance(step, Scan):
         return step.axis_names
     if isinstance(step, Home | Enable | Disable):
@@ -365,6 +374,12 @@ class Job(Model):
     )
     max_path_skew: Duration | None = Field(
         default=None, description="Maximum time offset between axes along their path."
+    )
+    parameters_used: dict[str, ParameterText] = Field(
+        default={},
+        max_length=100,
+        description="The parameters of the template that the job was made of, with their values; they are written "
+        "there when it is filled, and change nothing.",
     )
     steps: list[Step] = Field(min_length=1, max_length=10_000)
 

@@ -1,4 +1,23 @@
-"""Names of axes, inputs and outputs: `controller.name`."""
+"""Names of axes, inputs and outputs: `controller.name`; and of positions: one word, where a target stands."""
+
+import re
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, WithJsonSchema
+
+from orchestrator.model.units import check_quantity
+
+ALL_AXES = "*"
+"""In the targets of a move: all axes of a named position. `to: sample` is `{"*": "sample"}`."""
+
+POSITION_NAME = r"[a-z][a-z0-9_-]{0,63}"
+_POSITION_NAME = re.compile(POSITION_NAME)
+_VALUES = {"inf", "infinity", "nan", "null", "true", "false", "yes", "no", "on", "off"}
+
+
+def is_position_name(value: object) -> bool:
+    """Whether `value` can be the name of a position; what reads as a value cannot."""
+    return isinstance(value, str) and _POSITION_NAME.fullmatch(value) is not None and value not in _VALUES
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -10,3 +29,29 @@ def split_name(name: str) -> tuple[str, str]:
 def controller_of(name: str) -> str:
     """The controller of `controller.name`."""
     return name.partition(".")[0]
+
+
+_NUMBER_OR_TEXT: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+
+
+def _check_target(value: object) -> object:
+    return value if is_position_name(value) else check_quantity(value)
+
+
+Target = Annotated[int | float | str, BeforeValidator(_check_target), WithJsonSchema(_NUMBER_OR_TEXT)]
+"""A quantity; or the name of a position, which stands for its value for that axis."""
+
+
+def _read_whole_position(to: object) -> object:
+    """`to: sample` stands for all axes of that position."""
+    return {ALL_AXES: to} if is_position_name(to) else to
+
+
+MoveTarget = Annotated[
+    dict[str, Target],
+    BeforeValidator(_read_whole_position),
+    WithJsonSchema(
+        {"anyOf": [{"type": "object", "additionalProperties": _NUMBER_OR_TEXT}, {"type": "string"}], "default": {}}
+    ),
+]
+"""Targets by axis; or the name of a position alone, for all its axes."""

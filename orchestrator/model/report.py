@@ -294,6 +294,13 @@ class JobReport(Model):
     repeat: int = 1
     origin: str | None = Field(default=None, description="The job that this one re-runs.")
     from_step: int = Field(default=0, description="The step that it began with.")
+    parameters_used: dict[str, str] = Field(
+        default={}, description="The parameters of the template that it was made of, with their values."
+    )
+    positions_used: dict[str, dict[str, str]] = Field(
+        default={},
+        description="The named positions of its targets: by name, the value of each axis that was taken when it began.",
+    )
     steps: list[StepReport] = Field(default=[])
     transitions: list[JobTransition] = Field(default=[])
     notes: dict[str, Any] = Field(default={})

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from orchestrator.model.base import Int53, Model
+from orchestrator.model.names import Target, is_position_name
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, parse_with_unit
 
 MAX_POINTS = 10_000_000  # of one scan
@@ -28,16 +29,23 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 class ScanAxis(Model):
     """The positions of one axis of a scan: from one end to the other, or listed."""
 
-    from_: Quantity | None = Field(default=None, alias="from", description="Its first position.")
-    to: Quantity | None = Field(default=None, description="Its last position.")
+    from_: Target | None = Field(
+        default=None, alias="from", description="Its first position: a quantity, or the name of a position."
+    )
+    to: Target | None = Field(default=None, description="Its last position, in the same way.")
     points: int | None = Field(
         default=None, ge=2, le=MAX_POINTS, description="Number of positions, both ends included; with `from` and `to`."
     )
     step: Quantity | None = Field(
-        default=None, description="Distance of two positions, instead of `points`; it must divide the way."
+        default=None,
+        description="Distance of two positions, instead of `points`; it must divide the way, so both ends are "
+        "quantities.",
     )
-    values: list[Quantity] | None = Field(
-        default=None, min_length=1, max_length=MAX_LISTED, description="All positions, instead of `from` and `to`."
+    values: list[Target] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=MAX_LISTED,
+        description="All positions, instead of `from` and `to`: quantities, or names of positions.",
     )
     snake: bool = Field(
         default=False, description="Backwards on every second pass of the axes outside it: no way back between passes."
@@ -53,6 +61,9 @@ class ScanAxis(Model):
             raise ValueError("needs `from` and `to`, with `points` or `step`; or `values`")
         if (self.points is None) == (self.step is None):
             raise ValueError("needs either `points`, the number of positions, or `step`, their distance")
+        if self.step is not None and (is_position_name(self.from_) or is_position_name(self.to)):
+            # The number of points is counted when the job is accepted, and a position may be saved anew after that.
+            raise ValueError("`step` needs `from` and `to` as quantities; with the name of a position write `points`")
         if self.step is not None and _count_steps(self.from_, self.to, self.step) >= MAX_POINTS:
             raise ValueError(f"has more than {MAX_POINTS} positions; choose a larger `step`")
         return self
@@ -68,7 +79,8 @@ class ScanAxis(Model):
         return _count_steps(self.from_, self.to, self.step) + 1
 
     def position(self, index: int, unit: Unit) -> Fraction:
-        """Position number `index` in the axis's unit, exact. Raises `UnitError`."""
+        """Position number `index` in the axis's unit, exact. Raises `UnitError`, also for a name of a position, which
+        is resolved before."""
         if self.values is not None:
             return parse_quantity(self.values[index], unit)
         assert self.from_ is not None and self.to is not None
@@ -144,8 +156,11 @@ class PointTable(Model):
         description="A CSV file beside the job file: a line of axis names, then one line a point.",
     )
     axes: list[str] | None = Field(default=None, min_length=1, max_length=MAX_SCAN_AXES, description="With `rows`.")
-    rows: list[list[Quantity]] | None = Field(
-        default=None, min_length=1, max_length=MAX_LISTED, description="One row a point, in the order of `axes`."
+    rows: list[list[Target]] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=MAX_LISTED,
+        description="One row a point, in the order of `axes`: quantities, or names of positions.",
     )
     digest: str | None = Field(default=None, pattern=DIGEST_PATTERN, description="Of points that are stored already.")
     count: int = Field(default=0, ge=0, le=MAX_POINTS, description="With `digest`: their number.")

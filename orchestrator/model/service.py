@@ -94,12 +94,13 @@ class JobRetried(JobSubmitted):
 
 
 class FleetNames(Reply):
-    """The names of a fleet, in the order of its file. axes: their units; groups: their axes. Inputs and outputs are
-    `controller.name`."""
+    """The names of a fleet, in the order of its file. axes: their units; groups, positions: their axes. Inputs and
+    outputs are `controller.name`."""
 
     controllers: list[str] = Field(default=[])
     axes: dict[str, Unit] = Field(default={})
     groups: dict[str, list[str]] = Field(default={})
+    positions: dict[str, list[str]] = Field(default={})
     inputs: list[str] = Field(default=[])
     outputs: list[str] = Field(default=[])
 

@@ -4,6 +4,7 @@ import json
 
 from orchestrator.model.duration import format_ns, parse_duration
 from orchestrator.model.job import Repeat, Scan, Step
+from orchestrator.model.names import ALL_AXES
 from orchestrator.model.scan import ScanAxis
 
 
@@ -40,6 +41,8 @@ def _describe_at_each(scan: Scan) -> list[str]:
 
 def _describe_field(key: str, value: dict[str, object] | list[str] | str | float | None) -> str:
     if isinstance(value, dict):
+        if list(value) == [ALL_AXES]:
+            return f"{key} {value[ALL_AXES]}"
         return f"{key} " + " ".join(f"{name}={_format_value(each)}" for name, each in value.items())
     if isinstance(value, list):
         return f"{key} " + " ".join(value)

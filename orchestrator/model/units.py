@@ -60,19 +60,22 @@ class UnitError(TuttiError, ValueError):
     """A value that is not a number, or whose unit does not fit. The message lists what is allowed."""
 
 
-def convert_units(value: Fraction, of: Unit, to: Unit) -> Fraction:
-    """Convert `value` from unit `of` to unit `to`. Raises `UnitError` if their dimensions differ."""
+def convert_units(value: Fraction, of: Unit, to: Unit, owner: str = "the axis") -> Fraction:
+    """Convert `value` from unit `of` to unit `to`. owner: what has that unit, for the message.
+
+    Raises `UnitError` if their dimensions differ.
+    """
     dimension, size = _SIZE[of]
     wanted, unit_size = _SIZE[to]
     if dimension != wanted:
         fitting = ", ".join(unit for unit, (name, _) in _SIZE.items() if name == wanted)
-        raise UnitError(f"{of} is a unit of {dimension}, and the axis is in {to}; use one of: {fitting}")
+        raise UnitError(f"{of} is a unit of {dimension}, and {owner} is in {to}; use one of: {fitting}")
     return value * size / unit_size
 
 
-def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
+def parse_quantity(value: int | float | str, unit: Unit, owner: str = "the axis") -> Fraction:
     """Convert a number in the axis's own unit, or text with a convertible unit (`"12.5 um"`), to an exact number of
-    `unit`.
+    `unit`. owner: what has that unit, for the message.
 
     Raises `UnitError`.
     """
@@ -84,7 +87,13 @@ def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
     number, name = parts
     if not name:
         return Fraction(number)
-    return convert_units(Fraction(number), _parse_unit(name), unit)
+    return convert_units(Fraction(number), _parse_unit(name), unit, owner)
+
+
+def format_quantity(value: int | float | str, unit: Unit) -> str:
+    """A quantity as text with its unit; a number without one is in `unit`."""
+    parts = split_number(value) if isinstance(value, str) else (f"{value:.15g}", "")
+    return str(value) if parts is None else f"{parts[0]} {parts[1] or unit}"
 
 
 def parse_with_unit(text: float | str, like: str) -> Fraction:
@@ -140,7 +149,8 @@ def _explain_quantity(text: str, unit: str) -> str:
     return f"{text[:MAX_TEXT]!r} is not a quantity; {hint}"
 
 
-def _check_quantity(value: object) -> object:
+def check_quantity(value: object) -> object:
+    """Return a number, or text with a number and perhaps a unit, as it is. Raises `ValueError` for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number in the axis\'s unit, or text with a unit such as "12.5 um"')
     number: object = value
@@ -157,7 +167,7 @@ def _check_quantity(value: object) -> object:
 
 Quantity = Annotated[
     int | float | str,
-    BeforeValidator(_check_quantity),
+    BeforeValidator(check_quantity),
     Field(description='A number in the axis\'s own unit, or text with a convertible unit, e.g. "12.5 um".'),
     WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
 ]

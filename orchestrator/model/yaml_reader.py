@@ -115,7 +115,8 @@ def read_yaml(text: str) -> YamlNode:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         problem = " ".join(str(part) for part in (error.problem, error.context) if part)
-        reader.problems.append(YamlProblem(mark.line + 1 if mark else 1, (), f"not YAML: {problem}"))
+        hint = _suggest_quotes(text, mark.line) if mark else ""
+        reader.problems.append(YamlProblem(mark.line + 1 if mark else 1, (), f"not YAML: {problem}{hint}"))
     except yaml.reader.ReaderError as error:
         position = error.position if isinstance(error.position, int) else 0  # pyright: ignore[reportUnnecessaryIsInstance]
         line = text.count("\n", 0, position) + 1
@@ -328,6 +329,14 @@ class _DocumentReader:
             elif block.key is not None:
                 parts.append(block.key)
         return tuple(parts)
+
+
+def _suggest_quotes(text: str, line: int) -> str:
+    """The remedy for `{gantry.x: ${width}}`, in which YAML takes the second `{` for a mapping; empty elsewhere."""
+    lines = text.splitlines()
+    if not 0 <= line < len(lines) or "${" not in lines[line]:
+        return ""
+    return '; inside braces and brackets write a parameter in quotes: "${name}"'
 
 
 def _line_of(event: Event) -> int:

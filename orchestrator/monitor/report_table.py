@@ -1,6 +1,6 @@
 """A job's report as tables for a terminal, readable at 80 columns."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -26,7 +26,8 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
     steps = make_plain_table(["#>", "step", "planned>", "actual>", "start skew>", "budget>", "end skew>", "verdict"])
     for step in shown:
         steps.add_row(*_make_step_row(step))
-    parts: list[RenderableType] = [_make_head(report), "", steps]
+    used = describe_used(report.parameters_used, report.positions_used)
+    parts: list[RenderableType] = [_make_head(report), *(Text(line) for line in used), "", steps]
     if len(shown) < len(report.steps):
         parts.append(Text(f"and {len(report.steps) - len(shown)} more steps, which are done as planned", style="dim"))
     parts += [Text(line) for step in report.steps for line in _describe_scan(step)]
@@ -39,6 +40,14 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
     if detailed:
         return Group(*parts, *_make_details(report))
     return Group(*parts, Text(f"members and budgets: `tutti job report {report.job_id} -v`", style="dim"))
+
+
+def describe_used(parameters: Mapping[str, str], positions: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """What a job was made with: the values of its parameters, and of the named positions of its targets."""
+    lines = [f"parameters: {', '.join(f'{name} {value}' for name, value in parameters.items())}"] if parameters else []
+    for name, axes in positions.items():
+        lines.append(f"position {name}: {', '.join(f'{axis} {value}' for axis, value in axes.items())}")
+    return lines
 
 
 def _make_head(report: JobReport) -> Text:

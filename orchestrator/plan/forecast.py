@@ -13,6 +13,7 @@ from typing import NamedTuple
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.fleet_names import suggest_name
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast
 from orchestrator.model.job import (
     Disable,
@@ -27,6 +28,13 @@ from orchestrator.model.job import (
     SetPosition,
     Step,
     WaitInput,
+)
+from orchestrator.model.names import ALL_AXES, is_position_name
+from orchestrator.model.positions.resolve import (
+    PositionResolver,
+    iterate_targets,
+    list_file_positions,
+    replace_targets,
 )
 from orchestrator.model.step_words import describe_step
 from orchestrator.model.units import UnitError
@@ -117,6 +125,11 @@ class JobForecaster(AxisForecaster):
             conditions=list(self._notes),
         )
 
+    def add_refusal(self, index: int, error: Refusal) -> None:
+        """Add a problem of a whole step. index: its number in the job file."""
+        self._index, self._place = index, ("steps", index)
+        self._add_problem((), error.code, error.text, error.remedy)
+
     def finish(self, steps: Iterable[StepForecast] = ()) -> JobForecast:
         """The forecast of the job whose steps were taken."""
         for name, state in self.axes.items():
@@ -142,6 +155,12 @@ class JobForecaster(AxisForecaster):
 
     @_run.register
     def _(self, step: Move) -> _Span:
+        unknown = self._note_unknown_positions(step)
+        if unknown:
+            named = [axis for axis in unknown if axis != ALL_AXES and self._find_axis(axis, ("to", axis)) is not None]
+            self._lose_positions(list(self.axes) if ALL_AXES in unknown else named)
+            known = step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in unknown}})
+            return _Span(self._run(known).least if known.to or known.by else 0.0, None)
         ways = MoveWays()
         for name, value in (step.to | step.by).items():
             place = ("by" if name in step.by else "to", name)
@@ -168,18 +187,22 @@ class JobForecaster(AxisForecaster):
                 text = f"the points of {column.axis} are in {column.unit}, and the axis is in {known[column.axis].unit}"
                 self._add_problem(("points",), "bad-unit", text, "submit the job again", column.axis)
                 return _Span()
+        unknown = self._note_unknown_positions(step)
+        if unknown:
+            step = replace_targets(step, lambda _, target: 0 if is_position_name(target) else target)
         try:
-            corners, kinds = find_corners(step, units), list(iterate_ways(step, units))
+            corners, kinds = find_corners(step, units, unknown), list(iterate_ways(step, units))
         except UnitError as error:
             self._add_problem((), "bad-unit", str(error), "correct the unit")
             return _Span()
-        first = MoveWays()
-        for name, axis in known.items():
+        first, sure = MoveWays(), {name: axis for name, axis in known.items() if name not in unknown}
+        for name, axis in sure.items():
             self._take_corners(first, name, axis, corners[name], step.point_count)
         span = self._plan_ways(step, first)
         for kind in kinds:
-            span = span.followed_by(self._plan_kind(step, known, kind), kind.often)
-        return span
+            span = span.followed_by(self._plan_kind(step, sure, kind), kind.often)
+        self._lose_positions(unknown)
+        return _Span(span.least, None) if unknown else span
 
     @_run.register
     def _(self, step: Home) -> _Span:
@@ -393,6 +416,21 @@ class JobForecaster(AxisForecaster):
                     moves.append(make_axis_move(name, axis, start, target, self._order_of(name, axis)))
         return self._plan_ways(step, ways)
 
+    def _note_unknown_positions(self, step: Move | Scan) -> list[str]:
+        """Note the positions that only the running fleet knows; return the axes that the step moves there."""
+        axes: dict[str, None] = {}
+        for axis, target in iterate_targets(step):
+            if is_position_name(target):
+                axes[axis] = None
+                hint = suggest_name(str(target), self._fleet.names.positions).strip()
+                known = f"position {target} is saved in the running fleet"
+                self.conditions[f"{known} ({hint})" if hint else known] = None
+        return list(axes)
+
+    def _lose_positions(self, axes: Iterable[str]) -> None:
+        for each in axes:
+            self.axes[each] = self._state(each).model_copy(update=self._unknown_position())
+
     def _switch(self, step: Enable | Disable, *, on: bool) -> _Span:
         axes = self._expand(step.axes, ("axes",))
         for axis in axes:
@@ -427,12 +465,19 @@ def _find_reserved_outputs(fleet: Fleet) -> dict[str, str]:
 def forecast_job(
     fleet: Fleet, steps: list[Step], repeat: int = 1, on_step: Callable[[int], None] | None = None
 ) -> JobForecast:
-    """Run all steps forward from an unknown beginning. on_step: called with the number of steps done."""
+    """Run all steps forward from an unknown beginning, by the positions of the fleet file. on_step: called with the
+    number of steps done."""
     forecaster = JobForecaster(fleet)
+    resolver = PositionResolver(fleet, list_file_positions(fleet), keep_unknown=True)
     found: list[StepForecast] = []
     for _ in range(repeat):
         for index, step in enumerate(steps):
-            found.append(forecaster.take(index, step))
+            try:
+                known = resolver.resolve_step(step)
+            except Refusal as error:
+                forecaster.add_refusal(index, error)
+                known = step
+            found.append(forecaster.take(index, known))
             if on_step is not None:
                 on_step(len(found))
     return forecaster.finish(found)

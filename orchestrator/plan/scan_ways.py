@@ -1,6 +1,6 @@
 """The extremes of a scan and the distances between its points, without going from point to point."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from typing import NamedTuple
@@ -31,8 +31,8 @@ class ScanWays(NamedTuple):
     farthest: Mapping[str, Way]
 
 
-def find_corners(scan: Scan, units: Sequence[Unit]) -> dict[str, list[ScanCorner]]:
-    """By axis: its first, lowest, highest and last position. Raises `UnitError`."""
+def find_corners(scan: Scan, units: Sequence[Unit], unknown: Collection[str] = ()) -> dict[str, list[ScanCorner]]:
+    """By axis: its first, lowest, highest and last position. unknown: axes that are left out. Raises `UnitError`."""
     names = scan.axis_names
     if scan.points is not None and scan.points.rows is None:
         return {
@@ -48,12 +48,15 @@ def find_corners(scan: Scan, units: Sequence[Unit]) -> dict[str, list[ScanCorner
             for each in scan.points.columns
         }
     points = _find_extreme_points(scan, units)
+
+    def find_positions(point: int) -> dict[str, Fraction]:
+        found = zip(names, _find_point(scan, point, units), strict=True)
+        return {name: position for name, position in found if name not in unknown}
+
     return {
-        name: [
-            _make_corner(dict(zip(names, _find_point(scan, point, units), strict=True)), name, point + 1)
-            for point in each
-        ]
+        name: [_make_corner(find_positions(point), name, point + 1) for point in each]
         for name, each in zip(names, points, strict=True)
+        if name not in unknown
     }
 
 

@@ -64,6 +64,7 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         PointRows.load_points,
         PointStore.read_rows,
         Journal.list_reservations,
+        Journal.list_positions,
         Journal.load_record,
         Journal.list_transitions,
         Journal.list_unfinished,

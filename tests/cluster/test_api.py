@@ -1,6 +1,7 @@
 """The Python API as programs use it: a job is followed from its submission to its report."""
 
 import asyncio
+from pathlib import Path
 
 import pytest
 from cluster.worlds import PREPARE, job, run_fleet
@@ -8,7 +9,9 @@ from cluster.worlds import PREPARE, job, run_fleet
 from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
+from orchestrator.model.files import FileError
 from orchestrator.model.report import JobProgress, JobTransition
+from orchestrator.model.templates.template import Template
 from orchestrator.runtime.virtual import VirtualFleet
 
 MOVE = job("[{do: move, to: {gantry.x: 60}, speed: 0.2}, {do: dwell, duration: 0.5 s}]")
@@ -31,6 +34,38 @@ def test_a_job_is_followed_by_each_change_of_its_state_once_and_by_its_progress(
         assert changes == (await submitted.show()).transitions
         moving = [each.fraction for each in progress if each.state == "running"]
         assert len(moving) > 3 and moving == sorted(moving)
+
+    run_fleet(main)
+
+
+def test_a_template_is_submitted_with_its_parameters_and_a_retry_keeps_them(tmp_path: Path) -> None:
+    path = tmp_path / "wait.job.yaml"
+    path.write_text(
+        "schema: tutti.job/1\nname: wait ${label}\n"
+        "parameters: {time: {type: duration, max: 1 s}, label: {type: text, default: a}}\n"
+        'steps: [{do: dwell, duration: "${time}"}]\n',
+        encoding="utf-8",
+    )
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        submitted = await client.submit(str(path), parameters={"time": "200 ms"})
+        used = {"time": "200 ms", "label": "a"}
+        report = await submitted.result()
+        assert (report.state, report.name, report.parameters_used) == ("done", "wait a", used)
+        shown = await submitted.show()
+        assert shown.job is not None and shown.job.parameters_used == used
+        again = await client.wait_for_job((await client.retry_job(submitted)).job_id)
+        assert (again.state, again.parameters_used) == ("done", used)
+        template = Template.load(path)
+        assert (
+            await (await client.submit(template, parameters={"time": "1 ms", "label": "b"})).result()
+        ).name == "wait b"
+        with pytest.raises(FileError, match=r"parameters: time: found '2 s'; must be at most 1 s"):
+            await client.submit(template, parameters={"time": "2 s"})
+        with pytest.raises(Refusal) as refused:
+            await client.submit(template.fill(time="1 ms"), parameters={"time": "2 ms"})
+        assert refused.value.code == "no-template"
 
     run_fleet(main)
 

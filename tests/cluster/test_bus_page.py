@@ -48,6 +48,7 @@ EXAMPLES: dict[str, Any] = {
     "command": "MG TIME",
     "count": 2,
     "data": "",
+    "description": None,
     "digest": f"sha256:{'0' * 64}",
     "dry_run": False,
     "event": None,
@@ -75,6 +76,7 @@ EXAMPLES: dict[str, Any] = {
     "terms": {},
     "ttl_s": 2.0,
     "valid_ms": 150,
+    "values": {},
     "velocities": {"gantry.x": 0.0},
     "what": "reading",
 }

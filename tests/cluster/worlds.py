@@ -9,12 +9,13 @@ from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import load_fleet, load_job, parse_document
+from orchestrator.model.files import load_fleet, parse_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobReport, LeaseState
+from orchestrator.model.templates.template import load_job
 from orchestrator.runtime.virtual import VirtualFleet
 
 LONGEST_S = 600  # of fleet time: a job that takes longer waits for something that does not come
@@ -23,8 +24,9 @@ T = TypeVar("T")
 
 
 def demo_fleet() -> Fleet:
-    """The example fleet: SMC-4000 on TCP, SHRC-203 on a serial line."""
-    return load_fleet(EXAMPLES / "demo.fleet.yaml")
+    """The example fleet: SMC-4000 on TCP, SHRC-203 on a serial line; without its named positions, because tests change
+    its axes."""
+    return load_fleet(EXAMPLES / "demo.fleet.yaml").model_copy(update={"positions": {}})
 
 
 def demo_job() -> Job:

@@ -23,6 +23,8 @@ PAGES = (
     "how-to/write-a-fleet.md",
     "how-to/write-a-job.md",
     "how-to/scan-points.md",
+    "how-to/use-templates.md",
+    "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",
     "how-to/use-python.md",
     "how-to/test-your-jobs.md",

@@ -37,6 +37,7 @@ def complete_names(choose: "Callable[[FleetNames], Iterable[str]]") -> Complete:
 complete_axes = complete_names(lambda names: [*names.axes, *names.groups, *names.controllers])
 complete_targets = complete_names(lambda names: [f"{axis}=" for axis in names.axes])
 complete_single_axes = complete_names(lambda names: names.axes)
+complete_positions = complete_names(lambda names: names.positions)
 complete_controllers = complete_names(lambda names: names.controllers)
 complete_inputs = complete_names(lambda names: names.inputs)
 complete_outputs = complete_names(lambda names: names.outputs)

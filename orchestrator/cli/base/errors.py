@@ -31,6 +31,7 @@ _NAME_CODES = {
     "unknown-job",
     "ambiguous",
     "bad-unit",
+    "bad-name",
     "which-fleet",
 }
 _PLAIN_CODES = {FAILED: "failed", BAD_INPUT: "bad-input", UNREACHABLE: "unreachable", INTERRUPTED: "interrupted"}
@@ -56,13 +57,14 @@ def exit_with_error(
         raise SystemExit(exit_code)
     from orchestrator.monitor.times import localize_times
 
-    errors.print(f"[bold red]tutti:[/] {_escape_markup(localize_times(text))}", highlight=False, soft_wrap=True)
+    errors.print(f"[bold red]tutti:[/] {escape_markup(localize_times(text))}", highlight=False, soft_wrap=True)
     if remedy:
-        errors.print(f"       {_escape_markup(remedy)}", highlight=False, soft_wrap=True)
+        errors.print(f"       {escape_markup(remedy)}", highlight=False, soft_wrap=True)
     raise SystemExit(exit_code)
 
 
-def _escape_markup(text: str) -> str:
+def escape_markup(text: str) -> str:
+    """Text that is printed as it is, beside markup."""
     return text.replace("[", "\\[")
 
 

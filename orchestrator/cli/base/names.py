@@ -15,7 +15,7 @@ MAX_SHOWN = 12
 NEAR = 0.7  # similarity from which a name is suggested
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> Refusal:
+def unknown_name(kind: str, name: str, known: Iterable[str], remedy: str = "see `tutti status`") -> Refusal:
     """The refusal for a name that the fleet does not have, with the near ones, or with those that there are."""
     known = list(known)
     near = get_close_matches(name, known, n=3, cutoff=NEAR)
@@ -25,7 +25,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> Refusal:
         there = f"it has: {', '.join(known[:MAX_SHOWN])}{' …' if len(known) > MAX_SHOWN else ''}"
     else:
         there = f"it has no {kind} at all"
-    return Refusal("unknown-name", f"the fleet has no {kind} {name}; {there}", "see `tutti status`")
+    return Refusal("unknown-name", f"the fleet has no {kind} {name}; {there}", remedy)
 
 
 def require_axes(names: "FleetNames", wanted: Iterable[str], *, groups: bool = True) -> list[str]:

@@ -32,7 +32,8 @@ class JobIntake:
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
         """Accept a job: it is in the journal when this returns. Raises `Refusal`."""
         job = await self.points.resolve_points(request.job)
-        order = _order_steps(job, request.terms)
+        _order_steps(job, request.terms)
+        order = self._services.positions.make_resolver().resolve_remaining(job.steps, request.terms.repeat)
         await check_job(self._services.view.fleet, order.list_remaining())
         await self._check_terms(request.terms, request.client_key)
         if request.terms.now:
@@ -52,12 +53,14 @@ class JobIntake:
         terms = request.terms or QueueTerms(repeat=record.repeat)
         order = _order_steps(job, terms)
         from_step = _find_first_step(record.id, order, request)
-        remaining = order.list_remaining(from_step)
+        resolver = services.positions.make_resolver()
+        remaining = resolver.resolve_remaining(job.steps, terms.repeat, from_step).list_remaining(from_step)
         await check_job(services.view.fleet, remaining)
         await self._check_terms(terms, request.client_key)
         axes = find_axes(services.view.fleet, [each.step for each in remaining])
+        described = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]
         reply = JobRetried(
-            steps=[f"{each.first} {describe_step(each.step)}" for each in remaining[:MAX_DESCRIBED_STEPS]],
+            steps=[f"{each.first} {describe_step(each.step)}" for each in described],
             axes=[self._axis_position(axis) for axis in axes],
             warnings=_find_warnings(remaining),
         )
@@ -144,7 +147,7 @@ class JobIntake:
 
 
 def _order_steps(job: Job, terms: QueueTerms) -> StepOrder:
-    """The steps of a job in their order. Raises `Refusal` for a job that is too long."""
+    """The steps of a job in their order, as they are written. Raises `Refusal` for a job that is too long."""
     steps, order = count_reports(job.steps), StepOrder(job.steps, terms.repeat)
     if steps * terms.repeat > MAX_STEPS:
         raise Refusal(

@@ -12,6 +12,7 @@ from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
+from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.look_ahead import ChainBreak, find_next_motion
@@ -74,6 +75,7 @@ class JobServices:
     motion: MotionServices
     plain_steps: PlainSteps
     leases: LeaseRegistry
+    positions: PositionBook
     leadership: Leadership
     log: ProcessLog
 
@@ -131,9 +133,7 @@ class JobRun:
         self._given_up: JobInterrupted | None = None
         self._noted = False
         self._over = False
-        journal = services.journal
-        order = StepOrder(job.steps, row.repeat)
-        self._steps = StepSequence(order, services.view.fleet, journal.points, services.execute)
+        self._steps = self._make_sequence(StepOrder(job.steps, row.repeat))
         self._report = report
         self._readings = PointReadings(services.view)
         self._reports = ReportCollector(services.clock, self._store_points, self._readings)
@@ -262,6 +262,7 @@ class JobRun:
         state: JobState = "done"
         reason, actor = "", self.row.actor
         try:
+            self._take_positions()
             # Again, because the fleet may have changed since the job was accepted.
             await check_job(services.view.fleet, self._steps.order.list_remaining(self.row.from_step))
             axes = find_axes(services.view.fleet, self.steps_to_run)
@@ -307,6 +308,18 @@ class JobRun:
         finally:
             await self._drop_ahead("its job has ended")
         return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports.reports}))
+
+    def _take_positions(self) -> None:
+        """Take the values of the named positions of its targets, for the whole run. Raises `Refusal`."""
+        resolver = self._services.positions.make_resolver()
+        self._steps = self._make_sequence(
+            resolver.resolve_remaining(self.job.steps, self.row.repeat, self.row.from_step)
+        )
+        self._report = self._report.model_copy(update={"positions_used": resolver.used})
+
+    def _make_sequence(self, order: StepOrder) -> StepSequence:
+        services = self._services
+        return StepSequence(order, services.view.fleet, services.journal.points, services.execute)
 
     async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""

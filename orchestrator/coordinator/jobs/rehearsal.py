@@ -43,7 +43,7 @@ class JobRehearsal:
         forecaster = JobForecaster(view.fleet, axes, orders)
         steps: list[StepForecast] = []
         rehearsals: list[Awaitable[StepForecast]] = []
-        for number, step in enumerate(request.job.steps):
+        for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):
             index = request.first + number
             forecast, motion = await forecast_step(forecaster, index, step), forecaster.motion
             steps.append(forecast)

@@ -5,7 +5,7 @@ any begins; `job_run` executes one.
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from datetime import datetime, timedelta
 from itertools import chain
 from typing import Any, NamedTuple, ParamSpec
@@ -31,7 +31,7 @@ from orchestrator.coordinator.journal.records import DamagedRecord, JobHasEnded,
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import Job
+from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import QueueTerms, parse_utc
 from orchestrator.model.report import (
@@ -302,8 +302,9 @@ class Scheduler:
         return "" if obstacle is None else obstacle.describe()
 
     def find_obstacle(self, job: Job, terms: QueueTerms) -> Obstacle | None:
-        """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`."""
-        needs = find_needs(self._services.view.fleet, list(job.steps))
+        """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`,
+        `Refusal`."""
+        needs = self._find_needs_of(job.steps)
         stopped, attended = self.gate.stopped, terms.session is not None
         if stopped is not None and not attended:
             text = f"the queue is stopped since {stopped.utc}: {stopped.reason}"
@@ -332,15 +333,20 @@ class Scheduler:
         if known is None:
             row = waiting.row
             try:
-                remaining = StepOrder(waiting.job.steps, row.repeat).list_remaining(row.from_step)
-                known = find_needs(self._services.view.fleet, [each.step for each in remaining])
-            except UnknownName:
+                known = self._find_needs_of(waiting.job.steps, row.repeat, row.from_step)
+            except (UnknownName, Refusal):
                 known = JobNeeds(frozenset())
             self._needs[waiting.row.id] = known
         return known
 
+    def _find_needs_of(self, steps: Sequence[Step], repeat: int = 1, first: int = 0) -> JobNeeds:
+        """What steps need from step number `first` on, by the named positions of this moment. Raises `UnknownName`,
+        `Refusal`."""
+        order = self._services.positions.make_resolver().resolve_remaining(steps, repeat, first)
+        return find_needs(self._services.view.fleet, [each.step for each in order.list_remaining(first)])
+
     def forget_needs(self) -> None:
-        """The fleet file has changed."""
+        """The fleet file, or a named position, has changed."""
         self._needs.clear()
         self.wake_up()
 
@@ -484,6 +490,7 @@ class Scheduler:
             repeat=row.repeat,
             origin=row.origin,
             from_step=row.from_step,
+            parameters_used=job.parameters_used if job is not None else {},
         )
 
     # Times

@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, get_args
+from zlib import crc32
 
 from pydantic import ValidationError
 
@@ -28,12 +29,14 @@ from orchestrator.coordinator.journal.records import (
     find_checksum,
     make_record,
 )
+from orchestrator.coordinator.journal.saved_positions import read_positions
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.coordinator.journal.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job, find_digests
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
+from orchestrator.model.positions.entries import SavedPosition
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 
@@ -462,6 +465,24 @@ class Journal:
         return [
             Reservation(holder, actor, what, tuple(axes.split()), until) for holder, actor, what, axes, until in rows
         ]
+
+    # Named positions
+
+    def store_position(self, position: SavedPosition) -> None:
+        """Store a saved position; one of the same name is replaced."""
+        with self._transaction():
+            body = position.model_dump_json()
+            self._db.execute(
+                "INSERT OR REPLACE INTO positions VALUES (?, ?, ?)", (position.name, body, crc32(body.encode()))
+            )
+
+    def delete_position(self, name: str) -> None:
+        with self._transaction():
+            self._db.execute("DELETE FROM positions WHERE name = ?", (name,))
+
+    def list_positions(self) -> tuple[list[SavedPosition], list[str]]:
+        """The saved positions in the order of their names, and the names of those that are damaged."""
+        return read_positions(self._select_rows("SELECT name, body, crc FROM positions ORDER BY name"))
 
     # Inside
 

@@ -1,6 +1,6 @@
 """The tables of the journal, and the migrations from older versions."""
 
-VERSION = 7
+VERSION = 8
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -80,5 +80,8 @@ CREATE TABLE point_rows (
   t0_fleet_ns INTEGER, skew_least_ns INTEGER, skew_most_ns INTEGER, took_s REAL, target TEXT NOT NULL,
   measured TEXT NOT NULL, PRIMARY KEY (job_id, step, point)
 ) STRICT, WITHOUT ROWID;
+""",
+    7: """
+CREATE TABLE positions (name TEXT PRIMARY KEY, body TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
 """,
 }

@@ -116,3 +116,113 @@ def test_init_with_eight_smc30_is_refused_by_their_rule(tmp_path: Path) -> None:
     """Seven share a port: the file is written, and the check says what is wrong."""
     done = run("fleet", "init", "--make", "smc30:8", "-o", str(tmp_path / "x.yaml"))
     assert (done.exit_code, "8 is not an address; allowed: 1 to 7" in done.output) == (2, True)
+
+
+TEMPLATE = """schema: tutti.job/1
+name: x
+parameters:
+  width: {type: quantity, unit: mm, default: 10 mm, min: 1 mm, max: 500 mm, description: of a line}
+  passes: {type: integer}
+  lamp: {type: boolean, default: false}
+steps:
+  - do: move
+    name: pass ${passes}
+    to:
+      gantry.x: ${width}
+"""
+
+
+def test_a_template_is_checked_with_its_values_and_at_the_ends_of_their_ranges(tmp_path: Path) -> None:
+    path = tmp_path / "x.job.yaml"
+    path.write_text(TEMPLATE)
+    missing = run("job", "check", str(path), "--set", "with=3", "--set", "width=0.5mm")
+    assert missing.exit_code == 2
+    assert [line.strip().removeprefix("tutti: ") for line in missing.stderr.splitlines()] == [
+        "--set: with: the job file has no parameter with; did you mean width? its parameters are: width, passes, lamp",
+        "--set: width: found 0.5mm; must be at least 1 mm".replace("0.5mm", "'0.5mm'"),
+        f"{path}:5: parameters.passes: has no default; give it a value: `--set passes=…`",
+    ]
+    good = run("job", "check", str(path), "--set", "passes=3", "--fleet", str(DEMO))
+    assert good.exit_code == 0
+    notes = [line for line in good.output.splitlines() if line.startswith("note:")]
+    assert notes[0].endswith(":6: parameters.lamp: is declared and not used; write ${lamp}, or remove it")
+    assert notes[1].startswith("note: with width=500 mm (its max): ")
+    assert notes[1].endswith(
+        ":11: steps[0].to.gantry.x: axis gantry.x: target 500 mm is beyond its soft limits -10 to 400 mm "
+        "(${width} is 500 mm)"
+    )
+    values = tmp_path / "values.yaml"
+    values.write_text("width: 450 mm\npasses: 2\n")
+    bad = run("job", "check", str(path), "--set-file", str(values), "--fleet", str(DEMO))
+    assert bad.exit_code == 2 and ":11: steps[0].to.gantry.x: axis gantry.x: target 450 mm is beyond" in bad.stderr
+    over = run(
+        "job", "check", str(path), "--set-file", str(values), "--set", "width=4cm", "--fleet", str(DEMO), "--json"
+    )
+    assert json.loads(over.output)["parameters_used"] == {"width": "4 cm", "passes": "2", "lamp": "false"}
+
+
+SCANS = """schema: tutti.job/1
+name: x
+parameters:
+  last: {type: quantity, unit: mm, default: 10 mm, min: 5 mm, max: 402 mm}
+  table: {type: text, default: near, choices: [near, far, none]}
+steps:
+  - {do: repeat, times: 1000000, steps: [{do: scan, axes: {gantry.x: {from: sample, to: "${last}", points: 1000001}}}]}
+  - {do: scan, points: {file: "${table}.csv"}}
+"""
+
+
+def test_the_check_runs_through_scans_and_tables_of_a_template_at_the_ends_of_their_ranges(tmp_path: Path) -> None:
+    path = tmp_path / "x.job.yaml"
+    path.write_text(SCANS)
+    (tmp_path / "near.csv").write_text("gantry.x\n1\n2\n")
+    (tmp_path / "far.csv").write_text("gantry.x\n1\n2\n403\n")
+    found = run("job", "check", str(path), "--fleet", str(DEMO))
+    assert found.exit_code == 0
+    notes = [line for line in found.output.splitlines() if line.startswith("note:")]
+    assert [note.partition(": ")[2].partition(": ")[0] for note in notes] == [
+        "with last=402 mm (its max)", "with table=far (one of its choices)", "with table=none (one of its choices)",
+    ]  # fmt: skip
+    assert "target 402 mm is beyond its soft limits -10 to 400 mm, at point 1000001 of 1000001" in notes[0]
+    assert ":8: steps[1]" in notes[1] and "at point 3 of 3 (gantry.x 403)" in notes[1]
+    assert "none.csv: cannot be read" in notes[2]
+    bad = run("job", "check", str(path), "--fleet", str(DEMO), "--set", "table=far")
+    assert bad.exit_code == 2 and "target 403 mm is beyond its soft limits" in bad.stderr
+    assert "with last=402 mm" not in bad.stderr
+
+
+def test_the_parameters_of_a_job_file_are_listed_for_people_and_for_forms(tmp_path: Path) -> None:
+    path = tmp_path / "x.job.yaml"
+    path.write_text(TEMPLATE)
+    rows = run("job", "parameters", str(path)).output.splitlines()
+    assert rows[1].split() == ["width", "quantity", "mm", "10", "mm", "1", "mm", "to", "500", "mm", "of", "a", "line"]
+    assert rows[2].split() == ["passes", "integer", "required"]
+    listed = json.loads(run("job", "parameters", str(path), "--json").output)
+    assert listed[0] == {
+        "name": "width", "type": "quantity", "unit": "mm", "default": "10 mm", "min": "1 mm", "max": "500 mm",
+        "choices": None, "description": "of a line", "required": False,
+    }  # fmt: skip
+    assert [each["required"] for each in listed] == [False, True, False]
+    assert "has no parameters" in run("job", "parameters", str(EXAMPLES / "demo.job.yaml")).output
+    path.write_text(TEMPLATE.replace("integer", "whole"))
+    assert run("job", "parameters", str(path)).exit_code == 2
+
+
+def test_named_positions_are_checked_offline_as_far_as_the_fleet_file_knows_them(tmp_path: Path) -> None:
+    fleet = tmp_path / "x.fleet.yaml"
+    text = DEMO.read_text()
+    assert "{gantry.x: 120 mm, gantry.y: 80 mm, stage.u: 6 mm}" in text
+    fleet.write_text(text.replace("{gantry.x: 120 mm, gantry.y: 80 mm, stage.u: 6 mm}", "{gantry.x: 390, stage.u: 2}"))
+    steps = ("{do: move, to: sample}", "{do: move, by: {gantry.x: 20}}")
+    beyond = run("job", "check", str(job_file(tmp_path, *steps)), "--fleet", str(fleet))
+    assert beyond.exit_code == 2 and "steps[1].by.gantry.x: axis gantry.x: target 410 mm is beyond" in beyond.output
+    # Where a saved one is, only the running fleet knows; what comes after it is not compared with an old place.
+    steps = ("{do: move, to: sample}", "{do: move, to: {gantry.x: sampel}}", "{do: move, by: {gantry.x: 20}}")
+    saved = run("job", "check", str(job_file(tmp_path, *steps)), "--fleet", str(fleet))
+    assert (
+        saved.exit_code == 0 and "position sampel is saved in the running fleet (did you mean sample?)" in saved.output
+    )
+    whole = run("job", "check", str(job_file(tmp_path, "{do: move, to: elsewhere}", steps[2])), "--fleet", str(fleet))
+    assert whole.exit_code == 0 and "position elsewhere is saved in the running fleet" in whole.output
+    without = run("job", "check", str(job_file(tmp_path, "{do: move, to: {gantry.y: sample}}")), "--fleet", str(fleet))
+    assert without.exit_code == 2 and "position sample has no value for gantry.y" in without.output

@@ -6,11 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.model.files import FileError, load_fleet, load_job, parse_document, read_document
+from orchestrator.model.files import FileError, load_fleet, parse_document, read_document
 from orchestrator.model.job import Job
+from orchestrator.model.templates.template import load_job
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
-FILES = [EXAMPLES / name for name in ("demo.fleet.yaml", "demo.job.yaml", "chain.fleet.yaml", "all.job.yaml")]
+FILES = [
+    EXAMPLES / name
+    for name in ("demo.fleet.yaml", "demo.job.yaml", "chain.fleet.yaml", "all.job.yaml", "scan.template.job.yaml")
+]
 LIMIT_S = 1.0
 CASES = 5000
 NIGHTLY = 500_000

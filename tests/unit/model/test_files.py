@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.model.files import FileError, load_fleet, load_job, parse_document, read_document
+from orchestrator.model.files import FileError, load_fleet, parse_document, read_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job, Move
+from orchestrator.model.templates.template import load_job
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 
@@ -70,6 +71,22 @@ def test_examples_load() -> None:
         ("{door: {number: 1}}", "{door: {number: 1}, gate: {number: 1}}", "input 1 has two names: door and gate"),
         ("tutti.fleet/1", "tutti.fleet/2", "f.yaml:1: schema: found 'tutti.fleet/2'; allowed: 'tutti.fleet/1'"),
         ("controllers:", "controllers: [", "f.yaml:"),
+        *(
+            ("groups:", f"positions: {{{position}}}\ngroups:", expected)
+            for position, expected in (
+                ("gantry: {gantry.x: 1}", "f.yaml:16: positions.gantry: position gantry has the name of a controller"),
+                ("table: {gantry.x: 1}", "f.yaml:16: positions.table: position table has the name of a group; rename"),
+                ("5mm: {gantry.x: 1}", "positions.5mm: '5mm' is no name of a position; write a-z"),
+                ("nan: {gantry.x: 1}", "positions.nan: 'nan' is no name of a position"),
+                ("a: {gantry.q: 1}", "f.yaml:16: positions.a.gantry.q: the fleet has no axis gantry.q; did you mean"),
+                ("a: {axes: {q: 1}}", "f.yaml:16: positions.a.axes.q: the fleet has no axis q"),
+                ("a: {gantry.x: 1 deg}", "f.yaml:16: positions.a.gantry.x: deg is a unit of angle, and the axis is in"),
+                ("a: {gantry.x: 301}", "f.yaml:16: positions.a.gantry.x: 301 is beyond the soft limits of gantry.x, 0"),
+                ("a: {gantry.x: far}", "f.yaml:16: positions.a.gantry.x: 'far' is not a quantity"),
+                ("a: {}", "f.yaml:16: positions.a.axes: found {}; at least 1 must be given"),
+                ("a: {gantry.x: 1, note: b}", "f.yaml:16: positions.a.note: unknown field; allowed: axes, description"),
+            )
+        ),
     ],
 )
 def test_bad_fleet(old: str, new: str, expected: str) -> None:
@@ -90,7 +107,12 @@ def test_two_controllers_on_one_port() -> None:
         ("{do: dwell, duration: 5}", "5 is not a duration; write a number and a unit"),
         ("{do: move}", "needs `to` (absolute) or `by` (relative)"),
         ("{do: move, to: {a.x: 1}, by: {a.x: 1}}", "a.x is in both `to` and `by`"),
-        ("{do: move, to: {a.x: far}}", "'far' is not a quantity"),
+        ("{do: move, to: {a.x: far off}}", "'far off' is not a quantity"),
+        ("{do: move, to: {a.x: nan}}", "'nan' is not a quantity"),
+        ("{do: move, to: {a.x: 1_000}}", "'1_000' is not a quantity; write 1000"),
+        ("{do: move, by: {a.x: sample}}", "'sample' is not a quantity"),
+        ("{do: set-position, axes: {a.x: sample}}", "'sample' is not a quantity"),
+        ("{do: move, to: {'*': 5}}", "5 for all axes (`*`) must be the name of a position"),
         ("{do: move, to: {a.x: 1}, speed: 2}", "found 2; must be at most 1"),
         ("{do: wait, input: a.b}", "steps[0].timeout: is missing"),
         ("{name: x}", "needs the field 'do'"),

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import FileError, load_job, parse_document
+from orchestrator.model.files import FileError, parse_document
 from orchestrator.model.job import Job, Move, Repeat, Scan, Step
+from orchestrator.model.positions.resolve import iterate_targets, names_positions
 from orchestrator.model.scan import GridPoints, PointAxis
 from orchestrator.model.scans.point_file import PointFile
 from orchestrator.model.scans.point_summary import ColumnSummary
 from orchestrator.model.scans.spec_points import SpecPoints
 from orchestrator.model.scans.step_order import StepOrder, count_reports
-from orchestrator.model.units import Unit
+from orchestrator.model.templates.template import load_job
+from orchestrator.model.units import Unit, UnitError
 
 UNITS = {"gantry.x": Unit.MM, "stage.u": Unit.MM, "stage.r": Unit.DEG}
 
@@ -54,6 +56,21 @@ def test_positions_are_exact_whatever_their_unit() -> None:
     assert grid('{gantry.x: {from: "0 um", to: "30 um", step: "10 um"}}')[-1] == (Fraction("0.03"),)
 
 
+def test_names_of_positions_stand_where_positions_do_and_are_no_positions_themselves() -> None:
+    text = "axes: {gantry.x: {from: sample, to: 1, points: 3}, stage.u: {values: [0, sample]}}"
+    (scan,) = steps(f"[{{do: scan, {text}}}]")
+    assert isinstance(scan, Scan) and scan.point_count == 6 and names_positions(Repeat(times=2, steps=[scan]))
+    with pytest.raises(UnitError):
+        GridPoints(scan.axes).find_position(0, [Unit.MM, Unit.MM])
+    (table,) = steps("[{do: scan, points: {axes: [gantry.x], rows: [[0], [sample]]}}]")
+    assert isinstance(table, Scan) and names_positions(table)
+    assert list(iterate_targets(table)) == [("gantry.x", 0), ("gantry.x", "sample")]
+    (inside,) = steps("[{do: scan, axes: {gantry.x: {values: [0]}}, at_each: [{do: move, to: sample}]}]")
+    assert names_positions(inside)
+    (plain,) = steps('[{do: scan, axes: {gantry.x: {from: "1 mm", to: 0, points: 3}}}]')
+    assert not names_positions(plain)
+
+
 @pytest.mark.parametrize(
     ("scan", "text"),
     [
@@ -65,6 +82,8 @@ def test_positions_are_exact_whatever_their_unit() -> None:
         ("axes: {gantry.x: {from: 0, to: 1, step: -0.5}}", "must lead from `from` towards `to`"),
         ("axes: {gantry.x: {from: 0, to: 1 mm, step: 0.5}}", "either all as numbers or all with a unit"),
         ("axes: {gantry.x: {values: [0], points: 3}}", "has `values`, so"),
+        ("axes: {gantry.x: {from: sample, to: 1, step: 0.5}}", "with the name of a position write `points`"),
+        ("axes: {gantry.x: {from: Sample, to: 1, points: 3}}", "'Sample' is not a quantity"),
         ("axes: {gantry.x: {from: 0, to: .nan, points: 3}}", "steps[0].axes.gantry.x.to: "),
         ("axes: {gantry.x: {from: 0, to: 1e300, points: 3}}", "out of range"),
         ("points: {axes: [gantry.x], rows: [[0], [1, 2]]}", "point 2 has 2 values for 1 axes"),

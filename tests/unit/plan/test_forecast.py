@@ -11,7 +11,8 @@ from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.job import Job
 from orchestrator.plan.forecast import JobForecaster, forecast_job
 
-FLEET = load_fleet(Path(__file__).parents[3] / "deploy" / "examples" / "demo.fleet.yaml")
+DEMO = Path(__file__).parents[3] / "deploy" / "examples" / "demo.fleet.yaml"
+FLEET = load_fleet(DEMO).model_copy(update={"positions": {}})  # axes are changed below
 
 
 def steps(text: str) -> Job:

@@ -111,6 +111,56 @@ def test_a_scan_is_refused_at_the_corner_that_leaves_the_limits() -> None:
     assert "deg is a unit of angle" in texts(forecast("[{do: scan, axes: {gantry.x: {values: [0, 1 deg]}}}]"))[0]
 
 
+NAMED = Fleet.model_validate(
+    FLEET.to_plain() | {"positions": {"left": {"gantry.x": "10 mm", "stage.v": 2}, "far": {"gantry.x": "395 mm"}}}
+)
+
+
+@pytest.mark.parametrize(
+    ("by_name", "by_value"),
+    [
+        ("axes: {gantry.x: {from: left, to: 30, points: 3}}", "axes: {gantry.x: {from: 10, to: 30, points: 3}}"),
+        ("axes: {stage.v: {values: [1, left, 3]}}", "axes: {stage.v: {values: [1, 2, 3]}}"),
+        (
+            "points: {axes: [gantry.x, stage.v], rows: [[0, left], [left, 0], [far, 1]]}",
+            "points: {axes: [gantry.x, stage.v], rows: [[0, 2], [10, 0], [395, 1]]}",
+        ),
+        (
+            "axes: {gantry.y: {values: [0, 1]}}, at_each: [{do: move, to: left}]",
+            "axes: {gantry.y: {values: [0, 1]}}, at_each: [{do: move, to: {gantry.x: 10, stage.v: 2}}]",
+        ),
+        ("axes: {gantry.x: {from: 0, to: far, points: 9}}", "axes: {gantry.x: {from: 0, to: 395, points: 9}}"),
+    ],
+)
+def test_positions_of_the_fleet_file_count_in_scans_as_their_values(by_name: str, by_value: str) -> None:
+    # User positions are shifted, so that `far` is beyond the soft limits.
+    head = f"{HOME}, {{do: set-position, axes: {{gantry.x: -6}}}}"
+    named = forecast(f"[{head}, {{do: repeat, times: 3, steps: [{{do: scan, {by_name}}}]}}]", NAMED)
+    plain = forecast(f"[{head}, {{do: repeat, times: 3, steps: [{{do: scan, {by_value}}}]}}]", NAMED)
+    assert (named.least_s, named.most_s, texts(named)) == (plain.least_s, plain.most_s, texts(plain))
+    assert bool(named.problems) == ("far" in by_name)
+
+
+def test_of_a_scan_with_a_saved_position_the_other_axes_are_checked_with_the_right_point() -> None:
+    axes = "gantry.y: {from: 0, to: 10, points: 3}, gantry.x: {from: lift, to: 30, points: 4}"
+    scan = f"{{do: scan, axes: {{{axes}, stage.u: {{values: [0, 51, 2]}}}}, at_each: [{{do: dwell, duration: 1 s}}]}}"
+    found = forecast(f"[{HOME}, {{do: move, to: {{gantry.x: 5}}}}, {scan}, {by(100)}]", NAMED)
+    assert texts(found) == [
+        "['steps', 2, 'axes', 'stage.u'] soft-limit: axis stage.u: target 51 mm is beyond its soft limits -1 to 50 mm, "
+        "at point 2 of 36 (gantry.y 0, stage.u 51)"
+    ]
+    assert "position lift is saved in the running fleet (did you mean left?)" in found.conditions
+    well = forecast(f"[{HOME}, {scan.replace('51', '5')}, {by(390)}]", NAMED)
+    # Where the scan leaves gantry.x is not known, so 390 mm from there are possible; how long it takes is not bounded.
+    assert well.problems == [] and well.most_s is None and well.least_s >= 36
+    alone = forecast("[{do: scan, axes: {gantry.x: {from: lift, to: 0, points: 5}}}]", NAMED)
+    assert alone.problems == [] and alone.most_s is None
+    other = forecast("[{do: scan, axes: {stage.u: {from: left, to: 0, points: 5}}}]", NAMED)
+    assert texts(other) == [
+        "['steps', 0] not-in-position: position left has no value for stage.u; it has: gantry.x, stage.v"
+    ]
+
+
 def write_out(steps: list[Step]) -> list[Step]:
     """The job without repeats and scans."""
     found: list[Step] = []
@@ -136,6 +186,7 @@ def test_random_jobs_are_judged_as_if_they_were_written_out(seed: int) -> None:
         kinds = [by(draw.choice([-40, -7, 0.5, 10, 30])), to(draw.choice([0, 20, 100]))]
         kinds.append(f"{{do: set-position, axes: {{gantry.x: {draw.choice([0, 5, -20])}}}}}")
         kinds.append("{do: home, axes: [gantry.x]}" if draw.random() < 0.3 else kinds[0])
+        kinds.append("{do: move, to: {gantry.x: somewhere}, by: {stage.v: 1}}" if draw.random() < 0.2 else kinds[1])
         kinds.append(
             "{do: scan, axes: {gantry.x: {from: 0, to: 30, points: 4}}, at_each: [{do: move, by: {stage.v: 2}}]}"
         )

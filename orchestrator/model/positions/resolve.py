@@ -1,0 +1,176 @@
+"""Resolve the names of positions in the targets of steps to plain quantities."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet_names import list_names, suggest_name
+from orchestrator.model.job import Move, Repeat, Scan, Step, iterate_steps, named_axes
+from orchestrator.model.names import ALL_AXES, Target, is_position_name
+from orchestrator.model.positions.entries import PositionEntry
+from orchestrator.model.scan import ScanAxis
+from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.units import Quantity, UnitError, format_quantity, parse_quantity
+
+REMEDY = "see `tutti position ls`"
+SAVE_REMEDY = "save it again, or remove it: `tutti position save`, `tutti position rm`"
+
+
+class PositionResolver:
+    """Resolves names by `entries`. used: the values that were taken so far, by position and axis, as text."""
+
+    def __init__(self, fleet: Fleet, entries: Iterable[PositionEntry], *, keep_unknown: bool = False) -> None:
+        """keep_unknown: names that no entry has stay as they are, instead of a refusal."""
+        self._fleet = fleet
+        self._entries = {each.name: each for each in entries}
+        self._keep_unknown = keep_unknown
+        self.used: dict[str, dict[str, str]] = {}
+
+    def resolve_steps(self, steps: Iterable[Step]) -> list[Step]:
+        """Steps whose targets are all quantities. Raises `Refusal` for a name that has none."""
+        return [self.resolve_step(step) for step in steps]
+
+    def resolve_step(self, step: Step) -> Step:
+        """The step with quantities for names, also inside repeats and scans; itself if it has no names. A kind of step
+        with other targets is resolved here, value by value with `find_target`. Raises `Refusal`."""
+        if not names_positions(step):
+            return step
+        if isinstance(step, Repeat):
+            return step.model_copy(update={"steps": self.resolve_steps(step.steps)})
+        if isinstance(step, Scan):
+            return self._resolve_scan(step)
+        return step.model_copy(update={"to": self._resolve_move(step)}) if isinstance(step, Move) else step
+
+    def resolve_remaining(self, steps: Sequence[Step], repeat: int = 1, first: int = 0) -> StepOrder:
+        """The order of `steps`, run `repeat` times, with quantities for the names in what is left from step number
+        `first` on: positions that only steps before it name are not needed. Raises `Refusal`."""
+        left = {each.number for each in StepOrder(steps, repeat).list_remaining(first)}
+        resolved = [self.resolve_step(step) if number in left else step for number, step in enumerate(steps)]
+        return StepOrder(resolved, repeat)
+
+    def find_target(self, axis: str, target: Quantity) -> Quantity:
+        """The quantity of one target of `axis`: itself, or the value of the position that it names.
+
+        Raises `Refusal`."""
+        if not is_position_name(target) or self._is_kept(target):
+            return target
+        entry = self._find_entry(str(target))
+        if axis not in entry.axes:
+            text = f"position {entry.name} has no value for {axis}; it has: {', '.join(entry.axes)}"
+            raise Refusal("not-in-position", text, f"name another position, or give {axis} a value")
+        return self._take_value(entry, axis)
+
+    def find_axes(self, name: str) -> dict[str, Quantity]:
+        """The values of all axes of a position. Raises `Refusal`."""
+        entry = self._find_entry(name)
+        return {axis: self._take_value(entry, axis) for axis in entry.axes}
+
+    def _resolve_move(self, step: Move) -> dict[str, Quantity]:
+        whole = step.to.get(ALL_AXES)
+        targets: dict[str, Quantity] = {}
+        if whole is not None:
+            targets = {ALL_AXES: whole} if self._is_kept(whole) else self.find_axes(str(whole))
+        for axis, target in step.to.items():
+            if axis != ALL_AXES:
+                targets[axis] = self.find_target(axis, target)
+        twice = sorted(targets.keys() & step.by.keys())
+        if twice:
+            text = f"{', '.join(twice)} is in `by` and in position {whole}; an axis has one target"
+            raise Refusal("bad-step", text, "name the axes of the position that are to move: `to: {axis: position}`")
+        return targets
+
+    def _resolve_scan(self, step: Scan) -> Scan:
+        at_each = self.resolve_steps(step.at_each)
+        for number, each in enumerate(at_each):
+            # A position may have axes that the file does not name.
+            twice = sorted(set(step.axis_names) & set(named_axes(each)))
+            if twice:
+                text = f"at_each[{number}] moves {', '.join(twice)} by a position, and the scan positions it"
+                remedy = "name the axes of the position that are to move: `to: {axis: position}`"
+                raise Refusal("bad-step", text, remedy)
+        return replace_targets(step, self.find_target).model_copy(update={"at_each": at_each})
+
+    def _is_kept(self, target: Quantity) -> bool:
+        return self._keep_unknown and target not in self._entries
+
+    def _find_entry(self, name: str) -> PositionEntry:
+        entry = self._entries.get(name)
+        if entry is None:
+            raise self.make_unknown(name)
+        if not entry.axes:
+            raise Refusal("bad-position", f"position {name}: {', '.join(entry.problems)}", SAVE_REMEDY)
+        return entry
+
+    def make_unknown(self, name: str) -> Refusal:
+        """The refusal of a name that no position has, with the near ones."""
+        known = list(self._entries)
+        there = list_names(known, "position") if known else "it has no positions"
+        text = f"the fleet has no position {name[:80]}; {suggest_name(name, known)}{there}"
+        return Refusal("unknown-name", text, REMEDY)
+
+    def _take_value(self, entry: PositionEntry, axis: str) -> Quantity:
+        value = entry.axes[axis]
+        if axis in self.used.get(entry.name, {}):
+            return value
+        problem = explain_value(self._fleet, axis, value)
+        if problem is not None:
+            raise Refusal("bad-position", f"position {entry.name}: {problem}", SAVE_REMEDY)
+        self.used.setdefault(entry.name, {})[axis] = format_quantity(value, self._fleet.axis(axis).unit)
+        return value
+
+
+def names_positions(step: Step) -> bool:
+    """Whether a target of the step, or of one inside it, is the name of a position."""
+    return any(is_position_name(target) for each in iterate_steps([step]) for _, target in iterate_targets(each))
+
+
+def iterate_targets(step: Step) -> Iterator[tuple[str, Target]]:
+    """The absolute targets of the step itself as they are written, each with its axis."""
+    if isinstance(step, Move):
+        yield from step.to.items()
+    if isinstance(step, Scan):
+        for name, axis in step.axes.items():
+            ends = [each for each in (axis.from_, axis.to) if each is not None]
+            yield from ((name, each) for each in axis.values or ends)
+        if step.points is not None:
+            for row in step.points.rows or []:
+                yield from zip(step.points.axis_names, row, strict=True)
+
+
+def replace_targets(scan: Scan, find_target: Callable[[str, Target], Quantity]) -> Scan:
+    """The scan with other positions. find_target: makes one, of an axis and what is written for it."""
+
+    def find_listed(name: str, targets: Sequence[Target] | None) -> list[Quantity] | None:
+        return None if targets is None else [find_target(name, each) for each in targets]
+
+    axes: dict[str, ScanAxis] = {}
+    for name, axis in scan.axes.items():
+        ends = {"from_": axis.from_, "to": axis.to}
+        found = {end: None if target is None else find_target(name, target) for end, target in ends.items()}
+        axes[name] = axis.model_copy(update={**found, "values": find_listed(name, axis.values)})
+    table = scan.points
+    if table is not None and table.rows is not None:
+        names = table.axis_names
+        rows = [[find_target(*each) for each in zip(names, row, strict=True)] for row in table.rows]
+        table = table.model_copy(update={"rows": rows})
+    return scan.model_copy(update={"axes": axes, "points": table})
+
+
+def explain_value(fleet: Fleet, axis: str, value: Quantity) -> str | None:
+    """Why `value` is no position of `axis` in this fleet; None if it is. Limits are checked with the job."""
+    if axis not in fleet.names.axes:
+        return fleet.names.explain_unknown(axis, "axis")
+    try:
+        parse_quantity(value, fleet.axis(axis).unit)
+    except UnitError as error:
+        return f"{axis} is {value}: {error}"
+    return None
+
+
+def list_file_positions(fleet: Fleet, covered: Mapping[str, object] = {}) -> list[PositionEntry]:
+    """The positions of the fleet file. covered: names that are left out."""
+    return [
+        PositionEntry(name=name, axes=position.axes, description=position.description, source="file")
+        for name, position in fleet.positions.items()
+        if name not in covered
+    ]

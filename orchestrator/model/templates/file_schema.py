@@ -1,0 +1,57 @@
+"""The JSON Schema of a job file for editors: that of a job, its declarations, and `${name}` where values stand."""
+
+from typing import Any, cast
+
+from orchestrator.model.job import Job
+from orchestrator.model.templates.parameters import PARAMETER_NAME, ParameterDeclarations
+
+REFERENCE = {"type": "string", "pattern": rf"\$\{{{PARAMETER_NAME}\}}"}
+_SCALARS = {"number", "integer", "boolean", "string"}
+_SELECTS_KIND = {"do", "schema"}  # they select what the other fields are: written out
+
+
+def make_job_file_schema() -> dict[str, Any]:
+    """The schema of `tutti schema job`."""
+    schema, declarations = Job.model_json_schema(), ParameterDeclarations.model_json_schema()
+    below = schema["$defs"]
+    for each in (schema, *below.values()):
+        _accept_references(each)
+    below |= declarations["$defs"]
+    schema["properties"]["parameters"] = declarations["properties"]["parameters"]
+    return schema
+
+
+def _accept_references(model: dict[str, Any]) -> None:
+    """Let the scalars in the fields of a model be references too."""
+    fields: dict[str, Any] = model.get("properties", {})
+    for name, field in fields.items():
+        if name not in _SELECTS_KIND:
+            fields[name] = _widen(field)
+
+
+def _widen(field: dict[str, Any]) -> dict[str, Any]:
+    """The schema of a value, or of what is inside a list or a mapping, that may also be a reference."""
+    changed = dict(field)
+    if "items" in field:
+        changed["items"] = _widen(field["items"])
+    for below in ("additionalProperties", "patternProperties"):
+        inner = field.get(below)
+        if below == "patternProperties" and inner is not None:
+            changed[below] = {pattern: _widen(each) for pattern, each in inner.items()}
+        elif isinstance(inner, dict):
+            changed[below] = _widen(cast(dict[str, Any], inner))
+    options = field.get("anyOf")
+    if options is not None:
+        widened = [_widen(each) if each.get("type") not in _SCALARS else each for each in options]
+        scalar = any(each.get("type") in _SCALARS or "enum" in each for each in options)
+        any_text = any(_takes_any_text(each) for each in options)
+        changed["anyOf"] = [*widened, REFERENCE] if scalar and not any_text else widened
+        return changed
+    if field.get("type") not in _SCALARS or _takes_any_text(field):
+        return changed
+    about = {key: changed.pop(key) for key in ("description", "default", "title") if key in changed}
+    return {**about, "anyOf": [changed, REFERENCE]}
+
+
+def _takes_any_text(schema: dict[str, Any]) -> bool:
+    return schema.get("type") == "string" and not schema.keys() & {"pattern", "enum", "const"}
