@@ -36,6 +36,7 @@ class FollowingStep:
 
     in_controller: the controller holds it beside the present move; otherwise the adapter loads it after that.
     checked: settings were compared while the present move runs.
+    unloading: it is being unloaded, and does not become the present one any more.
     loaded: the result of loading, once there is one.
     """
 
@@ -43,6 +44,7 @@ class FollowingStep:
     armed_step: ArmedStep
     in_controller: bool
     checked: bool = False
+    unloading: bool = False
     loaded: "asyncio.Future[ArmedReply]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
 
@@ -115,13 +117,16 @@ class NextStepSlot:
     # Ends
 
     def take(self) -> FollowingStep | None:
-        """The present move has ended as planned: the following step, which is the present one from now on."""
-        following, self._following = self._following, None
-        if following is not None:
-            if following.in_controller:
-                self._driver.take_next()
-            else:
-                self._loading = following
+        """The present move has ended as planned: the following step, which is the present one from now on. None if
+        there is none, or if it is being unloaded."""
+        following = self._following
+        if following is None or following.unloading:
+            return None
+        self._following = None
+        if following.in_controller:
+            self._driver.take_next()
+        else:
+            self._loading = following
         return following
 
     def finish_loading(self, following: FollowingStep, result: ArmedReply | Exception) -> None:
@@ -146,7 +151,8 @@ class NextStepSlot:
         return dropped
 
     async def unload(self) -> None:
-        """Unload the following step; the present one continues."""
+        """Unload the following step, which the caller drops after that; the present one continues."""
         following = self._following
         if following is not None and following.in_controller:
+            following.unloading = True
             await self._driver.unload_next()

@@ -47,6 +47,7 @@ QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
 QUIET_TURN_NS = 40 * NS_PER_MS
 READING_ROOM_NS = 100 * NS_PER_MS  # between two steps, in which the controller is read at rest
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
+EARLY_NS = 2 * NS_PER_MS  # this long before T0, and from then on, a released step may have begun
 
 
 class StepEventEmitter(Protocol):
@@ -289,6 +290,7 @@ class StepParticipant:
         """Load the step that waited for the end of the one before."""
         async with self._transition_lock:
             if not following.armed_step.is_same(self.armed_step):
+                self._next.finish_loading(following, Refusal("stopped", "the step was unloaded meanwhile", ""))
                 return
             try:
                 reply = await self._load_at_rest(replace(following.move, began_ns=self._ended_ns), following)
@@ -397,6 +399,10 @@ class StepParticipant:
 
     async def disarm_step(self, request: DisarmRequest) -> DisarmedReply:
         """Unload the step if it is the one that is loaded. A moving step stays untouched."""
+        present = self.armed_step
+        if present is not None and present.job == request.job and present.step != request.step:
+            async with self._transition_lock:  # it may be being loaded behind the present one
+                pass
         following = self._next.armed_step
         if following is not None and (following.job, following.step) == (request.job, request.step):
             return await self._disarm_following(request, following)
@@ -433,7 +439,10 @@ class StepParticipant:
         self._interruptions += 1
         await self._next.unload()
         if self._next.armed_step is not following:
-            return await self.disarm_step(request)  # it has become the present one meanwhile
+            return await self.disarm_step(request)  # it was stopped meanwhile
+        if following.phase is StepPhase.RELEASED and self._clock.now_ns() + EARLY_NS >= following.t0_host_ns:
+            await self.stop("withdrawn at its start", abort=False)  # unloading has taken too long
+            return DisarmedReply(may_have_started=True)
         self._drop_following("disarmed", "disarmed on request")
         return DisarmedReply()
 
