@@ -6,14 +6,14 @@ adapter as soon as the present move has ended; the promise is made after that.
 """
 
 import asyncio
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from adapters.contract import Driver, Lowered
-from adapters.controller.armed_step import ArmedStep, StepPhase
+from adapters.controller.armed_step import ArmedStep
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import ArmedReply, ArmRequest
+from orchestrator.model.messages import ArmedReply, ArmRequest, CommitRequest
 
 NEVER_NS = 3600 * NS_PER_S
 
@@ -54,12 +54,18 @@ class NextStepSlot:
     def __init__(self, driver: Driver) -> None:
         self._driver = driver
         self._following: FollowingStep | None = None
-        self._loading: FollowingStep | None = None
+        self._behind: FollowingStep | None = None
+        """The last step that the adapter loaded, or loads, behind another one."""
 
     @property
     def armed_step(self) -> ArmedStep | None:
-        """The following step; None if there is none."""
+        """The following step in its present phase; None if there is none."""
         return None if self._following is None else self._following.armed_step
+
+    @armed_step.setter
+    def armed_step(self, armed_step: ArmedStep) -> None:
+        if self._following is not None:
+            self._following.armed_step = armed_step
 
     def spare_ns(self, now_ns: int) -> int:
         """The time until the following step needs the controller; a long one without such a step."""
@@ -69,19 +75,14 @@ class NextStepSlot:
         loading_ns = 0 if following.in_controller else following.move.lowered.costs.arm_ns
         return following.armed_step.t0_host_ns - loading_ns - now_ns
 
-    def find_waiting(self, job: str, step: int) -> FollowingStep | None:
-        """The step with that number, if the adapter still has to load it, or is loading it."""
-        for each in (self._following, self._loading):
-            if (
-                each is not None
-                and not each.in_controller
-                and (each.armed_step.job, each.armed_step.step)
-                == (
-                    job,
-                    step,
-                )
-            ):
-                return each
+    def find_waiting(self, request: CommitRequest) -> FollowingStep | None:
+        """The step of the request, for the same T0, if the adapter loads it behind the one before, or has done so."""
+        wanted = (request.job, request.step, request.t0_fleet_ns)
+        for each in (self._following, self._behind):
+            if each is not None and not each.in_controller:
+                armed_step = each.armed_step
+                if (armed_step.job, armed_step.step, armed_step.t0_fleet_ns) == wanted:
+                    return each
         return None
 
     def hold_back(self, move: PreparedMove, *, checked: bool) -> None:
@@ -91,28 +92,6 @@ class NextStepSlot:
     def note_loaded(self, move: PreparedMove) -> None:
         """The controller holds the move beside the present one."""
         self._following = FollowingStep(move, move.armed_step, in_controller=True)
-
-    # Phases of a step that the controller holds
-
-    async def commit(self) -> None:
-        """Check the loaded move, and note the promise. Raises `Refusal`."""
-        await self._driver.verify_next()
-        self._set_phase(StepPhase.COMMITTED)
-
-    async def release(self, released: ArmedStep, advance_ns: int) -> None:
-        """Release the loaded move, noted as `released`. Raises `Refusal`."""
-        following = self._require_following()
-        following.armed_step = released
-        await self._driver.release_next(advance_ns)
-
-    def _set_phase(self, phase: StepPhase) -> None:
-        following = self._require_following()
-        following.armed_step = replace(following.armed_step, phase=phase)
-
-    def _require_following(self) -> FollowingStep:
-        if self._following is None:
-            raise Refusal("stopped", "the step was unloaded meanwhile", "")
-        return self._following
 
     # Ends
 
@@ -126,13 +105,11 @@ class NextStepSlot:
         if following.in_controller:
             self._driver.take_next()
         else:
-            self._loading = following
+            self._behind = following
         return following
 
     def finish_loading(self, following: FollowingStep, result: ArmedReply | Exception) -> None:
         """The adapter has loaded the step, or could not."""
-        if self._loading is following:
-            self._loading = None
         if following.loaded.done():
             return
         if isinstance(result, Exception):
@@ -144,10 +121,10 @@ class NextStepSlot:
     def drop(self, reason: str) -> ArmedStep | None:
         """Forget the following step; the controller is stopped, unloaded or unreachable."""
         dropped = None if self._following is None else self._following.armed_step
-        for following in (self._following, self._loading):
+        for following in (self._following, self._behind):
             if following is not None:
                 self.finish_loading(following, Refusal("stopped", reason, ""))
-        self._following = self._loading = None
+        self._following = self._behind = None
         return dropped
 
     async def unload(self) -> None:

@@ -334,7 +334,7 @@ class StepParticipant:
 
     async def commit_step(self, request: CommitRequest) -> CommittedReply:
         """Commit to the step after a final check of the controller."""
-        waiting = self._next.find_waiting(request.job, request.step)
+        waiting = self._next.find_waiting(request)
         if waiting is not None:
             return await self._commit_following(request, waiting)
         return await self._commit_present(request)
@@ -344,13 +344,16 @@ class StepParticipant:
             armed_step = self._require_phase(request, request.t0_fleet_ns, StepPhase.ARMED)
             interruptions = self._interruptions
             if armed_step is self._next.armed_step:
-                await self._next.commit()
+                await self._driver.verify_next()
             else:
                 await self._driver.verify_armed()
-                if self.armed_step is armed_step:
-                    self.armed_step = replace(armed_step, phase=StepPhase.COMMITTED)
             if interruptions != self._interruptions or not armed_step.is_same(self._find_step(request)):
                 raise Refusal("stopped", "a stop came before the commit", "")
+            committed = replace(armed_step, phase=StepPhase.COMMITTED)
+            if armed_step is self._next.armed_step:
+                self._next.armed_step = committed
+            else:  # the step before may have ended meanwhile
+                self.armed_step = committed
             return CommittedReply()
 
     async def start_step(self, request: GoRequest) -> Reply:
@@ -387,8 +390,9 @@ class StepParticipant:
     async def _release_following(self, released: ArmedStep, advance_ns: int) -> Reply:
         """Release the step that the controller holds beside the present one."""
         interruptions = self._interruptions
+        self._next.armed_step = released
         try:
-            await self._next.release(released, advance_ns)
+            await self._driver.release_next(advance_ns)
         except (Refusal, ControllerFault):
             # The controller may have released the move all the same: a lost reply must not let it run.
             await self.stop("the release of the following step has failed", abort=False)

@@ -2,7 +2,7 @@
 record."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 
@@ -67,6 +67,10 @@ class SmcDevice:
 
     BESIDE = 0
     """Commands of other threads that may interrupt a check of its release gate (see `GateTiming`)."""
+    SINGLE = 0
+    """Further commands before a step that follows another one, because conditions cannot be combined."""
+    STEP_THREADS: tuple[int, int] = STEP_THREADS
+    """The threads of a step, and of one that follows it."""
 
     def __init__(
         self,
@@ -86,7 +90,7 @@ class SmcDevice:
         self._connection: SmcConnection | None = None
         self._format: RecordFormat | None = None
         self._resident_program: tuple[str, ...] = ()
-        self.gate = GateTiming.for_options(options, self.BESIDE)
+        self.gate = GateTiming.for_options(options, self.BESIDE, self.SINGLE)
         # It outlives the links: only then a power cycle differs from a broken cable.
         late_ns = (options.decode_us - options.decode_min_us) * NS_PER_US
         self.samples = SampleClock(options.tick_ns, late_ns)
@@ -208,7 +212,7 @@ class SmcDevice:
 
     async def unload_program(self) -> None:
         """Halt the resident program and leave contour mode: nothing starts, now or later."""
-        threads = (*STEP_THREADS, WATCHDOG_THREAD, EDGE_THREAD)
+        threads = dict.fromkeys((*self.STEP_THREADS, WATCHDOG_THREAD, EDGE_THREAD))
         # Outside contour mode, or without a driven trigger line, the controller refuses the respective command.
         with suppress(SmcCommandRefused):
             await self.session.send_settings((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, OUTPUT_PASSIVE))
@@ -255,6 +259,11 @@ class SmcDevice:
     def axes_count(self) -> int:
         """The number of axes of the controller; 0 until it was connected once."""
         return 0 if self._format is None else self._format.axes
+
+    @property
+    def program_axes(self) -> Sequence[int]:
+        """The axes that its resident program serves, by index."""
+        return range(self.record_format.axes)
 
     async def read_record(self) -> DataRecord:
         """Return the whole changing state in one exchange; it also updates the clock estimate."""

@@ -34,7 +34,7 @@ class GateTiming:
     decided_before: before the start; a release at the last moment is still noticed, and the wait is reached in time.
     release_before: before the start; the latest time at which the release must be sent.
     follow_before: the same for a step that follows another one, once that has ended.
-    command_ns: duration of a command.
+    command_ns: duration of a command. turn_commands: from the end of a step to the wait of the one that follows it.
     """
 
     wait_after_gate: int
@@ -44,12 +44,12 @@ class GateTiming:
     release_before: int
     follow_before: int
     command_ns: int
+    turn_commands: int
 
     @classmethod
-    def for_options(cls, options: YaskawaOptions, interleaved: int = 0) -> "GateTiming":
+    def for_options(cls, options: YaskawaOptions, interleaved: int = 0, single_conditions: int = 0) -> "GateTiming":
         """Return the timing for `options`. interleaved: further commands in a check, or commands of other threads
-        that may
-        interrupt it."""
+        that may interrupt it. single_conditions: further commands because conditions cannot be combined."""
         command_ns = max(COMMAND_US, options.decode_us) * NS_PER_US
 
         def to_ticks(commands: int) -> int:
@@ -57,12 +57,13 @@ class GateTiming:
 
         room, seen = to_ticks(ROOM), STEP_TICKS + to_ticks(SEEN)
         decided = room + seen + to_ticks(interleaved)
-        follow = FOLLOWING_STEP_TICKS + to_ticks(RELEASED_COMMANDS + RELEASED_COMMANDS // 2) + BEGIN_TICKS
-        release = decided + to_ticks(RELEASE)
-        return cls(room, STEP_TICKS + to_ticks(SOON), seen, decided, release, follow, command_ns)
+        released = RELEASED_COMMANDS + single_conditions
+        follow = FOLLOWING_STEP_TICKS + to_ticks(released + released // 2) + BEGIN_TICKS
+        release, turn = decided + to_ticks(RELEASE), FOLLOWING_COMMANDS + single_conditions
+        return cls(room, STEP_TICKS + to_ticks(SOON), seen, decided, release, follow, command_ns, turn)
 
     def gap_ticks(self, moved: int, axes: int, tick_ns: float) -> int:
         """Return how many samples after the end of a step that moved `moved` of `axes` axes another one can begin that
         follows it."""
-        commands = FOLLOWING_COMMANDS + (axes > SHORT_CHECK_AXES) + STAMP_COMMANDS * moved
+        commands = self.turn_commands + (axes > SHORT_CHECK_AXES) + STAMP_COMMANDS * moved
         return 1 + ceil(commands * self.command_ns / tick_ns) + BEGIN_TICKS + SPARE_TICKS

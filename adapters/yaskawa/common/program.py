@@ -39,6 +39,8 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
+from collections.abc import Iterable, Sequence
+
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.program_turns import (
     BEGIN_TICKS,
@@ -115,7 +117,7 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         f"XOK=XGO&((XT0-TIME)>{gate.wait_after_gate})",
         "XLATE=1-XOK;EN",
         "#SHUT;EN",
-        *take_lines(axes),
+        *take_lines(range(axes)),
         f"#DOG;WT {WATCHDOG_STEP_TICKS};JP #DOG,(TIME<XDL)&((_HX{STEP_THREAD}+_HX{SECOND_STEP_THREAD})>0)",
         "JP #SHUT,XDONE=1",
         # The program first, or it would begin the contour again.
@@ -129,11 +131,8 @@ def following_lines(mask: int, axes: int) -> list[str]:
     that decides, so that a turn that takes too long ends without a start."""
     chosen = [index for index in range(axes) if mask >> index & 1]
     letters, everything = axis_letters(mask), axis_letters((1 << axes) - 1)
-    registers = ";".join(
-        f"{command} " + ",".join(f"{name}{k + 1}" if k in chosen else "" for k in range(chosen[-1] + 1))
-        for command, name in REGISTER_VARIABLES.items()
-    )
-    off = "+".join(f"@ABS[_RP{AXIS_LETTERS[k]}-{BEGIN_VARIABLE}{k + 1}]" for k in range(axes))
+    registers = ";".join(register_commands(chosen))
+    off = sum_of_distances(range(axes), AXIS_LETTERS)
     separate = axes > SHORT_CHECK_AXES
     checked = "XOFF=0" if separate else f"({off})=0"
     return [
@@ -149,10 +148,23 @@ def following_lines(mask: int, axes: int) -> list[str]:
     ]
 
 
-def take_lines(axes: int) -> list[str]:
+def register_commands(axes: Sequence[int]) -> list[str]:
+    """Return the commands that load the registers of axes, by index, from the variables of the following step."""
+    return [
+        f"{command} " + ",".join(f"{name}{k + 1}" if k in axes else "" for k in range(axes[-1] + 1))
+        for command, name in REGISTER_VARIABLES.items()
+    ]
+
+
+def sum_of_distances(axes: Iterable[int], letters: Sequence[str]) -> str:
+    """Return the expression of how far axes are, in all, from where the following step begins."""
+    return "+".join(f"@ABS[_RP{letters[k]}-{BEGIN_VARIABLE}{k + 1}]" for k in axes)
+
+
+def take_lines(axes: Iterable[int]) -> list[str]:
     """Return the lines that put the following step in the place of the present one, after its begin. XT0 is last: what
-    it stands for is complete whenever it is read."""
-    kept = ";".join(["XZA=XACT", *(f"XZ{k + 1}=XE{k + 1}" for k in range(axes)), "XZT=XT0"])
+    it stands for is complete whenever it is read. axes: by index."""
+    kept = ";".join(["XZA=XACT", *(f"XZ{k + 1}=XE{k + 1}" for k in axes), "XZT=XT0"])
     return [
         f"#TAKE;{kept}",
         "XDONE=0;XACT=XFA;XLI=0;XLATE=0;XARM=XFT;XT0=XFT;EN",

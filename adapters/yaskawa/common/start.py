@@ -12,9 +12,7 @@ from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
     EDGE_THREAD,
     REGISTER_VARIABLES,
-    SECOND_STEP_THREAD,
     STEP_THREAD,
-    STEP_THREADS,
     WATCHDOG_THREAD,
     entry_label,
     following_label,
@@ -220,7 +218,7 @@ class SampleStart:
         session = self._device.session
         await self._device.unload_program()
         await session.send_settings(("XGO=0", "XFGO=0"))
-        running, _ = await session.read_numbers(*(f"_HX{thread}" for thread in STEP_THREADS))
+        running, _ = await session.read_numbers(*(f"_HX{thread}" for thread in self._device.STEP_THREADS))
         if any(running):
             raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
 
@@ -243,6 +241,9 @@ class SampleStart:
         present, load, began_ns = self._require_loaded(), lowered.load, self._clock.now_ns()
         if not isinstance(load, RegisterLoad) or isinstance(present.lowered.load, ContourLoad):
             raise Refusal("no-room", "the program holds one contour at a time", "")
+        first_thread, second_thread = self._device.STEP_THREADS
+        if second_thread == EDGE_THREAD and present.lowered.drives is not None:
+            raise Refusal("no-room", "the program still drives the trigger line of the present step", "")
         first, _ = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
         ticks = round(mapping.to_ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
@@ -256,11 +257,18 @@ class SampleStart:
                 text = f"axis {move.axis} ends at {positions[move.index]} counts; the plan starts at {move.start}"
                 raise Refusal("other-start", text, "plan again from the present position")
         wanted = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
-        wanted |= {f"{BEGIN_VARIABLE}{index + 1}": at for index, at in enumerate(positions)}
+        wanted |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
         for command, values in {"PA": load.ends, **load.register_values}.items():
             wanted |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
         following = _LoadedMove(
-            lowered, ticks, t0_ns, mapping, {}, thread=_other_thread(present.thread), follows=True, taken=False
+            lowered,
+            ticks,
+            t0_ns,
+            mapping,
+            {},
+            thread=first_thread + second_thread - present.thread,
+            follows=True,
+            taken=False,
         )
         self._next = following
         held = await self._device.session.set_and_read(
@@ -274,7 +282,7 @@ class SampleStart:
         return {"wire": self._clock.now_ns() - began_ns}
 
     def _gap_ticks(self, move: _LoadedMove) -> int:
-        axes, moved = self._device.record_format.axes, len(move.lowered.moving_axes)
+        axes, moved = len(self._device.program_axes), len(move.lowered.moving_axes)
         return self._device.gate.gap_ticks(moved, axes, move.mapping.tick_ns)
 
     async def _wait_until_taken(self, present: _LoadedMove) -> None:
@@ -514,11 +522,6 @@ class SampleStart:
                 "controller's option decode_us to the real duration of a command in its programs"
             )
         return ""
-
-
-def _other_thread(thread: int) -> int:
-    """Return the thread that runs the step behind one in `thread`."""
-    return SECOND_STEP_THREAD if thread == STEP_THREAD else STEP_THREAD
 
 
 def _wait_input_number(lowered: YaskawaLowered) -> int:

@@ -10,6 +10,7 @@ from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import OUTPUT_PASSIVE
+from adapters.yaskawa.common.program_turns import SINGLE_CONDITIONS
 from adapters.yaskawa.common.record import (
     MOTOR_OFF,
     MOVING,
@@ -64,6 +65,8 @@ class SerialDevice(SmcDevice):
     """One controller on a serial line."""
 
     BESIDE = smc2000_program.INTERLEAVED_COMMANDS
+    SINGLE = SINGLE_CONDITIONS
+    STEP_THREADS = smc2000_program.STEP_THREADS
 
     def __init__(
         self,
@@ -206,6 +209,10 @@ class SerialDevice(SmcDevice):
                 f"the controller holds another program of {len(present)} lines, which may not be replaced",
                 "save it, then set `replace_program: true` in the controller's options",
             )
+
+    @property
+    def program_axes(self) -> Sequence[int]:
+        return self._axes
 
     def exclusive_turn(self) -> AbstractAsyncContextManager[None]:
         return self.session.exclusive_turn()

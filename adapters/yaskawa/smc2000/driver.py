@@ -190,7 +190,15 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             self._options.contour_upload_s,
         )
         context = LoweringContext(self._config, self._motors, self._slow_exchange_ns, costs, self._model, upload)
+        axes = sorted(self._motors.values())
+        if smc2000_program.holds_following_steps(axes):
+            context = replace(context, gate=self._device.gate, axes=len(axes))
         return lower_moves(context, profiles, start, mapping)
+
+    async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        stages = await super().load_next(lowered, t0_ns, mapping)
+        self._device.session.suspend_polls(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
+        return stages
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, YaskawaLowered):

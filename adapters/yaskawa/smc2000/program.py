@@ -15,8 +15,12 @@ from itertools import combinations
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import (
+    BEGIN_VARIABLE,
     CONTOUR_VARIABLES,
+    EDGE_THREAD,
+    FOLLOWING_VARIABLES,
     LINE_VARIABLES,
+    REGISTER_VARIABLES,
     STEP_THREAD,
     TAIL,
     WATCHDOG_STEP_TICKS,
@@ -25,17 +29,24 @@ from adapters.yaskawa.common.program import (
     contour_lines,
     edge_lines,
     entry_label,
+    following_label,
+    register_commands,
+    sum_of_distances,
+    take_lines,
 )
-from adapters.yaskawa.common.program_turns import STEP_TICKS
+from adapters.yaskawa.common.program_turns import BEGIN_TICKS, FOLLOWING_STEP_TICKS, LAST_LOOK_TICKS, STEP_TICKS
 from adapters.yaskawa.smc2000.session import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048
 INTERLEAVED_COMMANDS = 9  # commands: two more in a check of the gate, and commands of other threads on a serial line
 POLL_COMMAND = "XQ#P,2"
+STEP_THREADS = (STEP_THREAD, EDGE_THREAD)  # a step that follows another one runs beside no trigger line
 HEADING = "#TUTTI"
 AXES_MOST = 6  # the sets of more axes would need more than 254 labels (L3347)
 # a contour's entry takes three more labels, and the program half a second of download for every six lines
 CONTOUR_AXES_MOST = 4
+# The entry of a step that follows another one takes four labels, and nine lines.
+FOLLOWING_AXES_MOST = 3
 AXIS_VALUES = 4  # RP, TE, TS, SC
 INPUTS_OF_WORD = 8  # L11879
 OUTPUTS_OF_WORD = 16  # L13420
@@ -57,7 +68,19 @@ def program_variables(axes: Sequence[int]) -> tuple[str, ...]:
         "XDOG",
         *LINE_VARIABLES,
         *CONTOUR_VARIABLES,
+        *(_following_variables(axes) if holds_following_steps(axes) else ()),
     )
+
+
+def _following_variables(axes: Sequence[int]) -> Iterable[str]:
+    names = (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ")
+    return (*FOLLOWING_VARIABLES, "XFR", *(f"{name}{index + 1}" for name in names for index in axes))
+
+
+def holds_following_steps(axes: Sequence[int]) -> bool:
+    """Return whether a step can be loaded behind another one for a controller with these axes: its entries take four
+    labels each."""
+    return len(axes) <= FOLLOWING_AXES_MOST
 
 
 def supports_contours(axes: Sequence[int]) -> bool:
@@ -101,20 +124,44 @@ def _start_lines(axes: Sequence[int], gate: GateTiming) -> Iterable[str]:
             yield f"#L{mask};AI XLI;{begin}XACT=TIME;JP#DONE"
             if chosen and supports_contours(axes):
                 yield from contour_lines(mask, chosen[-1] + 1)
-    # An axis that does not move does not delay the others here.
-    yield f"#DONE;XQ#DOG,{WATCHDOG_THREAD}"
+            if chosen and holds_following_steps(axes):
+                yield from _following_lines(chosen, axes)
+    # An axis that does not move does not delay the others here. The watchdog of the step before may still run.
+    yield f"#DONE;HX{WATCHDOG_THREAD};XQ#DOG,{WATCHDOG_THREAD}"
     for index in axes:
         yield f"AM{LETTERS[index]};XE{index + 1}=TIME"
     yield "XDONE=1;EN"
     yield from edge_lines()
+    yield from take_lines(axes)
     yield "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0"
     yield f"#HOLD;WT {STEP_TICKS};JP#PASS,XGO=1;XR=XT0-TIME;JP#HOLD,XR>{gate.decided_before}"
     yield f"#PASS;XR=XT0-TIME;JP#LATE,XR<={gate.wait_after_gate};XOK=XGO"
     yield "#LATE;XLATE=1-XOK;EN"
     yield "#SHUT;EN"
-    yield f"#DOG;WT {WATCHDOG_STEP_TICKS};JP#BITE,TIME>=XDL;JP#DOG,_HX{STEP_THREAD}>0"
+    yield f"#DOG;WT {WATCHDOG_STEP_TICKS};JP#BITE,TIME>=XDL"
+    yield ";".join(f"JP#DOG,_HX{thread}>0" for thread in STEP_THREADS)
     yield "JP#SHUT,XDONE=1"
-    yield f"#BITE;HX{STEP_THREAD};ST{''.join(LETTERS[index] for index in axes)};XDOG=1;{';'.join(LEAVE_CONTOUR)};EN"
+    halts = ";".join(f"HX{thread}" for thread in STEP_THREADS)
+    letters = "".join(LETTERS[index] for index in axes)
+    yield f"#BITE;{halts};ST{letters};XDOG=1;{';'.join(LEAVE_CONTOUR)};EN"
+
+
+def _following_lines(chosen: Sequence[int], axes: Sequence[int]) -> Iterable[str]:
+    """Return the lines of the axes `chosen` as a step that follows another one, like the SMC-4000's."""
+    mask = sum(1 << index for index in chosen)
+    letters, everything = ("".join(LETTERS[index] for index in each) for each in (chosen, axes))
+    position, speed, up, down = register_commands(chosen)
+    look = f"XFR=XFT-TIME;JP#{{}}{mask},XFR>{LAST_LOOK_TICKS}"
+    yield f"{following_label(mask)};XFARM=XFT"
+    yield f"#G{mask};WT {FOLLOWING_STEP_TICKS};JP#B{mask},XACT>0;{look.format('G')}"
+    yield f"#B{mask};AM{everything}"
+    yield f"{position};{speed}"
+    yield f"{up};{down}"
+    yield f"#H{mask};JP#R{mask},XFGO=1;WT {FOLLOWING_STEP_TICKS};{look.format('H')}"
+    yield f"#R{mask};XOFF={sum_of_distances(axes, LETTERS)}"
+    yield f"JP#MISS,XFGO=0;JP#MISS,XDONE=0;JP#MISS,XOFF>0;XFR=XFT-TIME;JP#MISS,XFR<={BEGIN_TICKS}"
+    yield f"WT XFT-TIME;BG{letters};XFA=TIME"
+    yield "JS#TAKE;JP#DONE"
 
 
 def _print_lines(axes: Sequence[int], first: Sequence[str]) -> Iterable[str]:

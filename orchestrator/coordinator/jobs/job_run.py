@@ -123,6 +123,8 @@ class JobRun:
         """The step behind the one ahead, which is planned already."""
         self._chain_breaks: dict[int | None, str] = {}
         """Why motion steps begin from rest, by number."""
+        self._rested_ns = 0
+        """When the last motion step had ended."""
         self._chained: int | None = None
         """The last step that began behind the one before it."""
         self._interrupt: JobInterrupted | None = None
@@ -359,6 +361,9 @@ class JobRun:
         callbacks = _StepCallbacks(self._on_state, self._on_started)
         ahead = self._ahead
         if ahead is not None and ahead.step is step:
+            if ahead.between.acts:
+                acted_ns = self._services.clock.now_ns() - self._rested_ns - ahead.between.pause_ns
+                self._services.motion.estimator.record_acting(max(0, acted_ns))
             try:
                 motion = await ahead.wait_until_released()
             except Refusal as error:
@@ -417,6 +422,8 @@ class JobRun:
     def _note_chain(self, report: StepReport) -> StepReport:
         """The report of a motion step with how it followed the motion step before it."""
         before = self._reports.last_motion
+        if report.t0_fleet_ns is not None:
+            self._rested_ns = self._services.clock.now_ns()
         if report.t0_fleet_ns is None or before is None:
             return report
         kept, breaks = self._chained == report.index, self._chain_breaks

@@ -34,7 +34,7 @@ class StepAhead:
         self.step = step
         self._services = services
         self._before = before
-        self._between = between
+        self.between = between
         self._on_released = on_released
         self._may_arm = asyncio.Event()
         self._motion: PlannedMotion | None = None
@@ -116,7 +116,7 @@ class StepAhead:
         planned = await plan_following(services, self.step.request, before.planned)
         if not planned.plan.profiles:
             raise Refusal("no-motion", "the step moves no axis")
-        present = before.make_present(self._between)
+        present = before.make_present(self.between)
         motion = self._motion = await PlannedMotion.agree(services, planned, present)
         await self._may_arm.wait()
         motion.start.state.withdrawn = self._prevented

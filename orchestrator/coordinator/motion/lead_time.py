@@ -92,10 +92,15 @@ class LeadTimeEstimator:
             self._behind.setdefault(member, _DurationHistory()).add_duration(LATE_LOADING_FACTOR * share)
 
     def loading_share(self, member: str) -> float:
-        """The fraction of its declared time that a member needs to load a step behind the one before; at least 1 until
-        it has done so `KNOWN_AFTER` times."""
-        seen = self._behind.get(member)
-        return 1.0 if seen is None else seen.allowed_time(1.0)
+        """The fraction of its declared time that a member needs to load a step behind the one before; that of arming at
+        rest until it has done so `KNOWN_AFTER` times."""
+        at_rest, seen = self.arming_share(member), self._behind.get(member)
+        return at_rest if seen is None else seen.allowed_time(at_rest)
+
+    def knows_loading(self, members: Iterable[str]) -> bool:
+        """Whether the time that each member needs to load a step behind the one before, from its planned end, is known
+        from earlier steps."""
+        return all((seen := self._behind.get(member)) is not None and seen.is_known for member in members)
 
     def record_release(self, took_ns: int, go_ns: int) -> None:
         """Record a release. took_ns: from armed to the last answer to `go`; go_ns: from the last promise."""

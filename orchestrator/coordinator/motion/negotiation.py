@@ -216,9 +216,12 @@ class StartNegotiation:
         if present is None or not (agreement.loads_later or present.between.acts):
             return earliest_ns
         later = {name: each for name, each in agreement.proposals.items() if each.gap_ns is None}
-        releasing_ns = self._estimator.margin_ns(len(agreement.proposals)) + agreement.disarm_ns
+        # Promise and release are an exchange each, with nothing to check in between.
+        releasing_ns = 2 * self._estimator.go_ns(len(agreement.proposals)) + agreement.disarm_ns
         shares = {name: self._estimator.loading_share(name) for name in later}
-        begun_ns = END_SEEN_NS + self._arming_ns(later, shares)
+        begun_ns = self._arming_ns(later, shares)
+        if not self._estimator.knows_loading(later):
+            begun_ns += END_SEEN_NS
         if present.between.acts:
             begun_ns = max(begun_ns, present.between.pause_ns + self._estimator.acting_ns)
         return max(earliest_ns, present.ends_fleet_ns + round(begun_ns) + releasing_ns)

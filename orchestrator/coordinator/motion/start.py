@@ -206,8 +206,13 @@ class StartSequence:
             "arm", requests, ArmedReply, timeout_s, answered=took_ns.__setitem__
         )
         await self._disarm_if_refused(self.state.armed)
-        if agreement.present is None:
-            self._estimator.record_arming(declared_ns, took_ns)
+        # Members that load a following step later, or beside the present one, need other times.
+        at_rest = [
+            name
+            for name, reply in self.state.armed.items()
+            if not reply.waits and (agreement.present is None or agreement.proposals[name].gap_ns is None)
+        ]
+        self._estimator.record_arming(declared_ns, {name: took_ns[name] for name in at_rest if name in took_ns})
 
     async def _judge_frozen_mappings(self) -> None:
         """Judge the budget again, with the clock mappings that are frozen into what is armed."""
@@ -289,7 +294,7 @@ class StartSequence:
             declared_ns = {
                 name: costs.arm_ns for name in loaded if (costs := agreement.proposals[name].costs) is not None
             }
-            self._estimator.record_arming(declared_ns, {name: loaded[name].took_ns for name in declared_ns})
+            self._estimator.record_loading(declared_ns, {name: loaded[name].took_ns for name in declared_ns})
 
     async def _record_decision(self) -> None:
         request, services = self._request, self._services

@@ -223,8 +223,8 @@ class Desk:
         fields = self.ref(step) | {"digest": "d", "t0_fleet_ns": t0_ns, "profiles": {}, "after_step": 0} | changes
         return await self.member.arm_step(ArmRequest(**fields))
 
-    async def promise_next(self) -> CommittedReply:
-        return await self.member.commit_step(CommitRequest(**self.ref(1), t0_fleet_ns=FOLLOWING_T0_NS))
+    async def promise_next(self, t0_ns: int = FOLLOWING_T0_NS) -> CommittedReply:
+        return await self.member.commit_step(CommitRequest(**self.ref(1), t0_fleet_ns=t0_ns))
 
     async def release_next(self, sooner_ns: int = 0) -> None:
         fields = self.ref(1) | {"t0_fleet_ns": FOLLOWING_T0_NS - sooner_ns, "advance_ns": sooner_ns}

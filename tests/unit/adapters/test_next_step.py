@@ -135,7 +135,8 @@ def test_a_promise_that_is_asked_for_after_loading_has_what_was_loaded() -> None
         await reach(desk, "waiting")
         await desk.end_present()
         assert present(desk) == (1, StepPhase.ARMED)
-        await desk.promise_next()
+        armed = (await desk.promise_next()).armed
+        assert armed is not None and armed.stages_ns == {"wire": 7}
         assert present(desk) == (1, StepPhase.COMMITTED)
 
     run(body)
@@ -628,6 +629,28 @@ def test_a_step_that_is_disarmed_while_it_is_being_loaded_does_not_stay() -> Non
     run(body)
 
 
+async def promise_anew(desk: Desk) -> None:
+    """The step is armed from rest, for another T0, and promised at once."""
+    t0_ns = FOLLOWING_T0_NS + NS_PER_S
+    await desk.arm_next(t0_ns, after_step=None)
+    async with asyncio.timeout(0.01):
+        assert (await desk.promise_next(t0_ns)).armed is None
+    assert present(desk) == (1, StepPhase.COMMITTED)
+
+
+@pytest.mark.parametrize("loads", [True, False])
+def test_what_was_loaded_behind_the_end_says_nothing_about_the_step_armed_anew(loads: bool) -> None:
+    async def body(desk: Desk) -> None:
+        await reach(desk, "waiting")
+        desk.driver.refuses_load = None if loads else Refusal("load-garbled", "understood something else")
+        await desk.end_present()
+        await disarm_next(desk)
+        assert present(desk) is None
+        await promise_anew(desk)
+
+    run(body)
+
+
 def test_a_step_that_was_disarmed_before_its_loading_began_can_be_armed_and_promised_again() -> None:
     async def body(desk: Desk) -> None:
         await reach(desk, "waiting")
@@ -636,9 +659,6 @@ def test_a_step_that_was_disarmed_before_its_loading_began_can_be_armed_and_prom
             assert present(desk) == (1, StepPhase.LOADING)
             await desk.member.abandon_step("the coordinator is lost")
         await desk.later(0.001)
-        await desk.arm_next(after_step=None)
-        async with asyncio.timeout(0.01):
-            assert (await desk.promise_next()).armed is None
-        assert present(desk) == (1, StepPhase.COMMITTED)
+        await promise_anew(desk)
 
     run(body)

@@ -119,7 +119,7 @@ def test_the_gate_leaves_time_for_its_commands_at_any_sample_period(
 ):
     options = YaskawaOptions(servo_period_us=period_us, decode_us=decode_us, decode_min_us=100)
     found = GateTiming.for_options(options)
-    assert astuple(found) == (*gate, max(500, decode_us) * NS_PER_US)
+    assert astuple(found) == (*gate, max(500, decode_us) * NS_PER_US, 10)
 
 
 def test_a_following_step_leaves_time_for_the_stamps_of_the_one_before():

@@ -292,7 +292,15 @@ def test_a_member_that_loads_behind_the_end_delays_the_step_by_what_it_is_known_
     assert agreement.loads_later == ["host"]
     loading_ns = round(estimator.loading_share("host") * 40 * NS_PER_MS)
     assert loading_ns == 22 * NS_PER_MS
-    expected_ns = ENDS_NS + END_SEEN_NS + loading_ns + estimator.margin_ns(2) + 5 * NS_PER_MS
+    releasing_ns = 2 * estimator.go_ns(2) + 5 * NS_PER_MS
+    assert negotiation.earliest_following_ns(agreement) == ENDS_NS + loading_ns + releasing_ns
+
+
+def test_until_loading_is_known_its_adapter_gets_time_to_notice_the_end() -> None:
+    estimator = LeadTimeEstimator()
+    negotiation, agreement = make_negotiation({"host": make_proposal(None)}, BetweenSteps(), estimator)
+    releasing_ns = 2 * estimator.go_ns(1) + 5 * NS_PER_MS
+    expected_ns = ENDS_NS + END_SEEN_NS + 40 * NS_PER_MS + releasing_ns
     assert negotiation.earliest_following_ns(agreement) == expected_ns
 
 
@@ -301,7 +309,7 @@ def test_outputs_between_two_steps_delay_the_decision() -> None:
     between = BetweenSteps(10 * NS_PER_MS, acts=True)
     negotiation, agreement = make_negotiation({"held": make_proposal(12)}, between, estimator)
     acting_ns = 10 * NS_PER_MS + estimator.acting_ns
-    expected_ns = ENDS_NS + acting_ns + estimator.margin_ns(1) + 5 * NS_PER_MS
+    expected_ns = ENDS_NS + acting_ns + 2 * estimator.go_ns(1) + 5 * NS_PER_MS
     assert negotiation.earliest_following_ns(agreement) == expected_ns
 
 
