@@ -194,6 +194,16 @@ def _describe_chain(steps: Sequence[StepReport]) -> list[str]:
     return lines
 
 
+def describe_gap(step: StepReport) -> str:
+    """How a motion step followed the one before it, in words; empty for any other step."""
+    chain = step.chain
+    if chain is None or (chain.kept and chain.gap_s is None):
+        return ""
+    if chain.kept and chain.gap_s is not None:
+        return f"{chain.gap_s * 1e3:.1f} ms after step {chain.step}"
+    return "from rest" + (f": {localize_times(chain.broken)}" if chain.broken else "")
+
+
 def _explain_verdict(step: StepReport) -> list[str]:
     """Both figures of the start skew where evidence and promises differ, and how late hosts were."""
     lines: list[str] = []

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -184,6 +185,19 @@ def test_a_report_states_the_gaps_between_steps_and_why_others_began_from_rest()
     lines = render(make_report_tables(make_report(steps)), 120).splitlines()
     place = lines.index("right behind the step before: 2 of 3, 12.5 ms after its end in the median, 13.0 ms at most")
     assert lines[place + 1] == "step 4 from rest, 0.640 s after step 2: step 3 (wait) comes before it"
+
+
+def test_job_show_tells_of_each_step_how_it_followed_the_one_before(world: CommandWorld) -> None:
+    for words in ("enable gantry", "home gantry"):
+        world.done("axis", *words.split())
+    move, wait = "{do: move, to: {gantry.x: %d}}", "{do: wait, input: gantry.door, value: false, timeout: 1 s}"
+    world.wait(world.fleet.make_client().submit(job(f"[{move % 20}, {move % 0}, {wait}, {move % 20}]")))
+    world.let_pass(10)
+    steps = [line.strip() for line in world.done("job", "show", "last").splitlines() if line.startswith("  ")]
+    ends = [line.partition(": done")[2] for line in steps[-4:]]
+    assert ends[0] == ends[2] == ""
+    assert re.fullmatch(r", 1\d\.\d ms after step 0", ends[1])
+    assert ends[3] == ", from rest: step 2 (wait) comes before it"
 
 
 def test_a_short_report_has_few_lines_about_steps_from_rest() -> None:
