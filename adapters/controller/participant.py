@@ -395,7 +395,7 @@ class StepParticipant:
             await self._driver.release_next(advance_ns)
         except (Refusal, ControllerFault):
             # The controller may have released the move all the same: a lost reply must not let it run.
-            await self.stop("the release of the following step has failed", abort=False)
+            await self._unload_released(released)
             raise
         if interruptions != self._interruptions:
             raise Refusal("stopped", "a stop came before the start", "")
@@ -434,12 +434,27 @@ class StepParticipant:
             self._emit("disarmed", "disarmed on request", armed_step)
             return DisarmedReply(may_have_started=begun)
 
+    async def _unload_released(self, released: ArmedStep) -> bool:
+        """Unload a released step behind the present one, or stop both if its start is too near for that; return whether
+        it may have started."""
+        if self._clock.now_ns() + STOP_LEAD_NS >= released.t0_host_ns:
+            await self.stop("the following step was withdrawn at its start", abort=False)
+            return True
+        self._interruptions += 1
+        await self._next.unload()
+        if released.is_same(self.armed_step):
+            await self._driver.disarm_move()  # it has become the present one meanwhile
+            self.armed_step = None
+            self._emit("disarmed", "withdrawn before its start", released)
+        else:
+            self._drop_following("disarmed", "withdrawn before its start")
+        return False
+
     async def _disarm_following(self, request: DisarmRequest, following: ArmedStep) -> DisarmedReply:
         """Unload the following step; the present one continues, unless the start of the following one is so near that
         only a stop prevents it for certain."""
-        if following.phase is StepPhase.RELEASED and self._clock.now_ns() + STOP_LEAD_NS >= following.t0_host_ns:
-            await self.stop("withdrawn at its start", abort=False)
-            return DisarmedReply(may_have_started=True)
+        if following.phase is StepPhase.RELEASED:
+            return DisarmedReply(may_have_started=await self._unload_released(following))
         self._interruptions += 1
         await self._next.unload()
         if self._next.armed_step is not following:
@@ -544,8 +559,8 @@ class StepParticipant:
         if following is None:
             return None
         ends_ns = present.t0_host_ns + round(max(present.promised_s.values(), default=0.0) * NS_PER_S)
-        near_ns = min(ends_ns, following.t0_host_ns) - QUIET_TURN_NS
-        return following.t0_host_ns if near_ns <= now_ns <= following.t0_host_ns else None
+        until_ns = min(ends_ns + QUIET_TURN_NS, following.t0_host_ns)
+        return until_ns if ends_ns - QUIET_TURN_NS <= now_ns <= until_ns else None
 
     # Internals
 
@@ -632,7 +647,11 @@ class StepParticipant:
         end = MotionEnd(moving, begun, outcome, settled)
         if end.kind != "done":
             await self._withdraw_following(end.reason or outcome.reason)
-        return end
+        elif self._reading_is_old and self._next.armed_step is None:
+            # The step that was to follow has been unloaded meanwhile.
+            self._reading_is_old = False
+            await self._settle(armed_step.axes)
+        return end if self.armed_step is moving else None
 
     async def _settle_end(self, axes: Sequence[str], outcome: MoveOutcome) -> SettlingResult:
         """Wait until the axes are at rest. The coordinator plans the next step from the state: at the end event it must

@@ -10,6 +10,7 @@ from orchestrator.model.state import FaultReport
 
 SETTLING_POLL_NS = 10 * NS_PER_MS
 REST_POLL_NS = 50 * NS_PER_MS
+LAST_MOTION_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +66,8 @@ class SettlingMonitor:
         return any(self._status.config.axes[name].done == "in_position" for name in axes)
 
     async def wait_until_settled(self, axes: Sequence[str]) -> SettlingResult:
-        """Wait, after the ends of the profiles of `axes`, until those with `done: in_position` are inside their
-        windows."""
+        """Wait, after the ends of the profiles of `axes`, until a reading shows them at rest, and those with `done:
+        in_position` inside their windows."""
         configs = self._status.config.axes
         waiting = [name for name in axes if configs[name].done == "in_position"]
         began_ns, settled_s = self._clock.now_ns(), dict[str, float]()
@@ -83,6 +84,8 @@ class SettlingMonitor:
                 elif gone_s > axis.in_position_timeout_s:
                     text = f"axis {name} is still {off:g} {axis.unit} off its target after {gone_s:.3g} s"
                     return SettlingResult(settled_s, f"{text}; its window is {axis.in_position_window:g}")
-            if not waiting:
+            # A drive may report motion for a moment after the end of its profile.
+            moves = gone_s < LAST_MOTION_S and any(reading.axes[name].moving for name in axes)
+            if not waiting and not moves:
                 return SettlingResult(settled_s)
             await sleep_ns(self._clock, SETTLING_POLL_NS)

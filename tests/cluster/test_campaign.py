@@ -47,6 +47,36 @@ def test_faults_that_found_something_when_they_were_new_do_not_find_it_again() -
     assert len(story.hit) == len(FOUND)
 
 
+CHAINED = [
+    *(("stop", "shrc203"), ("estop", "smc4000"), ("permit-lost", "smc4000")),
+    *(("host-killed", "smc2000"), ("power-off", "smc30"), ("coordinator-killed", "cia402")),
+    *(("limit", "smc4000"), ("operator-interrupts", "ppsmc"), ("firmware-hung", "shrc203")),
+]
+"""Faults with one step moving and the next one loaded."""
+
+
+@pytest.mark.parametrize("first", range(0, len(CHAINED), PHASES))
+def test_no_fault_behind_a_moving_step_violates_an_invariant(first: int) -> None:
+    cells = [FaultCell("chain", fault, make) for fault, make in CHAINED[first : first + PHASES]]
+    story = run_scenario(first, cells)
+    assert not story.violations, story.summarize()
+    assert len(story.hit) >= len(cells) - 1
+
+
+@pytest.mark.parametrize(
+    ("seed", "fault", "make"),
+    [
+        (1036, "link-slow", "smc4000"),  # a decision that a late release left in the journal
+        (2005, "none", "cia402"),  # planned from where an axis was in the middle of the step before the last
+        (2145, "wall-clock", "smc2000"),  # loading took a daisy chain from its watchdogs
+        (2217, "disk-full", "smc30"),  # an adapter that was silent for too long before the next start
+    ],
+)
+def test_what_chains_found_when_they_were_new_is_not_found_again(seed: int, fault: str, make: str) -> None:
+    story = run_scenario(seed, [FaultCell("chain", fault, make)])
+    assert not story.violations and story.hit, story.summarize()
+
+
 def test_directed_seeds_reach_each_stage_fault_and_make() -> None:
     assert {cell.stage for cell in DIRECTED} == set(STAGES)
     assert {cell.fault for cell in DIRECTED} == set(FAULTS)

@@ -65,7 +65,11 @@ def test_one_controller_is_stopped_alone():
         units = virtual.controllers
         async with client.manual_control(["feeder.x"]) as one, client.manual_control(["turner.x"]) as other:
             await one.jog({"feeder.x": 20.0})
-            await asyncio.gather(other.jog({"turner.x": 20.0}), one.renew_jog())
+            begins = asyncio.ensure_future(other.jog({"turner.x": 20.0}))
+            while not begins.done():  # which may wait for its turn on the line
+                await one.renew_jog()
+                await asyncio.sleep(0.05)
+            await begins
             for _ in range(20):
                 await asyncio.sleep(0.05)
                 await one.renew_jog()

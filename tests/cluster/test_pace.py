@@ -81,7 +81,7 @@ def test_measured_times_need_enough_steps_and_do_not_apply_to_a_late_member() ->
     pace = LeadTimeEstimator()
     for k in range(KNOWN_AFTER):
         assert pace.arming_share("a") == 1.0 and pace.margin_ns(2) == MARGIN_NS
-        pace.record_arming({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
+        pace.record_arming("rest", {"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
         pace.record_release(20 * NS_PER_MS, 10 * NS_PER_MS)
     assert pace.arming_share("a") == pytest.approx(ARM_FACTOR * (10 + KNOWN_AFTER - 1) / 100)
     assert pace.arming_share("b") == 1.0
@@ -127,22 +127,22 @@ def test_many_members_get_more_time_until_they_are_measured() -> None:
 
 def test_a_member_that_takes_longer_than_declared_gets_more_lead_at_once() -> None:
     pace = LeadTimeEstimator()
-    pace.record_arming({"a": 100}, {"a": 130})
+    pace.record_arming("rest", {"a": 100}, {"a": 130})
     pace.record_release(2 * MARGIN_NS, MARGIN_NS)
     assert pace.arming_share("a") == pytest.approx(1.3)
     assert pace.margin_ns(2) == 2 * MARGIN_NS and pace.go_ns(2) == MARGIN_NS
     assert pace.arming_share("a", use_known=False) == pytest.approx(1.3)
     assert pace.margin_ns(2, use_known=False) == 2 * MARGIN_NS
     for _ in range(KEPT_STEPS):
-        pace.record_arming({"a": 100}, {"a": 50})
+        pace.record_arming("rest", {"a": 100}, {"a": 50})
     assert pace.arming_share("a") == pytest.approx(ARM_FACTOR * 0.5)
 
 
 def test_the_slowest_of_many_steps_is_remembered_for_longer_than_a_fleet_takes_to_be_measured() -> None:
     pace = LeadTimeEstimator()
-    pace.record_arming({"a": 100}, {"a": 90})
+    pace.record_arming("rest", {"a": 100}, {"a": 90})
     for _ in range(KEPT_STEPS - 1):
-        pace.record_arming({"a": 100}, {"a": 50})
+        pace.record_arming("rest", {"a": 100}, {"a": 50})
     assert pace.arming_share("a") == pytest.approx(ARM_FACTOR * 0.9)
-    pace.record_arming({"a": 100}, {"a": 50})
+    pace.record_arming("rest", {"a": 100}, {"a": 50})
     assert pace.arming_share("a") == pytest.approx(ARM_FACTOR * 0.5)

@@ -145,7 +145,8 @@ def format_fields(values: Mapping[int, int]) -> str:
 @dataclass(frozen=True, slots=True)
 class LoweringContext:
     """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded. gate:
-    the timing of its program; None for one that cannot hold a following step. axes: of the controller."""
+    the timing of its program; None for one that cannot hold a following step. axes: of the controller.
+    release_ns: how long a release or a withdrawal of a following step takes."""
 
     config: Controller
     motors: Mapping[str, int]
@@ -155,6 +156,7 @@ class LoweringContext:
     packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER
     gate: GateTiming | None = None
     axes: int = 0
+    release_ns: int = 0
 
 
 def lower_moves(
@@ -407,7 +409,7 @@ def _make_lowered(
     if start.follows and context.gate is not None and not contour and waits is None and drives is None:
         # T0 of both steps is rounded to a sample.
         gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
-        disarm_ns = math.ceil(context.gate.follow_before * tick_ns)
+        disarm_ns = math.ceil(context.gate.follow_before * tick_ns) + context.release_ns
     begin = f"CD of {axis_letters(mask)}" if contour else f"BG{axis_letters(mask)}"
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",

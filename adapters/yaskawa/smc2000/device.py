@@ -147,7 +147,7 @@ class SerialDevice(SmcDevice):
                     "the program read back is not the one that was sent",
                     "check the cable; the adapter keeps retrying",
                 )
-        for name in smc2000_program.program_variables(self._axes):
+        for name in smc2000_program.program_variables(self._axes, chained=chained):
             await session.send_command(f"{name}=0")
         if chained:
             await session.send_command(f"{ADDRESS}={self._unit}")
@@ -209,6 +209,11 @@ class SerialDevice(SmcDevice):
                 f"the controller holds another program of {len(present)} lines, which may not be replaced",
                 "save it, then set `replace_program: true` in the controller's options",
             )
+
+    @property
+    def is_chained(self) -> bool:
+        """Return whether it has an address on a daisy chain."""
+        return self._unit is not None
 
     @property
     def program_axes(self) -> Sequence[int]:

@@ -63,6 +63,7 @@ ARM_EXCHANGES = 9
 # Of the check of the settings before a step: characters of one line and its answer, and how many axes it covers.
 SETTINGS_CHARACTERS = 95
 SETTINGS_AXES = 2
+RELEASE_EXCHANGES = 2  # of a step that follows another one
 DISARM_EXCHANGES = 8  # exchanges that must fit in before the start: commit, release, and the withdrawal of both
 AFTER_START_NS = 3 * NS_PER_MS  # for the program to record its start
 NAMES = (LETTERS, SECOND_LETTERS)
@@ -191,8 +192,9 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         )
         context = LoweringContext(self._config, self._motors, self._slow_exchange_ns, costs, self._model, upload)
         axes = sorted(self._motors.values())
-        if smc2000_program.holds_following_steps(axes):
-            context = replace(context, gate=self._device.gate, axes=len(axes))
+        if smc2000_program.holds_following_steps(axes, chained=self._device.is_chained):
+            release_ns = RELEASE_EXCHANGES * self._exchange_ns
+            context = replace(context, gate=self._device.gate, axes=len(axes), release_ns=release_ns)
         return lower_moves(context, profiles, start, mapping)
 
     async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:

@@ -52,7 +52,7 @@ INPUTS_OF_WORD = 8  # L11879
 OUTPUTS_OF_WORD = 16  # L13420
 
 
-def program_variables(axes: Sequence[int]) -> tuple[str, ...]:
+def program_variables(axes: Sequence[int], *, chained: bool) -> tuple[str, ...]:
     """Return the variables that the program reads or sets."""
     ends = (f"XE{index + 1}" for index in axes)
     return (
@@ -68,7 +68,7 @@ def program_variables(axes: Sequence[int]) -> tuple[str, ...]:
         "XDOG",
         *LINE_VARIABLES,
         *CONTOUR_VARIABLES,
-        *(_following_variables(axes) if holds_following_steps(axes) else ()),
+        *(_following_variables(axes) if holds_following_steps(axes, chained=chained) else ()),
     )
 
 
@@ -77,10 +77,10 @@ def _following_variables(axes: Sequence[int]) -> Iterable[str]:
     return (*FOLLOWING_VARIABLES, "XFR", *(f"{name}{index + 1}" for name in names for index in axes))
 
 
-def holds_following_steps(axes: Sequence[int]) -> bool:
+def holds_following_steps(axes: Sequence[int], *, chained: bool) -> bool:
     """Return whether a step can be loaded behind another one for a controller with these axes: its entries take four
-    labels each."""
-    return len(axes) <= FOLLOWING_AXES_MOST
+    labels each. On a daisy chain, loading would take the line from the watchdogs of the controllers that move."""
+    return len(axes) <= FOLLOWING_AXES_MOST and not chained
 
 
 def supports_contours(axes: Sequence[int]) -> bool:
@@ -108,12 +108,12 @@ def program_lines(
 ) -> tuple[str, ...]:
     """Return the program's lines. axes: indices of the motors; inputs, outputs: how many words of them are printed."""
     return (
-        *_start_lines(axes, gate),
+        *_start_lines(axes, gate, follows=holds_following_steps(axes, chained=chained)),
         *_print_lines(axes, printed_head(chained=chained, inputs=inputs, outputs=outputs)),
     )
 
 
-def _start_lines(axes: Sequence[int], gate: GateTiming) -> Iterable[str]:
+def _start_lines(axes: Sequence[int], gate: GateTiming, *, follows: bool) -> Iterable[str]:
     yield f"{HEADING};EN"
     for count in range(len(axes) + 1):
         for chosen in combinations(axes, count):
@@ -124,7 +124,7 @@ def _start_lines(axes: Sequence[int], gate: GateTiming) -> Iterable[str]:
             yield f"#L{mask};AI XLI;{begin}XACT=TIME;JP#DONE"
             if chosen and supports_contours(axes):
                 yield from contour_lines(mask, chosen[-1] + 1)
-            if chosen and holds_following_steps(axes):
+            if chosen and follows:
                 yield from _following_lines(chosen, axes)
     # An axis that does not move does not delay the others here. The watchdog of the step before may still run.
     yield f"#DONE;HX{WATCHDOG_THREAD};XQ#DOG,{WATCHDOG_THREAD}"
@@ -132,7 +132,7 @@ def _start_lines(axes: Sequence[int], gate: GateTiming) -> Iterable[str]:
         yield f"AM{LETTERS[index]};XE{index + 1}=TIME"
     yield "XDONE=1;EN"
     yield from edge_lines()
-    yield from take_lines(axes)
+    yield from take_lines(axes) if follows else ()
     yield "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0"
     yield f"#HOLD;WT {STEP_TICKS};JP#PASS,XGO=1;XR=XT0-TIME;JP#HOLD,XR>{gate.decided_before}"
     yield f"#PASS;XR=XT0-TIME;JP#LATE,XR<={gate.wait_after_gate};XOK=XGO"

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_MS
 
-RELEASE_SLACK_NS = 15 * NS_PER_MS  # more than the known time for promise, decision and release
+# More than the known time for promise, decision and release: a factor on it, and a time.
+RELEASE_SLACK = 1.5
+RELEASE_SLACK_NS = 15 * NS_PER_MS
 END_SEEN_NS = 8 * NS_PER_MS  # from the end of a move until its adapter has noticed it
 
 

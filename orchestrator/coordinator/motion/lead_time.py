@@ -9,6 +9,7 @@ and its duration counts from then on.
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from typing import Literal
 
 from orchestrator.clock.base import NS_PER_MS
 
@@ -25,6 +26,10 @@ MARGIN_PER_MEMBER_NS = 20 * NS_PER_MS  # minimum for each member: one adapter ho
 ACTING_NS = 60 * NS_PER_MS  # for the outputs between two steps, until their durations are known
 # a lower bound, because later steps may take longer than those measured; a late member is armed again
 MIN_MARGIN_NS = 10 * NS_PER_MS
+
+
+ArmKind = Literal["rest", "beside", "behind"]
+"""How a step is armed: at rest; beside the present move, while that runs; behind it, as soon as it has ended."""
 
 
 class _DurationHistory:
@@ -57,10 +62,10 @@ class LeadTimeEstimator:
     """
 
     def __init__(self) -> None:
-        self._shares: dict[str, _DurationHistory] = {}
-        self._behind: dict[str, _DurationHistory] = {}
+        self._shares: dict[tuple[ArmKind, str], _DurationHistory] = {}
         self._releases_ns = _DurationHistory()
         self._goes_ns = _DurationHistory()
+        self._following_ns = _DurationHistory()
         self._acts_ns = _DurationHistory()
         self.last_leads_ns: dict[frozenset[str], int] = {}
 
@@ -73,39 +78,34 @@ class LeadTimeEstimator:
         """Record how long switching outputs between two steps took, without the dwell there."""
         self._acts_ns.add_duration(took_ns)
 
-    def record_arming(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
-        """Record an arming. declared_ns: by member; took_ns: from the request to its answer."""
+    def record_arming(self, kind: ArmKind, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
+        """Record an arming. declared_ns: by member; took_ns: from the request to its answer; behind a step, from that
+        one's planned end until it was loaded."""
         for member, took in took_ns.items():
             if declared_ns[member] > 0:
-                self._shares.setdefault(member, _DurationHistory()).add_duration(took / declared_ns[member])
-
-    def record_loading(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
-        """Record how long members took to load a step behind the one before, from its planned end."""
-        for member, took in took_ns.items():
-            if declared_ns[member] > 0:
-                self._behind.setdefault(member, _DurationHistory()).add_duration(took / declared_ns[member])
+                history = self._shares.setdefault((kind, member), _DurationHistory())
+                history.add_duration(took / declared_ns[member])
 
     def record_late_loading(self, members: Iterable[str]) -> None:
-        """Record that members have not loaded a step in time: they get more of it."""
+        """Record that members have not loaded a step behind another one in time: they get more of it."""
         for member in members:
-            share = self.loading_share(member)
-            self._behind.setdefault(member, _DurationHistory()).add_duration(LATE_LOADING_FACTOR * share)
-
-    def loading_share(self, member: str) -> float:
-        """The fraction of its declared time that a member needs to load a step behind the one before; that of arming at
-        rest until it has done so `KNOWN_AFTER` times."""
-        at_rest, seen = self.arming_share(member), self._behind.get(member)
-        return at_rest if seen is None else seen.allowed_time(at_rest)
+            history = self._shares.setdefault(("behind", member), _DurationHistory())
+            history.add_duration(LATE_LOADING_FACTOR * self.arming_share(member, "behind"))
 
     def knows_loading(self, members: Iterable[str]) -> bool:
         """Whether the time that each member needs to load a step behind the one before, from its planned end, is known
         from earlier steps."""
-        return all((seen := self._behind.get(member)) is not None and seen.is_known for member in members)
+        seen = [self._shares.get(("behind", member)) for member in members]
+        return all(history is not None and history.is_known for history in seen)
 
     def record_release(self, took_ns: int, go_ns: int) -> None:
         """Record a release. took_ns: from armed to the last answer to `go`; go_ns: from the last promise."""
         self._releases_ns.add_duration(took_ns)
         self._goes_ns.add_duration(go_ns)
+
+    def record_following(self, go_ns: int) -> None:
+        """Record a release behind a step. go_ns: from the last promise to the last answer to `go`."""
+        self._following_ns.add_duration(go_ns)
 
     def record_late_promise(self, promise_ns: int, members: int) -> None:
         """Record that promises took so long that no time was left for `go`. A member that takes far longer than
@@ -118,21 +118,19 @@ class LeadTimeEstimator:
         self._goes_ns.add_duration(given_ns if self._goes_ns.is_known else GO_FACTOR * given_ns)
         self._releases_ns.add_duration(self._releases_ns.longest + self._goes_ns.longest - before_ns)
 
-    def arming_share(self, member: str, *, use_known: bool = True) -> float:
-        """The fraction of its declared arming time that a member needs; at least 1 until it has been armed `KNOWN`
-        times, or if `use_known` is false."""
-        seen = self._shares.get(member)
-        return 1.0 if seen is None else seen.allowed_time(1.0, use_known=use_known)
+    def arming_share(self, member: str, kind: ArmKind = "rest", *, use_known: bool = True) -> float:
+        """The fraction of its declared arming time that a member needs; at least 1 until it has been armed
+        `KNOWN_AFTER` times, or if `use_known` is false."""
+        declared = self.arming_share(member) if kind == "behind" else 1.0
+        seen = self._shares.get((kind, member))
+        return declared if seen is None else seen.allowed_time(declared, use_known=use_known)
 
-    def go_ns(self, members: int, promise_ns: int = 0) -> int:
+    def go_ns(self, members: int, promise_ns: int = 0, *, follows: bool = False) -> int:
         """The time to allow for decision and release. members: their number. promise_ns: how long their promises
-        have just taken; a machine that was slow a moment ago probably still is."""
-        return round(
-            max(
-                self._goes_ns.allowed_time(_default_margin_ns(members) / 2, factor=GO_FACTOR),
-                SLOW_GO_FACTOR * promise_ns,
-            )
-        )
+        have just taken; a machine that was slow a moment ago probably still is. follows: behind a step."""
+        known = self._following_ns if follows and self._following_ns.is_known else self._goes_ns
+        declared_ns = _default_margin_ns(members) / 2
+        return round(max(known.allowed_time(declared_ns, factor=GO_FACTOR), SLOW_GO_FACTOR * promise_ns))
 
     def margin_ns(self, members: int, *, use_known: bool = True) -> int:
         """The time to allow for promise, decision and release. members: their number."""

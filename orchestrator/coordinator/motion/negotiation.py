@@ -217,8 +217,8 @@ class StartNegotiation:
             return earliest_ns
         later = {name: each for name, each in agreement.proposals.items() if each.gap_ns is None}
         # Promise and release are an exchange each, with nothing to check in between.
-        releasing_ns = 2 * self._estimator.go_ns(len(agreement.proposals)) + agreement.disarm_ns
-        shares = {name: self._estimator.loading_share(name) for name in later}
+        releasing_ns = 2 * self._estimator.go_ns(len(agreement.proposals), follows=True) + agreement.disarm_ns
+        shares = {name: self._estimator.arming_share(name, "behind") for name in later}
         begun_ns = self._arming_ns(later, shares)
         if not self._estimator.knows_loading(later):
             begun_ns += END_SEEN_NS
@@ -404,7 +404,8 @@ class StartNegotiation:
         """The lead time that the members need, as measured if `use_known`, else as declared."""
         margin_ns = self._estimator.margin_ns(len(agreement.proposals), use_known=use_known)
         at_once = {name: each for name, each in agreement.proposals.items() if name not in agreement.loads_later}
-        shares = {name: self._estimator.arming_share(name, use_known=use_known) for name in at_once}
+        kind = "rest" if agreement.present is None else "beside"
+        shares = {name: self._estimator.arming_share(name, kind, use_known=use_known) for name in at_once}
         return round(self._arming_ns(at_once, shares)) + margin_ns + agreement.disarm_ns
 
     def _arming_ns(self, proposals: Mapping[str, Proposal], shares: Mapping[str, float]) -> float:

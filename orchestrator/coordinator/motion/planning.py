@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from orchestrator.bus.base import BusError
@@ -46,13 +46,15 @@ class StepRequest:
 class PlannedStep:
     """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller.
 
-    rehearsal: it starts where the steps before it will leave its axes; it is proposed, and never armed.
+    ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
+    the steps before it will leave its axes; it is proposed, and never armed.
     """
 
     request: StepRequest
     resolved: ResolvedMove
     plan: StepPlan
     instances: Mapping[str, str]
+    ends: Mapping[str, tuple[Fraction, int]] = field(default_factory=dict[str, tuple[Fraction, int]])
     rehearsal: bool = False
 
 
@@ -89,11 +91,12 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
             raise Refusal("offline", f"{controller} is offline or silent", "check its link", controller)
         infos[controller], instances[controller] = await view.query_info(controller), state.instance
         states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
-    for axis, (_, counts) in before.resolved.exact.items():
+    for axis, (_, counts) in before.ends.items():
         if axis in states:
             states[axis] = states[axis].model_copy(update={"commanded_counts": counts})
-    targets = services.targets.expect_targets(before.resolved.exact)
-    return _plan_from(services, request, AxisContext(view.fleet, states, infos, targets), {}, instances)
+    context = AxisContext(view.fleet, states, infos, services.targets.expect_targets(before.ends))
+    planned = _plan_from(services, request, context, {}, instances)
+    return replace(planned, ends={**before.ends, **planned.ends})
 
 
 def _plan_from(
@@ -112,7 +115,7 @@ def _plan_from(
         plan = plan_step(resolved.moves, move.sync, move.speed, move.ramps)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
-    return PlannedStep(request, resolved, plan, instances)
+    return PlannedStep(request, resolved, plan, instances, resolved.exact)
 
 
 async def _query_controller(

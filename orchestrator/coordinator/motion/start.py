@@ -13,7 +13,8 @@ from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.journal.journal import StepDecision
-from orchestrator.coordinator.motion.chain import RELEASE_SLACK_NS
+from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_NS
+from orchestrator.coordinator.motion.lead_time import ArmKind
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
@@ -138,7 +139,8 @@ class StartSequence:
         """When promises and decision must begin, fleet time. They are left as late as possible: until then, a pause
         takes effect before the step."""
         agreement, present = self._agreement, self._agreement.present
-        needs_ns = self._estimator.margin_ns(len(agreement.proposals)) + agreement.disarm_ns + RELEASE_SLACK_NS
+        margin_ns = RELEASE_SLACK * self._estimator.margin_ns(len(agreement.proposals))
+        needs_ns = round(margin_ns) + agreement.disarm_ns + RELEASE_SLACK_NS
         due_ns = self.state.t0_fleet_ns - needs_ns
         if present is not None and agreement.loads_later:
             due_ns = min(due_ns, present.ends_fleet_ns)  # the promise of these members waits for the end
@@ -206,13 +208,15 @@ class StartSequence:
             "arm", requests, ArmedReply, timeout_s, answered=took_ns.__setitem__
         )
         await self._disarm_if_refused(self.state.armed)
-        # Members that load a following step later, or beside the present one, need other times.
-        at_rest = [
-            name
+        # A member whose present move has ended already loads a following step at rest.
+        kinds: dict[str, ArmKind] = {
+            name: "rest" if agreement.present is None or agreement.proposals[name].gap_ns is None else "beside"
             for name, reply in self.state.armed.items()
-            if not reply.waits and (agreement.present is None or agreement.proposals[name].gap_ns is None)
-        ]
-        self._estimator.record_arming(declared_ns, {name: took_ns[name] for name in at_rest if name in took_ns})
+            if not reply.waits
+        }
+        for name, kind in kinds.items():
+            if name in took_ns:
+                self._estimator.record_arming(kind, declared_ns, {name: took_ns[name]})
 
     async def _judge_frozen_mappings(self) -> None:
         """Judge the budget again, with the clock mappings that are frozen into what is armed."""
@@ -226,7 +230,7 @@ class StartSequence:
         """Require time for the rest of the start, and for disarming if that fails. Raises `Refusal`; all are
         disarmed."""
         agreement = self._agreement
-        needs_ns = self._estimator.go_ns(len(agreement.proposals))
+        needs_ns = self._go_ns()
         if self._leadership.fleet_now_ns() + needs_ns + agreement.disarm_ns >= self.state.t0_fleet_ns:
             await self.disarm()
             raise Refusal("late", late)
@@ -259,7 +263,7 @@ class StartSequence:
                 estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
             raise
         state.settled_fleet_ns = self._leadership.fleet_now_ns()
-        go_ns = go_factor * estimator.go_ns(len(agreement.proposals), 0 if waited else promised_ns - armed_ns)
+        go_ns = go_factor * self._go_ns(0 if waited else promised_ns - armed_ns)
         earliest_ns = max(state.settled_fleet_ns + go_ns + agreement.disarm_ns, agreement.follows_ns)
         spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
@@ -271,9 +275,15 @@ class StartSequence:
         state.decided = True
         await run_while_recording(on_state("committed", ""), self._go())
         released_ns = clock.now_ns()
-        # A promise without that wait takes one exchange, like a release.
-        began_ns = 2 * promised_ns - released_ns if waited else armed_ns
-        estimator.record_release(released_ns - began_ns, released_ns - promised_ns)
+        if agreement.present is not None:
+            estimator.record_following(released_ns - promised_ns)
+        if not waited:
+            estimator.record_release(released_ns - armed_ns, released_ns - promised_ns)
+
+    def _go_ns(self, promise_ns: int = 0) -> int:
+        """The time to allow for decision and release. promise_ns: how long the promises have just taken."""
+        agreement = self._agreement
+        return self._estimator.go_ns(len(agreement.proposals), promise_ns, follows=agreement.present is not None)
 
     async def _commit(self) -> None:
         agreement = self._agreement
@@ -283,7 +293,7 @@ class StartSequence:
         }
         left_ns = self.state.t0_fleet_ns - self._leadership.fleet_now_ns()
         # An answer after that would leave no time for `go`.
-        useful_ns = left_ns - self._estimator.go_ns(len(agreement.proposals)) - agreement.disarm_ns
+        useful_ns = left_ns - self._go_ns() - agreement.disarm_ns
         wait_s = max(0.02, min(ANSWER_S, max(left_ns / 2, useful_ns) / NS_PER_S))
         replies = await self._requests.request_all("commit", requests, CommittedReply, wait_s)
         await self._disarm_if_refused(replies)
@@ -294,7 +304,7 @@ class StartSequence:
             declared_ns = {
                 name: costs.arm_ns for name in loaded if (costs := agreement.proposals[name].costs) is not None
             }
-            self._estimator.record_loading(declared_ns, {name: loaded[name].took_ns for name in declared_ns})
+            self._estimator.record_arming("behind", declared_ns, {name: loaded[name].took_ns for name in declared_ns})
 
     async def _record_decision(self) -> None:
         request, services = self._request, self._services

@@ -370,20 +370,22 @@ def test_a_controller_of_a_chain_is_armed_while_the_others_are_polled():
     run_chain(main)
 
 
+@pytest.mark.parametrize("chained", [False, True])
 @pytest.mark.parametrize("count", range(1, 7))
-def test_the_resident_program_fits_into_the_controller(count: int):
+def test_the_resident_program_fits_into_the_controller(count: int, chained: bool):
     axes = tuple(range(len(LETTERS) - count, len(LETTERS)))
     lines = program_lines(
         axes,
-        chained=True,
+        chained=chained,
         inputs=3,
         outputs=1,
         gate=GateTiming.for_options(Smc2000DriverOptions(servo_period_us=250, decode_us=2000), INTERLEAVED_COMMANDS),
     )
     assert len(lines) <= LINES_MOST
+    assert any(line.startswith("#F") for line in lines) == (count <= 3 and not chained)
     assert all(len(line) <= MAX_LINE for line in lines)
     labels = [line.split(";")[0] for line in lines if line.startswith("#")]
     assert len(labels) == len(set(labels)) <= LABELS_MOST
     assert all(len(label) <= 8 for label in labels)
     assert any(line.startswith("CM ") for line in lines) == (count <= 4)
-    assert all(len(name) <= 8 for name in (*program_variables(axes), *contour_arrays(axes)))
+    assert all(len(name) <= 8 for name in (*program_variables(axes, chained=chained), *contour_arrays(axes)))
