@@ -403,11 +403,10 @@ class StepParticipant:
 
     async def disarm_step(self, request: DisarmRequest) -> DisarmedReply:
         """Unload the step if it is the one that is loaded. A moving step stays untouched."""
-        present = self.armed_step
-        if present is not None and present.job == request.job and present.step != request.step:
+        present, following = self.armed_step, self._next.armed_step
+        if following is None and present is not None and present.job == request.job and present.step != request.step:
             async with self._transition_lock:  # it may be being loaded behind the present one
-                pass
-        following = self._next.armed_step
+                following = self._next.armed_step
         if following is not None and (following.job, following.step) == (request.job, request.step):
             return await self._disarm_following(request, following)
         armed_step, begun = self.armed_step, False
@@ -446,6 +445,9 @@ class StepParticipant:
             await self._driver.disarm_move()  # it has become the present one meanwhile
             self.armed_step = None
             self._emit("disarmed", "withdrawn before its start", released)
+        elif self._next.armed_step is not None and self._clock.now_ns() + EARLY_NS >= released.t0_host_ns:
+            await self.stop("the following step was withdrawn at its start", abort=False)  # unloading took too long
+            return True
         else:
             self._drop_following("disarmed", "withdrawn before its start")
         return False
@@ -459,9 +461,6 @@ class StepParticipant:
         await self._next.unload()
         if self._next.armed_step is not following:
             return await self.disarm_step(request)  # it was stopped meanwhile
-        if following.phase is StepPhase.RELEASED and self._clock.now_ns() + EARLY_NS >= following.t0_host_ns:
-            await self.stop("withdrawn at its start", abort=False)  # unloading has taken too long
-            return DisarmedReply(may_have_started=True)
         self._drop_following("disarmed", "disarmed on request")
         return DisarmedReply()
 

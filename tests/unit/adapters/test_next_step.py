@@ -203,7 +203,7 @@ def test_the_controller_is_not_polled_near_the_turn_and_is_polled_before() -> No
         await desk.wait_until(ENDED_NS - QUIET_TURN_NS - NS_PER_MS)
         assert desk.member.quiet_until_ns() is None
         await desk.wait_until(ENDED_NS - QUIET_TURN_NS)
-        assert desk.member.quiet_until_ns() == FOLLOWING_T0_NS
+        assert desk.member.quiet_until_ns() == ENDED_NS + QUIET_TURN_NS < FOLLOWING_T0_NS
 
     run(body)
 
@@ -551,15 +551,55 @@ def test_a_step_without_go_that_has_become_the_present_one_is_unloaded_at_its_t0
     run(body)
 
 
-def test_a_release_that_is_not_answered_stops_the_controller() -> None:
-    """It may have been received all the same."""
+@pytest.mark.parametrize("error", [NO_ANSWER, Refusal("late", "it is too late to release the start")])
+@pytest.mark.parametrize(("before_ns", "way"), [(STOP_LEAD_NS + NS_PER_MS, "unload next"), (STOP_LEAD_NS, "stop")])
+def test_a_step_that_is_not_released_for_certain_is_unloaded_or_near_its_start_stopped(
+    error: Exception, before_ns: int, way: str
+) -> None:
+    """It may have been released all the same."""
 
     async def body(desk: Desk) -> None:
         await reach(desk, "promised")
-        desk.driver.refuses_release = NO_ANSWER
-        with pytest.raises(ControllerFault):
+        desk.driver.refuses_release = error
+        await desk.wait_until(FOLLOWING_T0_NS - before_ns)
+        with pytest.raises(type(error)):
             await desk.release_next()
-        assert desk.driver.told == ["release next", "stop"] and present(desk) is None and behind(desk) is None
+        assert desk.driver.told == ["release next", way] and behind(desk) is None
+        assert present(desk) == (None if way == "stop" else (0, StepPhase.MOVING))
+
+    run(body)
+
+
+def test_a_step_whose_release_fails_after_the_end_of_the_present_one_is_unloaded() -> None:
+    async def body(desk: Desk) -> None:
+        await reach(desk, "promised")
+        desk.driver.refuses_release = NO_ANSWER
+        desk.driver.may_go.clear()
+        going = asyncio.ensure_future(desk.release_next())
+        await desk.end_present()
+        assert present(desk) == (1, StepPhase.RELEASED)
+        desk.driver.may_go.set()
+        with pytest.raises(ControllerFault):
+            await going
+        assert present(desk) is None and desk.driver.told[-1] == "disarm" and desk.events[-1] == ("disarmed", 1)
+
+    run(body)
+
+
+def test_a_step_is_disarmed_past_a_release_that_is_under_way() -> None:
+    """Its T0 is near."""
+
+    async def body(desk: Desk) -> None:
+        await reach(desk, "promised")
+        desk.driver.may_go.clear()
+        going = asyncio.ensure_future(desk.release_next())
+        await desk.later(0.001)
+        assert await disarm_next(desk) is False
+        assert desk.driver.told == ["release next", "unload next"] and not going.done()
+        desk.driver.may_go.set()
+        with pytest.raises(Refusal) as caught:
+            await going
+        assert caught.value.code == "stopped" and behind(desk) is None
 
     run(body)
 

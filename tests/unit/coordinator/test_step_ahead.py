@@ -12,7 +12,13 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.motion import ahead as module
 from orchestrator.coordinator.motion.ahead import StepAhead
-from orchestrator.coordinator.motion.chain import END_SEEN_NS, RELEASE_SLACK_NS, BetweenSteps, PresentMove
+from orchestrator.coordinator.motion.chain import (
+    END_SEEN_NS,
+    RELEASE_SLACK,
+    RELEASE_SLACK_NS,
+    BetweenSteps,
+    PresentMove,
+)
 from orchestrator.coordinator.motion.lead_time import KNOWN_AFTER, LATE_LOADING_FACTOR, LeadTimeEstimator
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.start import WITHDRAWN, StartSequence, StartState
@@ -254,7 +260,8 @@ def known_estimator(took_ms: int = 4) -> LeadTimeEstimator:
     for _ in range(KNOWN_AFTER):
         estimator.record_release(2 * took_ms * NS_PER_MS, took_ms * NS_PER_MS)
         for member in ("held", "host"):
-            estimator.record_loading({member: 40 * NS_PER_MS}, {member: 20 * NS_PER_MS})
+            estimator.record_arming("behind", {member: 40 * NS_PER_MS}, {member: 20 * NS_PER_MS})
+        estimator.record_following(took_ms * NS_PER_MS)
     return estimator
 
 
@@ -290,16 +297,16 @@ def test_a_member_that_loads_behind_the_end_delays_the_step_by_what_it_is_known_
     proposals = {"held": make_proposal(12), "host": make_proposal(None)}
     negotiation, agreement = make_negotiation(proposals, BetweenSteps(), estimator)
     assert agreement.loads_later == ["host"]
-    loading_ns = round(estimator.loading_share("host") * 40 * NS_PER_MS)
+    loading_ns = round(estimator.arming_share("host", "behind") * 40 * NS_PER_MS)
     assert loading_ns == 22 * NS_PER_MS
-    releasing_ns = 2 * estimator.go_ns(2) + 5 * NS_PER_MS
+    releasing_ns = 2 * estimator.go_ns(2, follows=True) + 5 * NS_PER_MS
     assert negotiation.earliest_following_ns(agreement) == ENDS_NS + loading_ns + releasing_ns
 
 
 def test_until_loading_is_known_its_adapter_gets_time_to_notice_the_end() -> None:
     estimator = LeadTimeEstimator()
     negotiation, agreement = make_negotiation({"host": make_proposal(None)}, BetweenSteps(), estimator)
-    releasing_ns = 2 * estimator.go_ns(1) + 5 * NS_PER_MS
+    releasing_ns = 2 * estimator.go_ns(1, follows=True) + 5 * NS_PER_MS
     expected_ns = ENDS_NS + END_SEEN_NS + 40 * NS_PER_MS + releasing_ns
     assert negotiation.earliest_following_ns(agreement) == expected_ns
 
@@ -309,16 +316,16 @@ def test_outputs_between_two_steps_delay_the_decision() -> None:
     between = BetweenSteps(10 * NS_PER_MS, acts=True)
     negotiation, agreement = make_negotiation({"held": make_proposal(12)}, between, estimator)
     acting_ns = 10 * NS_PER_MS + estimator.acting_ns
-    expected_ns = ENDS_NS + acting_ns + 2 * estimator.go_ns(1) + 5 * NS_PER_MS
+    expected_ns = ENDS_NS + acting_ns + 2 * estimator.go_ns(1, follows=True) + 5 * NS_PER_MS
     assert negotiation.earliest_following_ns(agreement) == expected_ns
 
 
 def test_a_member_that_was_late_gets_more_time() -> None:
     estimator = known_estimator()
-    before = estimator.loading_share("host")
+    before = estimator.arming_share("host", "behind")
     estimator.record_late_loading(["host"])
-    assert estimator.loading_share("host") == pytest.approx(1.1 * LATE_LOADING_FACTOR * before)
-    assert estimator.loading_share("held") == before
+    assert estimator.arming_share("host", "behind") == pytest.approx(1.1 * LATE_LOADING_FACTOR * before)
+    assert estimator.arming_share("held", "behind") == before
 
 
 @pytest.mark.parametrize("loads_later", [False, True])
@@ -331,7 +338,8 @@ def test_the_decision_is_left_as_late_as_is_safe(loads_later: bool) -> None:
     services = SimpleNamespace(fleet=fleet, leadership=None, estimator=estimator)
     start = StartSequence(cast(Any, services), cast(Any, None), negotiation, agreement, cast(Any, None))
     start.state.t0_fleet_ns = negotiation.earliest_following_ns(agreement)
-    needs_ns = estimator.margin_ns(len(proposals)) + agreement.disarm_ns + RELEASE_SLACK_NS
+    margin_ns = round(RELEASE_SLACK * estimator.margin_ns(len(proposals)))
+    needs_ns = margin_ns + agreement.disarm_ns + RELEASE_SLACK_NS
     before_t0_ns = start.state.t0_fleet_ns - needs_ns
     assert start.release_due_ns == (min(before_t0_ns, ENDS_NS) if loads_later else before_t0_ns)
     if loads_later:
