@@ -13,7 +13,7 @@ from adapters.controller.armed_step import ArmedStep
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import ArmedReply, ArmRequest
+from orchestrator.model.messages import ArmedReply, ArmRequest, CommitRequest
 
 NEVER_NS = 3600 * NS_PER_S
 
@@ -36,6 +36,7 @@ class FollowingStep:
 
     in_controller: the controller holds it beside the present move; otherwise the adapter loads it after that.
     checked: settings were compared while the present move runs.
+    unloading: it is being unloaded, and does not become the present one any more.
     loaded: the result of loading, once there is one.
     """
 
@@ -43,6 +44,7 @@ class FollowingStep:
     armed_step: ArmedStep
     in_controller: bool
     checked: bool = False
+    unloading: bool = False
     loaded: "asyncio.Future[ArmedReply]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
 
@@ -73,19 +75,14 @@ class NextStepSlot:
         loading_ns = 0 if following.in_controller else following.move.lowered.costs.arm_ns
         return following.armed_step.t0_host_ns - loading_ns - now_ns
 
-    def find_waiting(self, job: str, step: int) -> FollowingStep | None:
-        """The step with that number, if the adapter loads it behind the one before, or has done so."""
+    def find_waiting(self, request: CommitRequest) -> FollowingStep | None:
+        """The step of the request, for the same T0, if the adapter loads it behind the one before, or has done so."""
+        wanted = (request.job, request.step, request.t0_fleet_ns)
         for each in (self._following, self._behind):
-            if (
-                each is not None
-                and not each.in_controller
-                and (each.armed_step.job, each.armed_step.step)
-                == (
-                    job,
-                    step,
-                )
-            ):
-                return each
+            if each is not None and not each.in_controller:
+                armed_step = each.armed_step
+                if (armed_step.job, armed_step.step, armed_step.t0_fleet_ns) == wanted:
+                    return each
         return None
 
     def hold_back(self, move: PreparedMove, *, checked: bool) -> None:
@@ -99,13 +96,16 @@ class NextStepSlot:
     # Ends
 
     def take(self) -> FollowingStep | None:
-        """The present move has ended as planned: the following step, which is the present one from now on."""
-        following, self._following = self._following, None
-        if following is not None:
-            if following.in_controller:
-                self._driver.take_next()
-            else:
-                self._behind = following
+        """The present move has ended as planned: the following step, which is the present one from now on. None if
+        there is none, or if it is being unloaded."""
+        following = self._following
+        if following is None or following.unloading:
+            return None
+        self._following = None
+        if following.in_controller:
+            self._driver.take_next()
+        else:
+            self._behind = following
         return following
 
     def finish_loading(self, following: FollowingStep, result: ArmedReply | Exception) -> None:
@@ -128,7 +128,8 @@ class NextStepSlot:
         return dropped
 
     async def unload(self) -> None:
-        """Unload the following step; the present one continues."""
+        """Unload the following step, which the caller drops after that; the present one continues."""
         following = self._following
         if following is not None and following.in_controller:
+            following.unloading = True
             await self._driver.unload_next()

@@ -47,6 +47,7 @@ QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
 QUIET_TURN_NS = 40 * NS_PER_MS
 READING_ROOM_NS = 100 * NS_PER_MS  # between two steps, in which the controller is read at rest
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
+EARLY_NS = 2 * NS_PER_MS  # this long before T0, and from then on, a released step may have begun
 
 
 class StepEventEmitter(Protocol):
@@ -289,6 +290,7 @@ class StepParticipant:
         """Load the step that waited for the end of the one before."""
         async with self._transition_lock:
             if not following.armed_step.is_same(self.armed_step):
+                self._next.finish_loading(following, Refusal("stopped", "the step was unloaded meanwhile", ""))
                 return
             try:
                 reply = await self._load_at_rest(replace(following.move, began_ns=self._ended_ns), following)
@@ -332,7 +334,7 @@ class StepParticipant:
 
     async def commit_step(self, request: CommitRequest) -> CommittedReply:
         """Commit to the step after a final check of the controller."""
-        waiting = self._next.find_waiting(request.job, request.step)
+        waiting = self._next.find_waiting(request)
         if waiting is not None:
             return await self._commit_following(request, waiting)
         return await self._commit_present(request)
@@ -401,7 +403,10 @@ class StepParticipant:
 
     async def disarm_step(self, request: DisarmRequest) -> DisarmedReply:
         """Unload the step if it is the one that is loaded. A moving step stays untouched."""
-        following = self._next.armed_step
+        present, following = self.armed_step, self._next.armed_step
+        if following is None and present is not None and present.job == request.job and present.step != request.step:
+            async with self._transition_lock:  # it may be being loaded behind the present one
+                following = self._next.armed_step
         if following is not None and (following.job, following.step) == (request.job, request.step):
             return await self._disarm_following(request, following)
         armed_step, begun = self.armed_step, False
@@ -440,6 +445,9 @@ class StepParticipant:
             await self._driver.disarm_move()  # it has become the present one meanwhile
             self.armed_step = None
             self._emit("disarmed", "withdrawn before its start", released)
+        elif self._next.armed_step is not None and self._clock.now_ns() + EARLY_NS >= released.t0_host_ns:
+            await self.stop("the following step was withdrawn at its start", abort=False)  # unloading took too long
+            return True
         else:
             self._drop_following("disarmed", "withdrawn before its start")
         return False
@@ -452,7 +460,7 @@ class StepParticipant:
         self._interruptions += 1
         await self._next.unload()
         if self._next.armed_step is not following:
-            return await self.disarm_step(request)  # it has become the present one meanwhile
+            return await self.disarm_step(request)  # it was stopped meanwhile
         self._drop_following("disarmed", "disarmed on request")
         return DisarmedReply()
 

@@ -128,7 +128,7 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.model.scans.step_order import StepOrder
     from orchestrator.model.step_words import describe_step
     from orchestrator.monitor.fleet_view import format_step
-    from orchestrator.monitor.report_table import describe_used
+    from orchestrator.monitor.report_table import describe_gap, describe_used
     from orchestrator.monitor.times import format_time, localize_times
 
     async def show_job(tutti: Tutti) -> None:
@@ -148,6 +148,7 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             line = f"  {index} {describe_step(step)}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
+                line += f", {followed}" if (followed := describe_gap(over)) else ""
             console.print(line, highlight=False, markup=False, soft_wrap=True)
             for inner in iterate_steps([step]) if isinstance(step, Repeat) else ():
                 console.print(f"      {describe_step(inner)}", highlight=False, markup=False, soft_wrap=True)

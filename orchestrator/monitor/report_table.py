@@ -1,6 +1,7 @@
 """A job's report as tables for a terminal, readable at 80 columns."""
 
 from collections.abc import Mapping, Sequence
+from statistics import median
 
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -14,6 +15,7 @@ _VERDICT_STYLE = {"green": "bold green", "amber": "bold yellow", "red": "bold re
 _VERDICTS = ("green", "amber", "red")  # from the best to the worst
 MAX_STEPS_SHOWN = 14  # of a short report
 MAX_DEVIATIONS = 4
+MAX_CHAIN_LINES = 4
 _MAX_STEP_NAME = 14  # characters of a step's name that fit into the row with all figures
 
 
@@ -31,6 +33,8 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
     if len(shown) < len(report.steps):
         parts.append(Text(f"and {len(report.steps) - len(shown)} more steps, which are done as planned", style="dim"))
     parts += [Text(line) for step in report.steps for line in _describe_scan(step)]
+    chained = _describe_chain(report.steps)
+    parts += [Text(line) for line in (chained if detailed else chained[:MAX_CHAIN_LINES])]
     deviations = [f"step {step.index}: {line}" for step in report.steps for line in step.deviations]
     parts += [Text(line, style="red") for line in (deviations if detailed else deviations[:MAX_DEVIATIONS])]
     reasons = [line for step in report.steps if detailed or step.verdict != "green" for line in _explain_verdict(step)]
@@ -180,6 +184,33 @@ def _describe_scan(step: StepReport) -> list[str]:
         f"step {step.index}, point {each.point}: {each.verdict}" + (f", {each.text}" if each.text else "")
         for each in scan.not_green
     ]
+
+
+def _describe_chain(steps: Sequence[StepReport]) -> list[str]:
+    """How closely motion steps followed each other, and why others began from rest."""
+    gaps_ms = [each.chain.gap_s * 1e3 for each in steps if each.chain and each.chain.kept and each.chain.gap_s]
+    lines: list[str] = []
+    if gaps_ms:
+        lines = [
+            f"right behind the step before: {len(gaps_ms)} of {sum(each.chain is not None for each in steps)}, "
+            f"{median(gaps_ms):.1f} ms after its end in the median, {max(gaps_ms):.1f} ms at most"
+        ]
+    for step in steps:
+        chain = step.chain
+        if chain is not None and not chain.kept and chain.broken:
+            after = "" if chain.gap_s is None else f", {chain.gap_s:.3f} s after step {chain.step}"
+            lines.append(f"step {step.index} from rest{after}: {localize_times(chain.broken)}")
+    return lines
+
+
+def describe_gap(step: StepReport) -> str:
+    """How a motion step followed the one before it, in words; empty for any other step."""
+    chain = step.chain
+    if chain is None or (chain.kept and chain.gap_s is None):
+        return ""
+    if chain.kept and chain.gap_s is not None:
+        return f"{chain.gap_s * 1e3:.1f} ms after step {chain.step}"
+    return "from rest" + (f": {localize_times(chain.broken)}" if chain.broken else "")
 
 
 def _explain_verdict(step: StepReport) -> list[str]:

@@ -292,3 +292,34 @@ def test_a_step_that_must_settle_in_position_breaks_the_chain() -> None:
         assert report.state == "done" and breaks(report) == ["gantry.x must settle in position before it"]
 
     run_fleet(main, Fleet.model_validate(plain))
+
+
+def test_many_steps_between_two_motion_steps_are_the_reason_that_is_stated() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        dwells = ", ".join(["{do: dwell, duration: 1 ms}"] * 21)
+        report = await outcome(fleet, job(f"[{THERE}, {dwells}, {BACK}, {THERE}]"))
+        assert report.state == "done" and chained(report) == [None, False, True]
+        assert breaks(report) == ["more than 20 steps come before it"]
+
+    run_fleet(main)
+
+
+def test_a_chained_step_that_was_paused_in_its_motion_counts_as_begun_from_rest() -> None:
+    """Its record is that of the last part, which is long after the end of the step before."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        submitted = await fleet.make_client().submit(job(f"[{THERE}, {LONG}]"))
+        await wait_for_motion(fleet)
+        while len(motions(fleet, "gantry", "X")) < 2 or not fleet.controllers["gantry"].is_moving("X"):
+            await sleep_ns(fleet.clock, NS_PER_MS)
+        await sleep_ns(fleet.clock, NS_PER_S // 2)
+        await submitted.pause(now=True)
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
+        await submitted.resume()
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert chained(report) == [None, False] and breaks(report) == ["the job was paused in it"]
+
+    run_fleet(main)

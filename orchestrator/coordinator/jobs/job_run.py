@@ -387,7 +387,15 @@ class JobRun:
             else:
                 self._ahead, self._chained = None, step.request.index
                 return await step.run_released(motion, callbacks)
+        self._note_rest(step.request.index)
         return await step.run(callbacks, self._seen_ns)
+
+    def _note_rest(self, index: int) -> None:
+        """The motion step `index` begins from rest, for the reason that is known already or was found without its
+        number."""
+        self._chain_breaks.setdefault(index, self._chain_breaks.pop(None, ""))
+        if self._chained == index:
+            self._chained, self._chain_breaks[index] = None, "the job was paused in it"
 
     def _look_ahead(self) -> None:
         """Prepare the next motion step: the present one moves."""
@@ -431,10 +439,10 @@ class JobRun:
             self._rested_ns = self._services.clock.now_ns()
         if report.t0_fleet_ns is None or before is None:
             return report
-        reason = self._chain_breaks.get(report.index, "")
-        self._chain_breaks = {at: text for at, text in self._chain_breaks.items() if at is None or at > report.index}
-        gap_s = measure_gap_s(before, report)
-        chain = StepChain(step=before.index, kept=self._chained == report.index, gap_s=gap_s, broken=reason)
+        kept, breaks = self._chained == report.index, self._chain_breaks
+        reason = breaks.get(report.index, "")
+        self._chain_breaks = {at: text for at, text in breaks.items() if at is None or at > report.index}
+        chain = StepChain(step=before.index, kept=kept, gap_s=measure_gap_s(before, report), broken=reason)
         return report.model_copy(update={"chain": chain})
 
     async def _on_state(self, state: JobState, reason: str) -> None:

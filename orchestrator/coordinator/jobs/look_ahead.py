@@ -29,7 +29,7 @@ class NextMotion:
 
 @dataclass(frozen=True, slots=True)
 class ChainBreak:
-    """Why the motion step `index` must begin from rest; index is None where none follows."""
+    """Why the motion step `index` must begin from rest; index is None where none follows, or none so near."""
 
     index: int | None
     reason: str
@@ -53,7 +53,8 @@ def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMoti
             pause_ns += step.pulse or 0
         else:
             between = between or f"step {number} ({step.do}) comes before it"
-    return ChainBreak(None, "")
+    farther = len(steps) > index + 2 + BETWEEN_MOST
+    return ChainBreak(None, f"more than {BETWEEN_MOST} steps come before it" if farther else "")
 
 
 def _find_hindrance(fleet: Fleet, moving: Move, step: Move) -> str:

@@ -1,157 +1,21 @@
 """A controller's part in a step that goes wrong about its start, over a driver that is scripted by the test."""
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping
-from contextlib import suppress
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import pytest
+from unit.adapters.scripted_member import NEXT_T0_NS, T0_NS, Desk, run
 
-from adapters.contract import Driver, HostInterval, Lowered, MoveOutcome
-from adapters.controller.armed_step import ArmedStep, StepPhase
-from adapters.controller.participant import STOP_LEAD_NS, StepParticipant, StepServices
-from adapters.controller.settling import SettlingResult
+from adapters.contract import HostInterval, MoveOutcome
+from adapters.controller.armed_step import StepPhase
+from adapters.controller.participant import STOP_LEAD_NS
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.clock.fleet import FleetScale
-from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
-from orchestrator.model.messages import ArmRequest, CommitRequest, DisarmRequest, GoRequest
-from orchestrator.model.state import EventKind, StepCosts
+from orchestrator.model.messages import CommitRequest, DisarmRequest, GoRequest
 
-T0_NS = 1 * NS_PER_S
 SOONER_NS = NS_PER_S // 10
-NEXT_T0_NS = 2 * NS_PER_S
-COSTS = StepCosts(arm_ns=1, disarm_ns=1, stop_ns=1)
 DEAF = ControllerFault("no-answer", "go was not answered", "")
-
-
-class Scripted:
-    """A driver.
-
-    told: the commands that it got, in their order.
-    begun, rested: the results that `started` and `outcome` wait for."""
-
-    def __init__(self) -> None:
-        loop = asyncio.get_running_loop()
-        self.told: list[str] = []
-        self.begun: asyncio.Future[Mapping[str, HostInterval]] = loop.create_future()
-        self.rested: asyncio.Future[MoveOutcome] = loop.create_future()
-        self.refuses_go: Exception | None = None
-        self.may_go = asyncio.Event()
-        self.may_go.set()
-        self.sooner = True
-        self.closed = False
-
-    def clock_mapping(self) -> None:
-        return None
-
-    async def check_settings(self, *, everything: bool) -> tuple[()]:
-        assert everything
-        return ()
-
-    def lower_profiles(self, *_: object) -> Lowered:
-        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, (), can_advance=self.sooner)
-
-    async def arm_move(self, *_: object) -> dict[str, int]:
-        self.told.append("arm")
-        return {}
-
-    async def verify_armed(self) -> None:
-        self.told.append("verify")
-
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        self.told.append(f"go {advance_ns} ns sooner" if advance_ns else "go")
-        await self.may_go.wait()
-        if self.refuses_go is not None:
-            raise self.refuses_go
-
-    async def stop(self, abort: bool) -> None:
-        if self.closed:
-            raise LinkClosed("the port is closed")
-        self.told.append("abort" if abort else "stop")
-
-    async def disarm_move(self) -> None:
-        if self.closed:
-            raise LinkClosed("the port is closed")
-        self.told.append("disarm")
-
-    async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        return await asyncio.shield(self.begun)
-
-    async def wait_for_end(self) -> MoveOutcome:
-        self.told.append("outcome")
-        return await asyncio.shield(self.rested)
-
-    def begins(self, seen: bool = True) -> None:
-        self.begun.set_result({"x": HostInterval(T0_NS, T0_NS, seen)})
-
-
-class Desk:
-    """A member of a step, and the driver below it.
-
-    said: its events.
-    claimed: axes whose start they report."""
-
-    def __init__(self, clock: VirtualClock) -> None:
-        self.clock = clock
-        self.driver = Scripted()
-        self.said: list[str] = []
-        self.claimed: dict[str, set[str]] = {}
-        self._tasks: list[asyncio.Task[None]] = []
-        self.member = StepParticipant(
-            "c",
-            cast(Driver, self.driver),
-            clock,
-            StepServices(
-                check=lambda _: None,
-                check_following=lambda _: None,
-                scale=lambda: FleetScale("s", 0),
-                emit=self._emit,
-                settle=self._settle,
-                must_settle=lambda _: False,
-                doubt_positions=lambda _: None,
-                note_differences=lambda _: None,
-                spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),
-            ),
-            lowering_lock=asyncio.Lock(),
-        )
-
-    def _emit(
-        self, kind: EventKind, text: str, armed_step: ArmedStep, evidence: Mapping[str, object] | None = None
-    ) -> None:
-        self.said.append(kind)
-        self.claimed[kind] = set(evidence or ())
-
-    async def _settle(self, _: object) -> SettlingResult:
-        return SettlingResult()
-
-    async def arm(self, step: int, t0_ns: int) -> None:
-        await self.member.arm_step(ArmRequest(**self._ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))
-
-    async def go(self, step: int = 0, t0_ns: int = T0_NS, sooner_ns: int = 0) -> None:
-        """Armed, promised and released, `sooner_ns` before the T0 that it was armed for."""
-        await self.arm(step, t0_ns)
-        await self.member.commit_step(CommitRequest(**self._ref(step), t0_fleet_ns=t0_ns))
-        await self.member.start_step(GoRequest(**self._ref(step), t0_fleet_ns=t0_ns - sooner_ns, advance_ns=sooner_ns))
-
-    async def later(self, seconds: float = 0.01) -> None:
-        await sleep_ns(self.clock, round(seconds * NS_PER_S))
-
-    def _ref(self, step: int) -> dict[str, Any]:
-        return {"request_id": "r", "actor": "a", "epoch": 1, "coordinator": "k", "job": "j", "step": step}
-
-
-async def _survive(coroutine: Coroutine[Any, Any, None]) -> None:
-    with suppress(LinkClosed):
-        await coroutine
-
-
-def run(body: Callable[[Desk], Coroutine[Any, Any, None]]) -> None:
-    async def main(clock: VirtualClock) -> None:
-        await body(Desk(clock))
-
-    run_virtual(main)
 
 
 def test_go_may_advance_the_promised_t0() -> None:
@@ -176,7 +40,7 @@ def test_a_member_that_cannot_start_sooner_reports_so_and_keeps_its_promise(
         with pytest.raises(Refusal) as caught:
             await desk.go(sooner_ns=sooner_ns)
         assert caught.value.code == code and desk.driver.told == ["arm", "verify"]
-        await desk.member.start_step(GoRequest(**desk._ref(0), t0_fleet_ns=T0_NS))
+        await desk.member.start_step(GoRequest(**desk.ref(0), t0_fleet_ns=T0_NS))
         assert desk.driver.told[2:] == ["go"]
 
     run(body)
@@ -190,7 +54,7 @@ def test_a_member_disarmed_during_go_is_stopped_at_once_and_reports_if_it_may_ha
         desk.driver.may_go.clear()
         going = asyncio.ensure_future(desk.go())
         await sleep_ns(desk.clock, T0_NS - before_ns)
-        unloading = asyncio.ensure_future(desk.member.disarm_step(DisarmRequest(**desk._ref(0))))
+        unloading = asyncio.ensure_future(desk.member.disarm_step(DisarmRequest(**desk.ref(0))))
         await desk.later(0.001)
         assert desk.driver.told[2:] == ["go", "stop"] and not unloading.done()
         desk.driver.may_go.set()
@@ -209,9 +73,9 @@ def test_a_move_that_another_job_armed_is_not_disarmed() -> None:
         told = list(desk.driver.told)
         others: tuple[dict[str, Any], ...] = ({"job": "k"}, {"step": 1})
         for other in others:
-            assert (await desk.member.disarm_step(DisarmRequest(**(desk._ref(0) | other)))).may_have_started is False
+            assert (await desk.member.disarm_step(DisarmRequest(**(desk.ref(0) | other)))).may_have_started is False
         assert desk.driver.told == told and desk.member.armed_step is not None and not desk.said
-        await desk.member.disarm_step(DisarmRequest(**desk._ref(0)))
+        await desk.member.disarm_step(DisarmRequest(**desk.ref(0)))
         assert desk.member.armed_step is None and desk.driver.told[-1] == "disarm"
 
     run(body)
@@ -299,13 +163,13 @@ def test_a_member_that_cannot_be_disarmed_has_a_pending_stop(promised: bool) -> 
     async def body(desk: Desk) -> None:
         await desk.arm(0, T0_NS)
         if promised:
-            await desk.member.commit_step(CommitRequest(**desk._ref(0), t0_fleet_ns=T0_NS))
+            await desk.member.commit_step(CommitRequest(**desk.ref(0), t0_fleet_ns=T0_NS))
         desk.driver.closed = True
         with pytest.raises(LinkClosed):
-            await desk.member.disarm_step(DisarmRequest(**desk._ref(0)))
+            await desk.member.disarm_step(DisarmRequest(**desk.ref(0)))
         assert desk.member.stop_pending
         desk.driver.closed = False
-        await desk.member.disarm_step(DisarmRequest(**desk._ref(0)))
+        await desk.member.disarm_step(DisarmRequest(**desk.ref(0)))
         assert not desk.member.stop_pending and desk.driver.told[-1] == "disarm"
 
     run(body)

@@ -1,5 +1,6 @@
 """The parts of the SMC-4000's adapter by themselves: replies, registers, program, fleet file."""
 
+import re
 from dataclasses import astuple
 from random import Random
 from typing import Any
@@ -11,7 +12,8 @@ from adapters.yaskawa.common.dialect import MAX_LINE
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.program import VARIABLES, program_lines
+from adapters.yaskawa.common.program import TAIL, VARIABLES, array_name, following_lines, program_lines
+from adapters.yaskawa.common.record import AXIS_LETTERS
 from adapters.yaskawa.common.session import parse_reply
 from adapters.yaskawa.common.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
 from adapters.yaskawa.smc4000.driver import MAKE
@@ -140,6 +142,39 @@ def test_the_program_keeps_the_controllers_rules():
     assert len(waits) == 32 and len(inputs) == 31  # one more drives the line
     assert waits[0].startswith("XACT") and waits[-1].startswith("OB XLO") and inputs[0].startswith("XACT")
     assert all(begin.startswith(("BG", "CD XC", "CD ,")) for begin in (*waits[1:-1], *inputs[1:]))
+    # A step that follows another one: one entry for each set of axes, and the check right before its wait.
+    behind = [line for line in lines if "WT XFT-TIME;" in line]
+    assert len(behind) == 15
+    assert all(re.fullmatch(r"JP #MISS,XFOK=0;WT XFT-TIME;BG[XYZW]+;XFA=TIME", line) for line in behind)
+    checks = [lines[lines.index(line) - 1] for line in behind]
+    assert all(check.startswith("XFOK=XFGO&XDONE&(") for check in checks)
+
+
+@pytest.mark.parametrize("contours", [True, False])
+@pytest.mark.parametrize("axes", [1, 2, 3, 4])
+def test_the_program_refers_only_to_what_it_has(axes: int, contours: bool):
+    lines = program_lines(axes, GateTiming.for_options(YaskawaOptions()), contours=contours)
+    text = "\n".join(lines)
+    labels = {line.split(";")[0] for line in lines if line.startswith("#")}
+    assert {f"#F{mask}" for mask in range(1, 1 << axes)} <= labels
+    assert set(re.findall(r"(?:JP ?|JS ?|XQ ?)(#\w+)", text)) <= labels
+    arrays = {array_name(index) for index in range(4)} | {TAIL}
+    names = {name for name in re.findall(r"\bX[A-Z]+[0-9]*\b(?! )", text) if not set(name) <= set(AXIS_LETTERS)}
+    assert names - arrays <= {*VARIABLES}
+    assert len(VARIABLES) <= 510 and len(labels) <= 510  # L14277, L12254
+
+
+@pytest.mark.parametrize("mask", [1, 2, 5, 10, 15])
+def test_a_following_step_checks_every_axis_and_loads_its_own(mask: int):
+    lines = following_lines(mask, 4)
+    off = next(line for line in lines if "XOFF=" in line)
+    assert all(f"@ABS[_RP{letter}-XB{number}]" in off for number, letter in enumerate("XYZW", 1))
+    assert "(XOFF=0)" in lines[lines.index(off) + 1]
+    registers = next(line for line in lines if line.startswith("PA "))
+    chosen = {f"XP{k + 1}" for k in range(4) if mask >> k & 1}
+    assert set(re.findall(r"XP\d", registers)) == chosen
+    # A controller of two axes has room for the check on one line.
+    assert "XOFF" not in "".join(following_lines(1, 2))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -11,7 +12,7 @@ from rich.text import Text
 from unit.cli.command_world import CommandWorld, open_world
 
 from orchestrator.cli.base.encoding import replace_unknown_signs
-from orchestrator.model.report import JobReport, StepReport
+from orchestrator.model.report import JobReport, StepChain, StepReport
 from orchestrator.monitor.report_table import make_report_tables
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times, show_utc
@@ -171,6 +172,47 @@ def test_a_short_report_fits_a_terminal_and_begins_with_the_verdict() -> None:
     assert "and 186 more steps, which are done as planned" in lines
     assert "step 150: took 2 ms longer" in lines
     assert len(render(make_report_tables(make_report(steps), detailed=True), 80).splitlines()) > 200
+
+
+def make_chained(index: int, chain: StepChain | None) -> StepReport:
+    return StepReport(index=index, do="move", name="there", state="done", verdict="green", chain=chain)
+
+
+def test_a_report_states_the_gaps_between_steps_and_why_others_began_from_rest() -> None:
+    waited = StepChain(step=2, kept=False, gap_s=0.64, broken="step 3 (wait) comes before it")
+    kept = [StepChain(step=index, kept=True, gap_s=0.012 + index / 1000) for index in range(2)]
+    steps = [make_chained(0, None), *(make_chained(chain.step + 1, chain) for chain in kept), make_chained(4, waited)]
+    lines = render(make_report_tables(make_report(steps)), 120).splitlines()
+    place = lines.index("right behind the step before: 2 of 3, 12.5 ms after its end in the median, 13.0 ms at most")
+    assert lines[place + 1] == "step 4 from rest, 0.640 s after step 2: step 3 (wait) comes before it"
+
+
+def test_job_show_tells_of_each_step_how_it_followed_the_one_before(world: CommandWorld) -> None:
+    for words in ("enable gantry", "home gantry"):
+        world.done("axis", *words.split())
+    move, wait = "{do: move, to: {gantry.x: %d}}", "{do: wait, input: gantry.door, value: false, timeout: 1 s}"
+    world.wait(world.fleet.make_client().submit(job(f"[{move % 20}, {move % 0}, {wait}, {move % 20}]")))
+    world.let_pass(10)
+    steps = [line.strip() for line in world.done("job", "show", "last").splitlines() if line.startswith("  ")]
+    ends = [line.partition(": done")[2] for line in steps[-4:]]
+    assert ends[0] == ends[2] == ""
+    assert re.fullmatch(r", 1\d\.\d ms after step 0", ends[1])
+    assert ends[3] == ", from rest: step 2 (wait) comes before it"
+
+
+def test_a_short_report_has_few_lines_about_steps_from_rest() -> None:
+    broken = StepChain(step=0, kept=False, broken="the job is paused")
+    steps = [make_chained(0, None), *(make_chained(index, broken) for index in range(1, 30))]
+    counts = [
+        render(make_report_tables(make_report(steps), detailed=detailed), 80).count("from rest: the job is paused")
+        for detailed in (False, True)
+    ]
+    assert counts == [4, 29]
+
+
+def test_a_report_of_single_moves_says_nothing_about_gaps() -> None:
+    said = render(make_report_tables(make_report([make_chained(0, None)])), 80)
+    assert "behind" not in said and "from rest" not in said
 
 
 def test_the_report_of_a_move_has_its_members_with_v(world: CommandWorld) -> None:

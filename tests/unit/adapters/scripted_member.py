@@ -1,0 +1,262 @@
+"""A controller's part in steps, over a driver that is scripted by the test."""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any, Literal, cast
+
+from adapters.contract import Driver, DriverCapabilities, HostInterval, Lowered, MoveOutcome, SettingDifference
+from adapters.controller.armed_step import ArmedStep
+from adapters.controller.participant import StepParticipant, StepServices
+from adapters.controller.settling import SettlingResult
+from orchestrator.clock.base import NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import ArmedReply, ArmRequest, CommitRequest, CommittedReply, GoRequest
+from orchestrator.model.state import EventKind, StepCosts
+
+T0_NS = 1 * NS_PER_S
+NEXT_T0_NS = 2 * NS_PER_S
+MOVE_S = 1.0  # duration of each move
+MOVE_NS = round(MOVE_S * NS_PER_S)
+FOLLOWING_T0_NS = T0_NS + MOVE_NS + NS_PER_S // 20  # of a step behind the first one
+COSTS = StepCosts(arm_ns=1, disarm_ns=1, stop_ns=1)
+
+
+class Scripted:
+    """A driver.
+
+    told: the commands that it got, in their order.
+    begun, rested: the results that `started` and `outcome` of the present move wait for.
+    gap_ns: of all its moves: None for a controller that cannot hold a move beside the present one.
+    may_...: while cleared, that command does not return. refuses_...: what it raises.
+    compared: how often its settings were. differences: the settings that another client has changed."""
+
+    def __init__(self) -> None:
+        loop = asyncio.get_running_loop()
+        self.told: list[str] = []
+        self.begun: asyncio.Future[Mapping[str, HostInterval]] = loop.create_future()
+        self.rested: asyncio.Future[MoveOutcome] = loop.create_future()
+        self.refuses_go: Exception | None = None
+        self.refuses_load: Exception | None = None
+        self.refuses_release: Exception | None = None
+        self.may_go, self.may_load, self.may_unload = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        for each in (self.may_go, self.may_load, self.may_unload):
+            each.set()
+        self.sooner = True
+        self.closed = False
+        self.gap_ns: int | None = None
+        self.has_next = False
+        self.compared = 0
+        self.checks_while_moving = False
+        self.differences: list[SettingDifference] = []
+
+    def clock_mapping(self) -> None:
+        return None
+
+    @property
+    def capabilities(self) -> DriverCapabilities:
+        return DriverCapabilities(("clock",), (2,), False, COSTS, checks_while_moving=self.checks_while_moving)
+
+    async def check_settings(self, *, everything: bool) -> list[SettingDifference]:
+        assert everything
+        self.compared += 1
+        return self.differences
+
+    def lower_profiles(self, *_: object) -> Lowered:
+        return Lowered(
+            "clock", {"x": MOVE_S}, {"x": 0.0}, (), 0, COSTS, (), can_advance=self.sooner, gap_ns=self.gap_ns
+        )
+
+    async def arm_move(self, *_: object) -> dict[str, int]:
+        self.told.append("arm")
+        return {}
+
+    async def verify_armed(self) -> None:
+        self.told.append("verify")
+
+    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
+        self.told.append(f"go {advance_ns} ns sooner" if advance_ns else "go")
+        await self.may_go.wait()
+        if self.refuses_go is not None:
+            raise self.refuses_go
+
+    async def stop(self, abort: bool) -> None:
+        if self.closed:
+            raise LinkClosed("the port is closed")
+        self.told.append("abort" if abort else "stop")
+
+    async def disarm_move(self) -> None:
+        if self.closed:
+            raise LinkClosed("the port is closed")
+        self.told.append("disarm")
+
+    # A move behind the present one
+
+    async def arm_behind(self, *_: object) -> dict[str, int]:
+        self.told.append("arm behind")
+        await self._load()
+        self._expect_another()
+        return {"wire": 7}
+
+    async def load_next(self, *_: object) -> dict[str, int]:
+        self.told.append("load next")
+        await self._load()
+        self.has_next = True
+        return {"wire": 5}
+
+    async def _load(self) -> None:
+        await self.may_load.wait()
+        if self.closed:
+            raise LinkClosed("the port is closed")
+        if self.refuses_load is not None:
+            raise self.refuses_load
+
+    async def verify_next(self) -> None:
+        self.told.append("verify next")
+
+    async def release_next(self, advance_ns: int = 0) -> None:
+        self.told.append(f"release next {advance_ns} ns sooner" if advance_ns else "release next")
+        await self.may_go.wait()
+        if self.refuses_release is not None:
+            raise self.refuses_release
+
+    async def unload_next(self) -> None:
+        """Like a real driver, which forgets the move first."""
+        self.told.append("unload next")
+        self.has_next = False
+        await self.may_unload.wait()
+
+    def take_next(self) -> None:
+        if not self.has_next:
+            raise Refusal("not-armed", "no move is loaded behind the present one", "")
+        self.told.append("take next")
+        self.has_next = False
+        self._expect_another()
+
+    def _expect_another(self) -> None:
+        loop = asyncio.get_running_loop()
+        self.begun, self.rested = loop.create_future(), loop.create_future()
+
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        return await asyncio.shield(self.begun)
+
+    async def wait_for_end(self) -> MoveOutcome:
+        self.told.append("outcome")
+        return await asyncio.shield(self.rested)
+
+    def begins(self, seen: bool = True, at_ns: int = T0_NS) -> None:
+        self.begun.set_result({"x": HostInterval(at_ns, at_ns, seen)})
+
+    def ends(self, state: Literal["done", "stopped", "fault"] = "done", at_ns: int = T0_NS + MOVE_NS) -> None:
+        self.rested.set_result(MoveOutcome(state, {"x": HostInterval(at_ns, at_ns)}, "" if state == "done" else state))
+
+
+class Desk:
+    """A member of a step, and the driver below it.
+
+    said: its events; events: with their steps.
+    claimed: axes whose start they report.
+    checks: the checks of profiles that were made. settled: how often it waited for rest. must_settle: as the axes of
+    the fleet file state. defects: what ended a task unexpectedly."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.driver = Scripted()
+        self.said: list[str] = []
+        self.events: list[tuple[str, int]] = []
+        self.checks: list[str] = []
+        self.noted: list[SettingDifference] = []
+        self.settled = 0
+        self.must_settle = False
+        self.defects: list[Exception] = []
+        self.claimed: dict[str, set[str]] = {}
+        self._tasks: list[asyncio.Task[None]] = []
+        self.member = StepParticipant(
+            "c",
+            cast(Driver, self.driver),
+            clock,
+            StepServices(
+                check=lambda _: self.checks.append("at rest"),
+                check_following=lambda _: self.checks.append("following"),
+                scale=lambda: FleetScale("s", 0),
+                emit=self._emit,
+                settle=self._settle,
+                must_settle=lambda _: self.must_settle,
+                doubt_positions=lambda _: None,
+                note_differences=self.noted.extend,
+                spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(self._survive(coroutine))),
+            ),
+            lowering_lock=asyncio.Lock(),
+        )
+
+    def _emit(
+        self, kind: EventKind, text: str, armed_step: ArmedStep, evidence: Mapping[str, object] | None = None
+    ) -> None:
+        self.said.append(kind)
+        self.events.append((kind, armed_step.step))
+        self.claimed[kind] = set(evidence or ())
+
+    async def _settle(self, _: object) -> SettlingResult:
+        self.settled += 1
+        return SettlingResult()
+
+    async def arm(self, step: int, t0_ns: int) -> None:
+        await self.member.arm_step(ArmRequest(**self.ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))
+
+    async def go(self, step: int = 0, t0_ns: int = T0_NS, sooner_ns: int = 0) -> None:
+        """Armed, promised and released, `sooner_ns` before the T0 that it was armed for."""
+        await self.arm(step, t0_ns)
+        await self.member.commit_step(CommitRequest(**self.ref(step), t0_fleet_ns=t0_ns))
+        await self.member.start_step(GoRequest(**self.ref(step), t0_fleet_ns=t0_ns - sooner_ns, advance_ns=sooner_ns))
+
+    async def move(self) -> None:
+        """Step 0 moves, half of it is done."""
+        await self.go()
+        await self.wait_until(T0_NS + MOVE_NS // 2)
+        self.driver.begins()
+        await self.later(0.001)
+
+    async def arm_next(self, t0_ns: int = FOLLOWING_T0_NS, step: int = 1, **changes: Any) -> ArmedReply:
+        """Armed behind step 0, for `t0_ns`."""
+        fields = self.ref(step) | {"digest": "d", "t0_fleet_ns": t0_ns, "profiles": {}, "after_step": 0} | changes
+        return await self.member.arm_step(ArmRequest(**fields))
+
+    async def promise_next(self, t0_ns: int = FOLLOWING_T0_NS) -> CommittedReply:
+        return await self.member.commit_step(CommitRequest(**self.ref(1), t0_fleet_ns=t0_ns))
+
+    async def release_next(self, sooner_ns: int = 0) -> None:
+        fields = self.ref(1) | {"t0_fleet_ns": FOLLOWING_T0_NS - sooner_ns, "advance_ns": sooner_ns}
+        await self.member.start_step(GoRequest(**fields))
+
+    async def end_present(self, state: Literal["done", "stopped", "fault"] = "done") -> None:
+        """The moving step ends, at its instant."""
+        await self.wait_until(T0_NS + MOVE_NS)
+        self.driver.ends(state)
+        await self.later(0.001)
+
+    async def wait_until(self, at_ns: int) -> None:
+        await sleep_until_ns(self.clock, at_ns)
+
+    async def later(self, seconds: float = 0.01) -> None:
+        await sleep_ns(self.clock, round(seconds * NS_PER_S))
+
+    def ref(self, step: int) -> dict[str, Any]:
+        """The fields that every request of a step has."""
+        return {"request_id": "r", "actor": "a", "epoch": 1, "coordinator": "k", "job": "j", "step": step}
+
+    async def _survive(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        try:
+            await coroutine
+        except LinkClosed:
+            pass
+        except Exception as error:  # an adapter reports that as a defect of its own
+            self.defects.append(error)
+
+
+def run(body: Callable[[Desk], Coroutine[Any, Any, None]]) -> None:
+    async def main(clock: VirtualClock) -> None:
+        await body(Desk(clock))
+
+    run_virtual(main)
