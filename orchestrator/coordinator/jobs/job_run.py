@@ -15,7 +15,7 @@ from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, Leas
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
-from orchestrator.coordinator.jobs.look_ahead import ChainBreak, find_next_motion
+from orchestrator.coordinator.jobs.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.point_readings import PointReadings
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.report_collector import ReportCollector
@@ -24,12 +24,10 @@ from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.leadership.leadership import Leadership
-from orchestrator.coordinator.motion.ahead import StepAhead
 from orchestrator.coordinator.motion.planning import StepRequest
-from orchestrator.coordinator.motion.report import measure_gap_s
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
-from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
+from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
@@ -41,7 +39,6 @@ from orchestrator.model.report import (
     JobState,
     JobTransition,
     PointRecord,
-    StepChain,
     StepReport,
 )
 from orchestrator.model.scans.step_order import StepOrder
@@ -120,15 +117,7 @@ class JobRun:
         self.task: asyncio.Task[JobOutcome] | None = None
         self._services = services
         self._motion_step: MotionStep | None = None
-        self._ahead: StepAhead | None = None
-        self._after_next: StepAhead | None = None
-        """The step behind the one ahead, which is planned already."""
-        self._chain_breaks: dict[int | None, str] = {}
-        """Why motion steps begin from rest, by number."""
-        self._rested_ns = 0
-        """When the last motion step had ended."""
-        self._chained: int | None = None
-        """The last step that began behind the one before it."""
+        self._chain = MotionChain(services.motion, lambda: self._steps, self._make_request)
         self._interrupt: JobInterrupted | None = None
         self._given_up: JobInterrupted | None = None
         self._noted = False
@@ -185,8 +174,7 @@ class JobRun:
         """Pause the job after its current step. It keeps its axes."""
         self._paused_by = actor
         self._resumed.clear()
-        if self._ahead is not None:
-            self._ahead.prevent_release("the job was paused")
+        self._chain.prevent_release("the job was paused")
         self.publish_progress()
 
     async def feed_hold(self, actor: str) -> None:
@@ -195,8 +183,7 @@ class JobRun:
         self._braked = True
         if self._motion_step is not None:
             await self._motion_step.feed_hold(actor)
-        if self._ahead is not None:
-            await self._ahead.feed_hold(actor)
+        await self._chain.feed_hold(actor)
 
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
@@ -211,10 +198,10 @@ class JobRun:
 
     async def _wait_while_paused(self) -> None:
         """Wait until the job is resumed, if it is paused. Raises `Interrupted` when it is ended."""
-        if self._paused_by is not None and self._ahead is not None:
-            if self._ahead.is_decided and not self._braked:
+        if self._paused_by is not None and self._chain.is_prepared:
+            if self._chain.is_decided and not self._braked:
                 return  # it was too late to pause before that step
-            await self._drop_ahead("the job is paused")
+            await self._chain.drop("the job is paused", self.row.actor)
         while self._paused_by is not None:
             self._seen_ns = None
             first = self._step == self.row.from_step
@@ -238,6 +225,7 @@ class JobRun:
         finally:
             self._over = True
             beat.cancel()
+            await self._readings.wait_for_last(self._services.clock)
             self._readings.close()
             with suppress(JournalError):
                 await self._reports.finish()
@@ -279,7 +267,7 @@ class JobRun:
                 self._reports.begin_step(place)
                 report = await self._run_step_with_pauses(index, step)
                 self._seen_ns = None
-                report = self._note_chain(report)
+                report = self._chain.complete_report(report, self._reports.last_motion)
                 await self._reports.add_report(place, report, self._steps.find_target(place))
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
@@ -306,7 +294,7 @@ class JobRun:
             state, reason = "failed", f"a defect of the coordinator: {error!r}"
             await services.fleet.stop_members(self.members, "decelerate", "coordinator", reason)
         finally:
-            await self._drop_ahead("its job has ended")
+            await self._chain.drop("its job has ended", self.row.actor)
         return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports.reports}))
 
     def _take_positions(self) -> None:
@@ -325,18 +313,13 @@ class JobRun:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
         holds: list[FeedHold] = []
         if isinstance(step, Move):
-            ahead = self._ahead
-            if ahead is not None and ahead.step.request.index == index:
-                self._motion_step = ahead.step
-            else:
-                request = StepRequest(self.row.id, self.job, index, step)
-                self._motion_step = MotionStep(self._services.motion, request)
+            self._motion_step = self._chain.begin_step(index, step)
         try:
             while True:
                 report = await self._run_step(index, step)
                 if report.refused is None or report.refused.code != FEED_HOLD:
                     return report.model_copy(update={"feed_holds": holds})
-                await self._drop_ahead("the job is paused")
+                await self._chain.drop("the job is paused", self.row.actor)
                 if report.state == "stopped":
                     services, by = self._services, self._paused_by or self._resumed_by
                     holds.append(FeedHold(by=by, utc=services.clock.utc(), rest_skew=report.end_skew))
@@ -372,78 +355,13 @@ class JobRun:
     async def _run_motion(self, step: MotionStep) -> StepReport:
         """Run a motion step: behind the one before, if it is loaded there; otherwise from rest. Raises `Refusal`."""
         callbacks = _StepCallbacks(self._on_state, self._on_started)
-        ahead = self._ahead
-        if ahead is not None and ahead.step is step:
-            if ahead.between.acts:
-                acted_ns = self._services.clock.now_ns() - self._rested_ns - ahead.between.pause_ns
-                self._services.motion.estimator.record_acting(max(0, acted_ns))
-            try:
-                motion = await ahead.wait_until_released()
-            except Refusal as error:
-                self._ahead = None
-                if error.code == FEED_HOLD or ahead.is_decided:
-                    raise
-                self._chain_breaks[step.request.index] = error.text
-            else:
-                self._ahead, self._chained = None, step.request.index
-                return await step.run_released(motion, callbacks)
-        self._note_rest(step.request.index)
+        motion = await self._chain.wait_until_released(step)
+        if motion is not None:
+            return await step.run_released(motion, callbacks)
         return await step.run(callbacks, self._seen_ns)
 
-    def _note_rest(self, index: int) -> None:
-        """The motion step `index` begins from rest, for the reason that is known already or was found without its
-        number."""
-        self._chain_breaks.setdefault(index, self._chain_breaks.pop(None, ""))
-        if self._chained == index:
-            self._chained, self._chain_breaks[index] = None, "the job was paused in it"
-
-    def _look_ahead(self) -> None:
-        """Prepare the next motion step: the present one moves."""
-        motion = None if self._motion_step is None else self._motion_step.motion
-        if motion is None:
-            return
-        self._ahead, self._after_next = self._after_next, None
-        if self._ahead is None:
-            self._ahead = self._prepare_behind(motion)
-        if self._ahead is not None:
-            self._ahead.allow_arming()
-
-    def _plan_after(self, ahead: StepAhead, motion: PlannedMotion) -> None:
-        """Plan the step behind `ahead`, which is released: only its arming waits until that one moves."""
-        if ahead is self._ahead and self._paused_by is None:
-            self._after_next = self._prepare_behind(motion)
-
-    def _prepare_behind(self, motion: PlannedMotion) -> StepAhead | None:
-        """The motion step behind `motion`, being prepared; None where none can follow it."""
-        services = self._services
-        found = find_next_motion(services.view.fleet, self._steps, motion.planned.request.index)
-        if isinstance(found, ChainBreak):
-            self._chain_breaks[found.index] = found.reason
-            return None
-        following = MotionStep(services.motion, StepRequest(self.row.id, self.job, found.index, found.move))
-        return StepAhead(services.motion, following, motion, found.between, self._plan_after)
-
-    async def _drop_ahead(self, reason: str) -> None:
-        """Unload what is prepared behind the present step."""
-        dropped = (self._after_next, self._ahead)
-        self._ahead = self._after_next = None
-        for ahead in dropped:
-            if ahead is not None:
-                self._chain_breaks[ahead.step.request.index] = reason
-                await ahead.withdraw(reason, self.row.actor)
-
-    def _note_chain(self, report: StepReport) -> StepReport:
-        """The report of a motion step with how it followed the motion step before it."""
-        before = self._reports.last_motion
-        if report.t0_fleet_ns is not None:
-            self._rested_ns = self._services.clock.now_ns()
-        if report.t0_fleet_ns is None or before is None:
-            return report
-        kept, breaks = self._chained == report.index, self._chain_breaks
-        reason = breaks.get(report.index, "")
-        self._chain_breaks = {at: text for at, text in breaks.items() if at is None or at > report.index}
-        chain = StepChain(step=before.index, kept=kept, gap_s=measure_gap_s(before, report), broken=reason)
-        return report.model_copy(update={"chain": chain})
+    def _make_request(self, index: int, move: Move) -> StepRequest:
+        return StepRequest(self.row.id, self.job, index, move)
 
     async def _on_state(self, state: JobState, reason: str) -> None:
         await self._change_state(state, reason)
@@ -457,7 +375,8 @@ class JobRun:
 
     def _on_started(self, t0_fleet_ns: int, duration_s: float) -> None:
         self._step_t0_ns, self._step_s = t0_fleet_ns, duration_s
-        self._look_ahead()
+        if self._motion_step is not None and self._motion_step.motion is not None:
+            self._chain.look_ahead(self._motion_step.motion)
 
     async def _change_state(self, state: JobState, reason: str, actor: str | None = None) -> None:
         if state == self.state and state != "planning":

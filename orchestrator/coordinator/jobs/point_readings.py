@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 from fractions import Fraction
 
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.fleet import Axis
 from orchestrator.model.names import split_name
 from orchestrator.model.state import AxisState, ControllerState
 
+LOOK_NS, LAST_LOOKS = 5 * NS_PER_MS, 10
 TOLERANCE_COUNTS = 1  # rounding of the last count
 
 
@@ -32,6 +34,13 @@ class PointReadings:
     def read_positions(self) -> dict[str, float | None]:
         """The last readings at the point, in the axes' units; None: there was none."""
         return dict(self._found)
+
+    async def wait_for_last(self, clock: Clock) -> None:
+        """Wait a moment for the readings at the last point: an event of its end may have overtaken the states."""
+        for _ in range(LAST_LOOKS):
+            if None not in self._found.values():
+                return
+            await sleep_ns(clock, LOOK_NS)
 
     def close(self) -> None:
         """Take no more readings."""

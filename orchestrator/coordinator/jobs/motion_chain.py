@@ -1,0 +1,146 @@
+"""The motion steps of one job that follow each other: what is prepared behind the present one, and what breaks it."""
+
+from collections.abc import Callable
+
+from orchestrator.coordinator.jobs.look_ahead import ChainBreak, NumberedSteps, find_next_motion
+from orchestrator.coordinator.motion.ahead import StepAhead
+from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.report import measure_gap_s
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.motion.start import FEED_HOLD
+from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
+from orchestrator.model.errors import Refusal
+from orchestrator.model.job import Move
+from orchestrator.model.report import StepChain, StepReport
+
+
+class MotionChain:
+    """The chain of one job. steps: returns its steps. make_request: returns the request of a motion step."""
+
+    def __init__(
+        self,
+        services: MotionServices,
+        steps: Callable[[], NumberedSteps],
+        make_request: Callable[[int, Move], StepRequest],
+    ) -> None:
+        self._services = services
+        self._steps = steps
+        self._make_request = make_request
+        self._ahead: StepAhead | None = None
+        self._after_next: StepAhead | None = None
+        """The step behind the one ahead, which is planned already."""
+        self._breaks: dict[int | None, str] = {}
+        """Why motion steps begin from rest, by number; None: the next one, whatever its number is."""
+        self._kept: int | None = None
+        """The last step that began behind the one before it."""
+        self._paused = False
+        self._rested_ns = 0
+
+    @property
+    def is_prepared(self) -> bool:
+        """Whether a step is being prepared behind the present one."""
+        return self._ahead is not None
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether the step behind the present one starts, whatever the job does now."""
+        return self._ahead is not None and self._ahead.is_decided
+
+    # Ahead
+
+    def look_ahead(self, motion: PlannedMotion) -> None:
+        """Prepare the next motion step: `motion`, the present one, moves."""
+        self._ahead, self._after_next = self._after_next, None
+        self._paused = False
+        if self._ahead is None:
+            self._ahead = self._prepare_behind(motion)
+        if self._ahead is not None:
+            self._ahead.allow_arming()
+
+    def _plan_after(self, ahead: StepAhead, motion: PlannedMotion) -> None:
+        """Plan the step behind `ahead`, which is released: only its arming waits until that one moves."""
+        if ahead is self._ahead and not self._paused:
+            self._after_next = self._prepare_behind(motion)
+
+    def _prepare_behind(self, motion: PlannedMotion) -> StepAhead | None:
+        """The motion step behind `motion`, being prepared; None where none can follow it."""
+        fleet = self._services.fleet.view.fleet
+        found = find_next_motion(fleet, self._steps(), motion.planned.request.index)
+        if isinstance(found, ChainBreak):
+            self._breaks[found.index] = found.reason
+            return None
+        following = MotionStep(self._services, self._make_request(found.index, found.move))
+        return StepAhead(self._services, following, motion, found.between, self._plan_after)
+
+    # The next step
+
+    def begin_step(self, index: int, move: Move) -> MotionStep:
+        """The motion step `index`: the one that is prepared behind the present one, or a new one."""
+        ahead = self._ahead
+        if ahead is not None and ahead.step.request.index == index:
+            return ahead.step
+        return MotionStep(self._services, self._make_request(index, move))
+
+    async def wait_until_released(self, step: MotionStep) -> PlannedMotion | None:
+        """The start of `step` behind the one before; None: it begins from rest.
+
+        Raises `Refusal` when it was paused, or was decided and failed."""
+        ahead = self._ahead
+        if ahead is None or ahead.step is not step:
+            self._note_rest(step.request.index)
+            return None
+        if ahead.between.acts:
+            acted_ns = self._services.fleet.clock.now_ns() - self._rested_ns - ahead.between.pause_ns
+            self._services.estimator.record_acting(max(0, acted_ns))
+        try:
+            motion = await ahead.wait_until_released()
+        except Refusal as error:
+            self._ahead = None
+            if error.code == FEED_HOLD or ahead.is_decided:
+                raise
+            self._breaks[step.request.index] = error.text
+            return None
+        self._ahead, self._kept = None, step.request.index
+        return motion
+
+    def _note_rest(self, index: int) -> None:
+        """The motion step `index` begins from rest, for the reason that is known already or was found without its
+        number."""
+        self._breaks.setdefault(index, self._breaks.pop(None, ""))
+        if self._kept == index:
+            self._kept, self._breaks[index] = None, "the job was paused in it"
+
+    # Pauses and ends
+
+    def prevent_release(self, reason: str) -> None:
+        """Let the step behind the present one not start there, unless that is decided."""
+        self._paused = True
+        if self._ahead is not None:
+            self._ahead.prevent_release(reason)
+
+    async def feed_hold(self, actor: str) -> None:
+        """Brake the step behind the present one if it moves already, or prevent its start."""
+        if self._ahead is not None:
+            await self._ahead.feed_hold(actor)
+
+    async def drop(self, reason: str, actor: str) -> None:
+        """Unload what is prepared behind the present step; return when that is done."""
+        dropped = (self._after_next, self._ahead)
+        self._ahead = self._after_next = None
+        for ahead in dropped:
+            if ahead is not None:
+                self._breaks[ahead.step.request.index] = reason
+                await ahead.withdraw(reason, actor)
+
+    def complete_report(self, report: StepReport, before: StepReport | None) -> StepReport:
+        """The report of a step with how it followed `before`, the motion step before it."""
+        if report.t0_fleet_ns is None:
+            return report
+        self._rested_ns = self._services.fleet.clock.now_ns()
+        if before is None:
+            return report
+        reason = self._breaks.get(report.index, "")
+        self._breaks = {at: text for at, text in self._breaks.items() if at is None or at > report.index}
+        gap_s = measure_gap_s(before, report)
+        chain = StepChain(step=before.index, kept=self._kept == report.index, gap_s=gap_s, broken=reason)
+        return report.model_copy(update={"chain": chain})
