@@ -196,7 +196,7 @@ def test_nothing_of_a_loaded_step_moves_after_a_stop(how: str, before_end_ms: in
         if how == "cancel":
             await submitted.cancel()
         elif how == "stop":
-            await client.stop(["gantry"])
+            await client.stop()
         else:
             await client.estop()
         asked_ns = fleet.clock.now_ns()

@@ -227,8 +227,8 @@ class Desk:
         return await self.member.commit_step(CommitRequest(**self.ref(1), t0_fleet_ns=t0_ns))
 
     async def release_next(self, sooner_ns: int = 0) -> None:
-        fields = self.ref(1) | {"t0_fleet_ns": FOLLOWING_T0_NS - sooner_ns, "advance_ns": sooner_ns}
-        await self.member.start_step(GoRequest(**fields))
+        t0_ns = FOLLOWING_T0_NS - sooner_ns
+        await self.member.start_step(GoRequest(**self.ref(1), t0_fleet_ns=t0_ns, advance_ns=sooner_ns))
 
     async def end_present(self, state: Literal["done", "stopped", "fault"] = "done") -> None:
         """The moving step ends, at its instant."""

@@ -42,7 +42,7 @@ def written(**values: str) -> dict[str, ParameterSetting]:
     return {name: ParameterSetting(value, "--set", written=True) for name, value in values.items()}
 
 
-def problems(text: str = TEXT, **values: object) -> list[str]:
+def problems(text: str = TEXT, /, **values: Any) -> list[str]:
     with pytest.raises(FileError) as caught:
         template(text).fill(values)
     return str(caught.value).splitlines()
@@ -119,7 +119,7 @@ def test_the_text_of_a_command_line_is_of_the_type_of_its_parameter() -> None:
         ({"widht": 1}, "widht: the job file has no parameter widht; did you mean width? its parameters are: width, p"),
     ],
 )
-def test_bad_values(values: dict[str, object], expected: str) -> None:
+def test_bad_values(values: dict[str, Any], expected: str) -> None:
     (line,) = problems(**values)
     assert line.startswith(f"parameters: {expected}")
 

@@ -212,8 +212,9 @@ def test_random_jobs_are_judged_as_if_they_were_written_out(seed: int) -> None:
     # Where user offsets are unknown, the ways between the points of a scan are known all the same.
     if not any("user offset" in each for each in short.conditions):
         assert sum(each.least_s for each in spans) <= least_s + 1e-3
-        if None not in most_s and None not in (bounds := [each.most_s for each in spans]):
-            assert sum(bounds) >= sum(most_s) - 1e-3
+        bounds_s = [each.most_s for each in spans]
+        if None not in most_s and None not in bounds_s:
+            assert sum(each or 0.0 for each in bounds_s) >= sum(each or 0.0 for each in most_s) - 1e-3
     for name, state in short.axes.items():
         other = long.axes[name]
         assert (state.motor, state.known, state.lowest, state.highest) == (
