@@ -208,11 +208,13 @@ def opens_its_gate_behind_a_step(patch: Patch) -> None:
 
 
 class Mutation(NamedTuple):
-    """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`."""
+    """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
+    seed that is tried first."""
 
     invariant: str
     breaks: Callable[[Patch], None]
     cell: FaultCell
+    first: int = 1
 
 
 MUTATIONS = (
@@ -234,7 +236,7 @@ MUTATIONS = (
     Mutation("13", adopts_once, FaultCell("arm", "host-killed", "smc4000")),
     Mutation("13", names_no_command, FaultCell("motion", "estop", "shrc203")),
     Mutation("1", goes_without_promises, FaultCell("chain", "host-killed", "smc4000")),
-    Mutation("3", opens_its_gate_behind_a_step, FaultCell("chain", "coordinator-killed", "smc4000")),
+    Mutation("3", opens_its_gate_behind_a_step, FaultCell("chain", "coordinator-killed", "smc4000"), 10),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000")),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.
@@ -245,7 +247,7 @@ SEEDS = (1, 4, 9, 0, 2, 3, 5, 6, 7, 8, 10, 11)
 def test_the_campaign_finds_the_violation(mutation: Mutation, monkeypatch: Patch) -> None:
     mutation.breaks(monkeypatch)
     found: list[str] = []
-    for seed in SEEDS:
+    for seed in dict.fromkeys((mutation.first, *SEEDS)):
         found += run_scenario(seed, [mutation.cell]).violations
         if any(each.startswith(f"invariant {mutation.invariant}:") for each in found):
             return

@@ -72,11 +72,18 @@ class RunningFleet:
     def works(self) -> None:
         """Wait until there is a leader that every adapter has adopted."""
 
+        states: dict[str, ControllerState] = {}
+
         def adopted() -> bool:
-            states = self.status()
+            states.clear()
+            states.update(self.status())
             return len(states) == 2 and all(s.mode == "idle" and s.epoch == self.epoch() for s in states.values())
 
-        wait_until(adopted, "adopted and idle")
+        try:
+            wait_until(adopted, "adopted and idle")
+        except AssertionError as error:
+            shown = {name: (s.mode, s.epoch, s.job, [each.text for each in s.faults]) for name, s in states.items()}
+            raise AssertionError(f"{error}; epoch {self.epoch()}, {shown}") from None
 
     def epoch(self) -> int:
         """The newest epoch in the log of this fleet's own coordinator."""

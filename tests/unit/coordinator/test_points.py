@@ -216,8 +216,8 @@ def test_a_point_that_fails_has_its_own_report_behind_that_of_the_scan() -> None
 
 def test_memory_does_not_grow_with_the_points() -> None:
     run_scan(200)  # what is made once
-    small, large = run_scan(500)[1], run_scan(8000)[1]
-    assert large < small + 100_000, (small, large)
+    small, large = run_scan(300)[1], run_scan(3000)[1]
+    assert large < small + 50_000, (small, large)
 
 
 def test_stored_points_are_read_in_blocks() -> None:
