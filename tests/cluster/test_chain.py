@@ -151,6 +151,7 @@ def test_a_chain_whose_first_controller_is_off_is_reported_offline_as_a_whole():
     run_fleet(main)
 
 
+@pytest.mark.nightly
 def test_eight_controllers_that_start_together_do_not_count_as_silent_while_each_is_polled_in_turn():
     fleet = make_sync_fleet("8 SMC-2000, one chain", 1)
     axes = [f"{name}.x" for name in fleet.controllers]

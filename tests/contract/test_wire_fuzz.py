@@ -6,7 +6,7 @@ from adapter_worlds import CASES
 from orchestrator.conformance.wire_fuzz import run_conversation
 
 MAKES = ("smc4000", "smc2000", "shrc203", "smc30", "ppsmc", "cia402")
-CONVERSATIONS = 50  # of each make
+CONVERSATIONS = 25  # of each make
 
 
 def cases(make: str) -> list[str]:

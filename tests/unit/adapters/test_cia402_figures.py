@@ -7,7 +7,7 @@ from orchestrator.bench.can.stream import bench_stream
 from orchestrator.bench.lowering_steppers import bench_stepper
 
 
-@pytest.mark.parametrize("moves", [30, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("moves", [10, pytest.param(300, marks=pytest.mark.nightly)])
 def test_lowered_moves_take_the_planned_time_and_are_executed_as_predicted(moves: int) -> None:
     found = bench_stepper("cia402", moves, 11)
     asked = [each for each in found.figures if each.asked]

@@ -167,6 +167,7 @@ def test_durations() -> None:
     assert forecast("[{do: move, to: {gantry.x: 5}}]", unbounded).most_s is None
 
 
+@pytest.mark.nightly
 def test_ten_thousand_steps() -> None:
     """Within the 10 s of CPU that are promised, with a wide margin for a busy machine."""
     import time
