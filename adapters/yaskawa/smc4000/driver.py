@@ -36,7 +36,7 @@ from adapters.yaskawa.common.session import pack_operands
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
-from orchestrator.clock.base import NS_PER_S, NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller, SerialLink, UdpLink
@@ -49,6 +49,7 @@ FREE_OWN_HANDLE = b"IHS=>-2\r"  # over UDP the controller cannot otherwise detec
 BAUD_RATES = (9600, 19200)  # by jumper JP2 (L599, L851)
 LONGEST_EXCHANGE = 80  # characters, sent and received
 POINTS = 8  # inputs, outputs (L390, L470)
+RELEASE_NS = 3 * NS_PER_MS  # in which a request to withdraw a following step arrives
 ARM_EXCHANGES = 14
 DISARM_EXCHANGES = 5
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
@@ -174,6 +175,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             self.traits,
             gate=self._device.gate,
             axes=self._device.axes_count,
+            release_ns=RELEASE_NS,
         )
         return lower_moves(context, profiles, start, mapping)
 

@@ -264,7 +264,8 @@ class StartSequence:
             raise
         state.settled_fleet_ns = self._leadership.fleet_now_ns()
         go_ns = go_factor * self._go_ns(0 if waited else promised_ns - armed_ns)
-        earliest_ns = max(state.settled_fleet_ns + go_ns + agreement.disarm_ns, agreement.follows_ns)
+        slack_ns = RELEASE_SLACK_NS if agreement.present is not None and not waited else 0
+        earliest_ns = max(state.settled_fleet_ns + go_ns + slack_ns + agreement.disarm_ns, agreement.follows_ns)
         spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
         state.t0_fleet_ns -= agreement.advance_ns
