@@ -9,10 +9,10 @@ from orchestrator.conformance.power_cuts import COMMANDED, CUT_MOMENTS_NS, check
 @pytest.mark.parametrize(
     "moments_ns",
     [
-        CUT_MOMENTS_NS[::12],
-        *(pytest.param(CUT_MOMENTS_NS[first::12], marks=pytest.mark.nightly) for first in range(1, 12)),
+        CUT_MOMENTS_NS[::6],
+        *(pytest.param(CUT_MOMENTS_NS[first::6], marks=pytest.mark.nightly) for first in range(1, 6)),
     ],
-    ids=["", *(f"more, {first} of 11" for first in range(1, 12))],
+    ids=["", *(f"more, {first} of 5" for first in range(1, 6))],
 )
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("act", COMMANDED)
