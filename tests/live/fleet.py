@@ -174,6 +174,7 @@ class RunningFleet:
 
     def ready(self) -> None:
         """Bring all axes to the beginning from any position: the fleet works, and its queue is started."""
+        self.ask(lambda tutti: tutti.reset())  # the test before may have left an emergency stop in a controller
         self.works()
         self.ask(lambda tutti: tutti.start_queue())
         report = self.run(READY)
