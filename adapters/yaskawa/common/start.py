@@ -35,7 +35,8 @@ LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then it
 @dataclass(slots=True)
 class _LoadedMove:
     """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
-    another one. released: it starts by itself. taken: its variables are those of the present step."""
+    another one. released: its release was sent, so it may start by itself. taken: its variables are those of the
+    present step."""
 
     lowered: YaskawaLowered
     ticks: int
@@ -327,6 +328,7 @@ class SampleStart:
             sent = [f"XFT={following.ticks}", f"XFARM={following.ticks}"]
         if following.mapping.to_ticks(self._clock.now_ns()) > following.ticks - self._device.gate.follow_before:
             raise Refusal("late", "it is too late to release the start", "increase the lead time")
+        following.released = True  # before that, so that no query of the present move sets an earlier deadline
         await session.send_settings([*sent, self._watchdog_command(following.ticks), "XFGO=1"])
         (ticks, released, missed, running), _ = await session.read_numbers(
             "XFT", "XFGO", "XFL", f"_HX{following.thread}"
@@ -335,7 +337,6 @@ class SampleStart:
             raise Refusal("late", "the controller no longer waits for this start", "increase the lead time")
         if int(ticks) != following.ticks or not released:
             raise Refusal("read-back", f"XFT reads back as {ticks:.0f}, not {following.ticks}", "try again")
-        following.released = True
 
     async def unload_next(self) -> None:
         """Unload the following move; the present one continues."""
@@ -438,7 +439,7 @@ class SampleStart:
         if following is None or not following.released:
             return watch_ns
         tick_ns = following.mapping.tick_ns
-        gap_ns = self._gap_ticks(following) * tick_ns
+        gap_ns = self._gap_ticks(self._require_loaded()) * tick_ns
         late_ns = following.t0_ns + round(LATE_LOOK_TICKS * tick_ns)
         return late_ns - self._clock.now_ns() if following.t0_ns - gap_ns < at_ns < late_ns else watch_ns
 
@@ -450,8 +451,8 @@ class SampleStart:
         return record, int(ticks)
 
     def _released_ticks(self) -> int:
-        """The sample for which a following move is loaded; 0 without one."""
-        return 0 if self._next is None else self._next.ticks
+        """The sample at which a released following move begins, which the watchdog must outlast; 0 without one."""
+        return self._next.ticks if self._next is not None and self._next.released else 0
 
     async def _followed_outcome(self, loaded: _LoadedMove) -> MoveOutcome:
         """Return how a move ended behind which another one has begun: at its target, or that one had not begun."""

@@ -1,6 +1,8 @@
 """A move loaded behind the present one of an SMC-4000, against the simulated controller in virtual time."""
 
+import asyncio
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from typing import Any, cast
 
 import pytest
@@ -144,6 +146,25 @@ def test_a_move_does_not_begin_where_the_one_before_has_not_ended() -> None:
         assert len(pair.motions()) == 1
 
     run_pair(body)
+
+
+def test_a_move_that_is_only_loaded_does_not_extend_the_watchdog_of_the_present_one() -> None:
+    async def body(pair: Pair) -> None:
+        clock = pair.world.clock
+        pair.lower({"x": trapezoid(160_000, 0, 80_000, 700_000)}, gap_ns=5 * NS_PER_S)
+        watching = asyncio.create_task(pair.driver.wait_for_end())
+        await pair.load()
+        await sleep_ns(clock, NS_PER_S)
+        watching.cancel()
+        with suppress(asyncio.CancelledError):
+            await watching
+        silent_ns = clock.now_ns()
+        await sleep_until_ns(clock, pair.t0_ns + NS_PER_S)
+        (first,) = pair.motions()
+        assert first.end_ns - silent_ns < YaskawaOptions().watchdog_s * NS_PER_S + NS_PER_S // 10
+        assert first.end_counts < 160_000
+
+    run_pair(body, {"x": trapezoid(0, 160_000, 20_000, 700_000)})
 
 
 @pytest.mark.parametrize(("later_ns", "code"), [(0, ""), (-3 * NS_PER_MS, "late")])
