@@ -54,11 +54,14 @@ class BusRecorder:
     """Records every request of every coordinator of a fleet. `on_request` is called when a request is sent, and when it
     is answered.
 
-    first_arms_ns: when the first arm request of each step was sent, host ns."""
+    first_arms_ns: when the first arm request of each step was sent, host ns.
+    preceding_t0_ns: T0 of the last step that a member of this one was started for before, fleet ns; by step."""
 
     def __init__(self, clock: Clock, on_request: Callable[[RecordedRequest], None]) -> None:
         self.requests: list[RecordedRequest] = []
         self.first_arms_ns: dict[tuple[str, int], int] = {}
+        self.preceding_t0_ns: dict[tuple[str, int], int] = {}
+        self._last_go: dict[str, RecordedRequest] = {}
         self._by_verb: dict[str, list[RecordedRequest]] = {}
         self._clock = clock
         self._on_request = on_request
@@ -88,8 +91,18 @@ class BusRecorder:
         self._by_verb.setdefault(verb, []).append(asked)
         if verb == "arm":
             self.first_arms_ns.setdefault(asked.step_id, asked.sent_ns)
+        if verb == "go":
+            self._note_preceding(asked)
         self._on_request(asked)
         return asked
+
+    def _note_preceding(self, go: RecordedRequest) -> None:
+        """Note the T0 of the member's step before this one."""
+        last = self._last_go.get(go.member)
+        if last is not None and last.step_id != go.step_id:
+            t0_ns = last.fields["t0_fleet_ns"]
+            self.preceding_t0_ns[go.step_id] = max(t0_ns, self.preceding_t0_ns.get(go.step_id, t0_ns))
+        self._last_go[go.member] = go
 
     def record_replies(self, key: str, requests: list[RecordedRequest], payload: bytes) -> None:
         """Record the reply, for all members that answered."""

@@ -13,7 +13,8 @@ from orchestrator.runtime.virtual import VirtualFleet
 from sim.core.controller import CommandedMotion
 
 # A motion belongs to a step when it begins this near to its T0, or during it; but not before any member was armed for
-# the step: the first step of a new leader can follow the step that it stopped sooner than this.
+# the step: the first step of a new leader can follow the step that it stopped sooner than this. Where a step is shorter
+# than this, a motion between its T0 and that of the next one belongs to the nearer.
 STEP_WINDOW_NS = 300 * NS_PER_MS
 # after homing was abandoned: earlier commands still take effect, and the stop follows them
 IN_TRANSIT_NS = 100 * NS_PER_MS
@@ -122,9 +123,12 @@ class PhaseRecords:
         return sorted(found, key=lambda step: step.requested_ns)
 
     def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int) -> int:
-        """Return the earliest instant at which a motion may belong to the step: near its T0, and after the first arm
-        request. Host ns."""
-        return max(t0_ns - STEP_WINDOW_NS, self._recorder.first_arms_ns[step])
+        """Return the earliest instant at which a motion may belong to the step: near its T0, nearer than to that of the
+        step before, and after the first arm request. Host ns."""
+        earliest_ns = max(t0_ns - STEP_WINDOW_NS, self._recorder.first_arms_ns[step])
+        before_ns = self._recorder.preceding_t0_ns.get(step)
+        # A step is armed while a shorter one before it runs.
+        return earliest_ns if before_ns is None else max(earliest_ns, (before_ns + self.origin_ns() + t0_ns) // 2)
 
     def completed_steps(self, report: JobReport | None) -> list[tuple[int, int | None]]:
         """Return index and T0 (host ns) of the completed steps of a job."""

@@ -329,6 +329,14 @@ def test_every_fault_of_the_campaign_can_be_injected_and_the_invariants_hold(fau
 # Checks
 
 
+def test_short_steps_back_to_back_hold_the_invariants(fleet: VirtualTestbed) -> None:
+    """Each step takes 0.2 s, and the next one is armed before its T0: every motion belongs to its own step."""
+    steps = [Move(by={axis: 2}) for _ in range(3) for axis in ("gantry.x", "gantry.y")]
+    report = fleet.tutti.run(Job("short", steps))
+    assert [each.chain is not None and each.chain.kept for each in report.steps] == [False] + [True] * 5
+    fleet.check()
+
+
 def test_an_axis_left_in_motion_fails_the_test_with_the_seed() -> None:
     def leave_it(fleet: VirtualTestbed) -> None:
         fleet.tutti.enable("gantry", "stage")
