@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.fleet import FleetScale
+from orchestrator.model.messages import StepRequest
 from orchestrator.model.state import Mode
 
 
@@ -39,6 +41,16 @@ class ArmedStep:
         if self.phase in (StepPhase.RELEASED, StepPhase.MOVING):
             return "moving"
         return "committed" if self.phase is StepPhase.COMMITTED else "armed"
+
+    @property
+    def ends_host_ns(self) -> int:
+        """When its last axis should have ended, as promised; host time."""
+        return self.t0_host_ns + round(max(self.promised_s.values(), default=0.0) * NS_PER_S)
+
+    def is_for(self, request: StepRequest, t0_fleet_ns: int | None = None) -> bool:
+        """Whether it is the step that a request is about; for this T0, if one is given."""
+        same = (self.job, self.step) == (request.job, request.step)
+        return same and t0_fleet_ns in (None, self.t0_fleet_ns)
 
     def is_same(self, other: "ArmedStep | None") -> bool:
         """Whether it is the same step for the same T0, in any phase."""

@@ -77,12 +77,9 @@ class NextStepSlot:
 
     def find_waiting(self, request: CommitRequest) -> FollowingStep | None:
         """The step of the request, for the same T0, if the adapter loads it behind the one before, or has done so."""
-        wanted = (request.job, request.step, request.t0_fleet_ns)
         for each in (self._following, self._behind):
-            if each is not None and not each.in_controller:
-                armed_step = each.armed_step
-                if (armed_step.job, armed_step.step, armed_step.t0_fleet_ns) == wanted:
-                    return each
+            if each is not None and not each.in_controller and each.armed_step.is_for(request, request.t0_fleet_ns):
+                return each
         return None
 
     def hold_back(self, move: PreparedMove, *, checked: bool) -> None:

@@ -11,13 +11,14 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from adapters.contract import Driver, MoveOutcome, SettingDifference
+from adapters.contract import Driver, Lowered, MoveOutcome, SettingDifference
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
 from adapters.controller.next_step import FollowingStep, NextStepSlot, PreparedMove
 from adapters.controller.settling import SettlingResult
 from adapters.controller.step_end import MotionEnd, MotionStart
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
+from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.latency import MAX_STARTS
 from orchestrator.link.base import LinkClosed
@@ -48,6 +49,8 @@ QUIET_TURN_NS = 40 * NS_PER_MS
 READING_ROOM_NS = 100 * NS_PER_MS  # between two steps, in which the controller is read at rest
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
 EARLY_NS = 2 * NS_PER_MS  # this long before T0, and from then on, a released step may have begun
+
+LoadCall = Callable[[Lowered, int, TickMapping | None], Awaitable[Mapping[str, int]]]
 
 
 class StepEventEmitter(Protocol):
@@ -210,24 +213,32 @@ class StepParticipant:
     async def _load_at_rest(self, move: PreparedMove, following: FollowingStep | None = None) -> ArmedReply:
         """Load the move into the controller, whose axes are at rest. following: the step before has just ended, and it
         waited for that."""
-        interruptions, load = self._interruptions, self._driver.arm_move
-        if following is not None:
-            load = self._driver.arm_behind
-        try:
-            async with self._loading_lock:
-                if following is None or not following.checked:
-                    await self._require_settings()
-                stages = await load(move.lowered, move.armed_step.t0_host_ns, move.mapping)
-        except (Refusal, ControllerFault):
-            await self._driver.disarm_move()
-            raise
-        if interruptions != self._interruptions:
-            await self._driver.disarm_move()
-            raise Refusal("stopped", "a stop came while arming", "")
+        load = self._driver.arm_move if following is None else self._driver.arm_behind
+        checked = following is not None and following.checked
+        stages = await self._load(move, load, self._driver.disarm_move, checked=checked)
         self.armed_step, self.stop_ns = move.armed_step, move.lowered.costs.stop_ns
         self._requested_ns = self._clock.now_ns()  # the commit is next
         self._spawn(self._unload_at_t0(move.armed_step))
         return self._make_armed_reply(move, stages)
+
+    async def _load(
+        self, move: PreparedMove, load: LoadCall, unload: Callable[[], Awaitable[None]], *, checked: bool = False
+    ) -> Mapping[str, int]:
+        """Load the move by `load` after a comparison of settings, unless they are `checked`; return how long its stages
+        took. Raises `Refusal`, `ControllerFault`: then it is unloaded."""
+        interruptions = self._interruptions
+        try:
+            async with self._loading_lock:
+                if not checked:
+                    await self._require_settings()
+                stages = await load(move.lowered, move.armed_step.t0_host_ns, move.mapping)
+        except (Refusal, ControllerFault):
+            await unload()
+            raise
+        if interruptions != self._interruptions:
+            await unload()
+            raise Refusal("stopped", "a stop came while arming", "")
+        return stages
 
     def _make_armed_reply(self, move: PreparedMove, stages: Mapping[str, int]) -> ArmedReply:
         lowered, mapping = move.lowered, move.mapping
@@ -256,17 +267,7 @@ class StepParticipant:
             if self.armed_step is None:
                 self._begin_next()
             return self._make_armed_reply(move, {}).model_copy(update={"waits": True})
-        interruptions = self._interruptions
-        try:
-            async with self._loading_lock:
-                await self._require_settings()
-                stages = await self._driver.load_next(move.lowered, move.armed_step.t0_host_ns, move.mapping)
-        except (Refusal, ControllerFault):
-            await self._driver.unload_next()
-            raise
-        if interruptions != self._interruptions:
-            await self._driver.unload_next()
-            raise Refusal("stopped", "a stop came while arming", "")
+        stages = await self._load(move, self._driver.load_next, self._driver.unload_next)
         self.stop_ns = max(self.stop_ns, move.lowered.costs.stop_ns)
         self._next.note_loaded(move)
         self._spawn(self._unload_at_t0(move.armed_step))
@@ -407,10 +408,10 @@ class StepParticipant:
         if following is None and present is not None and present.job == request.job and present.step != request.step:
             async with self._transition_lock:  # it may be being loaded behind the present one
                 following = self._next.armed_step
-        if following is not None and (following.job, following.step) == (request.job, request.step):
+        if following is not None and following.is_for(request):
             return await self._disarm_following(request, following)
         armed_step, begun = self.armed_step, False
-        if armed_step is not None and (armed_step.job, armed_step.step) != (request.job, request.step):
+        if armed_step is not None and not armed_step.is_for(request):
             return DisarmedReply()  # another job's step, which is still in use
         if armed_step is not None and armed_step.phase is StepPhase.RELEASED:
             # This bypasses a `go` that is still under way, because T0 is near.
@@ -557,7 +558,7 @@ class StepParticipant:
         following = self._next.armed_step
         if following is None:
             return None
-        ends_ns = present.t0_host_ns + round(max(present.promised_s.values(), default=0.0) * NS_PER_S)
+        ends_ns = present.ends_host_ns
         until_ns = min(ends_ns + QUIET_TURN_NS, following.t0_host_ns)
         return until_ns if ends_ns - QUIET_TURN_NS <= now_ns <= until_ns else None
 
@@ -566,7 +567,7 @@ class StepParticipant:
     def _find_step(self, request: StepRequest) -> ArmedStep | None:
         """The present or the following step, if it is the one of the request."""
         for each in (self.armed_step, self._next.armed_step):
-            if each is not None and (each.job, each.step) == (request.job, request.step):
+            if each is not None and each.is_for(request):
                 return each
         return None
 
@@ -638,7 +639,7 @@ class StepParticipant:
         begun = MotionStart(started, armed_step.scale)
         self._emit("started", begun.text, moving, begun.seen_evidence)
         outcome = await self._driver.wait_for_end()
-        self._ended_ns = moving.t0_host_ns + round(max(moving.promised_s.values(), default=0.0) * NS_PER_S)
+        self._ended_ns = moving.ends_host_ns
         self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
         settled = await self._settle_end(armed_step.axes, outcome)
         if self.armed_step is not moving:

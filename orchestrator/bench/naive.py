@@ -5,23 +5,20 @@ between two moves is what a query and a write cost.
 """
 
 import asyncio
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from contextvars import copy_context
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from random import Random
 
+from orchestrator.bench import scripted
 from orchestrator.bench.truth import NothingHappened
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import Link
-from orchestrator.link.memory import LAN, MemoryWire, serial_wire
-from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController, build_line
+from sim.core.controller import FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import find_simulator
 
 ANSWER_S = 2.0
-SILENCE_S = 0.1
 LOOKS_MOST = 5000  # for the end of one move
 
 
@@ -30,28 +27,19 @@ class NaiveMake:
     """What the script sends to a controller of one make.
 
     setup: lines at its beginning. begin: lines of a move to `{target}` counts. query, rests: a query, and the end of
-    its reply at rest. baud: 0: TCP.
+    its reply at rest. ends: the end of any reply.
     """
 
-    model: str
-    baud: int
-    options: Mapping[str, object]
-    timing: FirmwareTiming
+    controller: scripted.ScriptedController
     setup: tuple[str, ...]
     begin: tuple[str, ...]
     query: str
     rests: bytes
-    eol: str = "\r"
-    ends: bytes = field(default=b"\r\n", kw_only=True)
+    ends: bytes = b"\r\n"
 
-
-_YASKAWA = FirmwareTiming(500 * NS_PER_US, 50 * NS_PER_US)
 
 SMC4000 = NaiveMake(
-    "smc4000",
-    0,
-    {"axes": 2},
-    _YASKAWA,
+    scripted.SMC4000,
     ("EO 0", "SHX", "SPX=200000", "ACX=1000000", "DCX=1000000"),
     ("PAX={target}", "BGX"),
     "MG_BGX",
@@ -59,21 +47,16 @@ SMC4000 = NaiveMake(
     ends=b":",
 )
 SHRC203 = NaiveMake(
-    "shrc203",
-    38400,
-    {"divide": 20, "speed": [100, 20000, 100]},
-    FirmwareTiming(NS_PER_MS, 800 * NS_PER_US),
+    scripted.SHRC203,
     ("C:11", "D:1S100F100000R200"),
     ("A:1+P{target}", "G:1"),
     "!:",
     b"R\r\n",
-    "\r\n",
 )
 SMC30 = NaiveMake(
-    "smc30",
-    9600,
-    {"travel_steps": [-20_000, 400_000]},
-    FirmwareTiming(NS_PER_MS, 200 * NS_PER_US),
+    scripted.ScriptedController(
+        "smc30", 9600, {"travel_steps": [-20_000, 400_000]}, FirmwareTiming(NS_PER_MS, 200 * NS_PER_US)
+    ),
     ("K", "S400", "T10000", "R1000", "CS1000", "CT1000", "CR1000"),
     ("G+{target}",),
     "F",
@@ -81,15 +64,17 @@ SMC30 = NaiveMake(
     ends=b"\r",
 )
 PPSMC = NaiveMake(
-    "ppsmc",
-    0,
-    {"axes": 1, "org_steps": {"1": [-9000, -2000]}},
-    FirmwareTiming(5 * NS_PER_MS, 15 * NS_PER_MS),
+    scripted.ScriptedController(
+        "ppsmc",
+        0,
+        {"axes": 1, "org_steps": {"1": [-9000, -2000]}},
+        FirmwareTiming(5 * NS_PER_MS, 15 * NS_PER_MS),
+        "\r\n",
+    ),
     ("txdel3", "echo0", "frun1:4000", "ffast1:80000"),
     ("tbc", "tbs1:a{target}", "tbg"),
     "?s",
     b"",
-    "\r\n",
 )
 
 
@@ -113,18 +98,13 @@ async def _run_script(clock: VirtualClock, moves: Sequence[NaiveMove], steps: in
     for number, move in enumerate(moves):
         make = move.make
         crystal = Oscillator(0, draw.uniform(-50, 50), 0.05, draw.randrange(2**31))
-        spec = DeviceSpec(None, make.options, crystal, make.timing, draw.randrange(2**31))
-        line = build_line(find_simulator(make.model), clock, {f"u{number}": spec})
+        line = make.controller.build(clock, f"u{number}", crystal, draw)
         units += line.devices.values()
-        names = line.endpoint.port_names
-        port = next((each for each in names if each == ("serial" if make.baud else "tcp")), names[0])
-        model = serial_wire(make.baud) if make.baud else LAN
-        wire = MemoryWire(clock, model, line.endpoint, port, port, copy_context(), draw.randrange(2**31))
-        ports.append((move, _ScriptPort(await wire.open_link(), make)))
+        ports.append((move, _ScriptPort(await scripted.open_link(clock, line, make.controller.baud, draw), make)))
     for _, port in ports:
         for text in port.make.setup:
             await port.send(text)
-        await port.discard_input()
+        await scripted.discard_input(port.link)
     for step in range(steps):
         for move, port in ports:
             target = move.counts if step % 2 == 0 else 0
@@ -136,7 +116,7 @@ async def _run_script(clock: VirtualClock, moves: Sequence[NaiveMove], steps: in
                     break
                 await sleep_ns(clock, NS_PER_MS)
             else:
-                raise NothingHappened(f"the script's {port.make.model} does not come to rest")
+                raise NothingHappened(f"the script's {port.make.controller.model} does not come to rest")
     for _, port in ports:
         await port.link.close()
     return find_gaps(
@@ -154,7 +134,7 @@ class _ScriptPort:
     async def send(self, text: str) -> bytes:
         """Write a line; return what arrives until a reply is complete. A make that acknowledges nothing is not waited
         for."""
-        self.link.write((text + self.make.eol).encode())
+        self.link.write((text + self.make.controller.eol).encode())
         if not self.make.rests and not text.startswith("?"):
             return b""
         return await self._read_reply()
@@ -166,13 +146,6 @@ class _ScriptPort:
                 while not seen.endswith(self.make.ends):
                     seen += (await self.link.read()).data
         return seen
-
-    async def discard_input(self) -> None:
-        """Read what arrives until the link is silent, e.g. a greeting."""
-        with suppress(TimeoutError):
-            while True:
-                async with asyncio.timeout(SILENCE_S):
-                    await self.link.read()
 
     async def is_at_rest(self) -> bool:
         """Whether a query shows the controller at rest."""

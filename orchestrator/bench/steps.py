@@ -20,6 +20,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
+from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.examples import find_example
 from orchestrator.runtime.virtual import VirtualFleet
@@ -130,11 +131,10 @@ async def _measure_virtual(each: StepsFleet, clock: VirtualClock, steps: int) ->
     motions = {
         axis: [
             (motion.start_ns, motion.end_ns)
-            for motion in virtual.controllers[controller].commanded_motions
+            for motion in virtual.controllers[controller_of(axis)].commanded_motions
             if motion.axis == each.fleet.axis(axis).motors[0] and motion.end_ns is not None
         ]
         for axis in each.counts
-        for controller in [axis.partition(".")[0]]
     }
     naive = measure_naive_gaps(each.naive, steps)
     return StepsFigures(
@@ -156,9 +156,8 @@ async def _run_live(each: StepsFleet, steps: int, state: Path) -> tuple[JobRepor
     async with run_measured_fleet(each.fleet, state) as (live, client):
         report = await _run_job(client, each, steps)
         return report, {
-            axis: read_motions(live.state / "truth" / f"{controller}.jsonl", each.fleet.axis(axis).motors[0])
+            axis: read_motions(live.state / "truth" / f"{controller_of(axis)}.jsonl", each.fleet.axis(axis).motors[0])
             for axis in each.counts
-            for controller in [axis.partition(".")[0]]
         }
 
 

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from orchestrator.client.connection import FleetConnection
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job, Scan, find_scans, named_axes, replace_scans
+from orchestrator.model.job import Job, Scan, find_moved_twice, find_scans, replace_scans
 from orchestrator.model.messages import Request
 from orchestrator.model.report import PointRecord
 from orchestrator.model.scan import PART_BYTES, ROW_TYPE, PointAxis, PointTable, find_row_bytes, make_header
@@ -136,17 +136,13 @@ class PointSummaries:
 def _summarize_points(source: PointSource) -> PointTable:
     from orchestrator.model.scans.point_summary import ColumnSummary
 
-    digest = hashlib.sha256()
+    encoded = _EncodedPoints(source)
     summary: ColumnSummary | None = None
-    for block in source.read_blocks():
-        if summary is None:
-            summary = ColumnSummary(source.axes)
-            digest.update(make_header(source.axes))
+    for block, _ in encoded.read_blocks():
+        summary = summary or ColumnSummary(source.axes)
         summary.add_rows(block)
-        digest.update(block.astype(ROW_TYPE).tobytes())
     assert summary is not None  # a source without points is refused
-    columns, name = summary.make_columns(), f"sha256:{digest.hexdigest()}"
-    return PointTable(digest=name, count=summary.count, columns=columns)
+    return PointTable(digest=encoded.digest, count=summary.count, columns=summary.make_columns())
 
 
 def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
@@ -163,28 +159,43 @@ def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
 
 def place_points(scan: Scan, table: PointTable) -> Scan:
     """The scan with the points of `table`. Raises `Refusal` if a step at its points moves one of their axes."""
-    for number, step in enumerate(scan.at_each):
-        twice = sorted(set(table.axis_names) & set(named_axes(step)))
-        if twice:
-            text = f"at_each[{number}] moves {', '.join(twice)}, which the scan positions"
-            raise Refusal("bad-points", text, "move other axes there")
+    for number, twice in find_moved_twice(table.axis_names, scan.at_each):
+        text = f"at_each[{number}] moves {', '.join(twice)}, which the scan positions"
+        raise Refusal("bad-points", text, "move other axes there")
     return scan.model_copy(update={"points": table, "scanspec": None})
 
 
 async def _spool_points(source: PointSource, rows: IO[bytes], on_points: OnPoints) -> tuple[str, int]:
     """Write all points to a file; return their digest and number."""
-    digest, count = hashlib.sha256(), 0
-    for block in source.read_blocks():
-        if not count:
-            digest.update(make_header(source.axes))
-        data = block.astype(ROW_TYPE).tobytes()
-        digest.update(data)
+    encoded, count = _EncodedPoints(source), 0
+    for block, data in encoded.read_blocks():
         rows.write(data)
         count += len(block)
         on_points(PointProgress("reading", count))
         # What else runs in this program, such as the signs of life of a session, gets its turn.
         await asyncio.sleep(0)
-    return f"sha256:{digest.hexdigest()}", count
+    return encoded.digest, count
+
+
+class _EncodedPoints:
+    """Points as they are sent, and their digest once all were read."""
+
+    def __init__(self, source: PointSource) -> None:
+        self._source = source
+        self._hash = hashlib.sha256()
+
+    @property
+    def digest(self) -> str:
+        return f"sha256:{self._hash.hexdigest()}"
+
+    def read_blocks(self) -> Iterator[tuple["NDArray[np.float64]", bytes]]:
+        """The points block by block, each also as bytes."""
+        for number, block in enumerate(self._source.read_blocks()):
+            if not number:
+                self._hash.update(make_header(self._source.axes))
+            data = block.astype(ROW_TYPE).tobytes()
+            self._hash.update(data)
+            yield block, data
 
 
 def _is_unread(scan: Scan) -> bool:

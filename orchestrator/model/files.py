@@ -126,14 +126,19 @@ def require_mapping(file: LoadedFile, model: type[Model]) -> None:
 
 def validate_value(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:
     """Make a model of the plain value of a whole file; or None, and every mistake."""
-    # In Python a job needs none: there its version is that of the program.
-    problems = [] if "schema" in value else [Problem(("schema",), "is missing")]
+    found, problems = validate_part(value, model)
+    if "schema" not in value:  # in Python a job needs none: there its version is that of the program
+        return None, [Problem(("schema",), "is missing"), *problems]
+    return found, problems
+
+
+def validate_part(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:
+    """Make a model of plain values, which may be a part of a file; or None, and every mistake."""
     try:
         # As JSON, because that is where pydantic is strict about text and numbers, but not about enums and lists.
-        found = model.model_validate_json(json.dumps(value), strict=True)
+        return model.model_validate_json(json.dumps(value), strict=True), []
     except ValidationError as error:
-        return None, [*problems, *list_problems(error, model)]
-    return (None if problems else found), problems
+        return None, list_problems(error, model)
 
 
 def _make_file_error(error: YamlError, name: str) -> FileError:

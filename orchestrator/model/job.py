@@ -244,13 +244,10 @@ class Scan(MotionOptions, ScanPoints):
     def _one_source(self) -> "Scan":
         if sum(bool(each) for each in (self.axes, self.points, self.scanspec)) != 1:
             raise ValueError("a scan needs one of `axes`, `points` and `scanspec`")
-        scanned = set(self.axis_names)
-        for number, step in enumerate(self.at_each):
-            twice = sorted(scanned & set(named_axes(step)))
-            if twice:
-                raise ValueError(
-                    f"at_each[{number}] moves {', '.join(twice)}, which the scan positions; move other axes there"
-                )
+        for number, twice in find_moved_twice(self.axis_names, self.at_each):
+            raise ValueError(
+                f"at_each[{number}] moves {', '.join(twice)}, which the scan positions; move other axes there"
+            )
         if self.point_count > MAX_POINTS:
             raise ValueError(f"has {self.point_count} points; the maximum is {MAX_POINTS}")
         return self
@@ -329,6 +326,16 @@ def named_axes(step: Step) -> list[str]:
     if isinstance(step, Home | Enable | Disable):
         return step.axes or []
     return list(step.axes) if isinstance(step, SetPosition) else []
+
+
+def find_moved_twice(axes: Iterable[str], at_each: Iterable[Step]) -> Iterator[tuple[int, list[str]]]:
+    """The steps at the points of a scan that move what the scan positions: the number of each, and those axes. axes: of
+    the scan."""
+    scanned = set(axes)
+    for number, step in enumerate(at_each):
+        twice = sorted(scanned & set(named_axes(step)))
+        if twice:
+            yield number, twice
 
 
 def find_scans(steps: Iterable[Step]) -> list[Scan]:

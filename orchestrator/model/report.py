@@ -249,13 +249,17 @@ class StepReport(Model):
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
     scan: ScanSummary | None = None
+    chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
     @property
     def steps_done(self) -> int:
         """The number of steps that are done, with those of a scan."""
         return self.scan.steps_done if self.scan is not None else int(self.state == "done")
 
-    chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
+    @property
+    def narrowest_skew(self) -> SkewInterval | None:
+        """The start skew by all that is known: evidence, and promises where they make it narrower."""
+        return self.promised_skew or self.start_skew
 
 
 class AxisRecording(Model):

@@ -122,8 +122,8 @@ def make_header(axes: Sequence[PointAxis]) -> bytes:
     return json.dumps([each.to_plain() for each in axes], separators=(",", ":")).encode() + b"\n"
 
 
-def find_row_bytes(axes: Sequence[PointAxis]) -> int:
-    """The bytes of one sent point."""
+def find_row_bytes(axes: Sequence["PointAxis | PointColumn"]) -> int:
+    """The bytes of one sent or stored point."""
     return len(axes) * VALUE_BYTES
 
 

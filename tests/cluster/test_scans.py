@@ -4,7 +4,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from cluster.worlds import PREPARE, job, outcome, run_fleet
+from cluster.worlds import PREPARE, job, outcome, run_fleet, wait_for_point
 
 from orchestrator.bus.base import BusSample
 from orchestrator.model.errors import Refusal
@@ -63,13 +63,13 @@ def test_a_scan_is_paused_between_points_and_rerun_from_a_point() -> None:
         await outcome(fleet, PREPARE)
         before = "{do: dwell, duration: 1 ms}"
         job_id = await client.submit(job(f"[{before}, {GRID}]"))
-        await _wait_for_point(fleet, job_id, 4)
+        await wait_for_point(fleet, job_id, 4)
         await client.pause_job(job_id)
         await _wait_for_state(fleet, job_id, "paused")
         shown = await client.show_job(job_id)
         assert "step 1, point 4 of 12" in shown.transitions[-1].reason
         await client.resume_job(job_id)
-        await _wait_for_point(fleet, job_id, 6)
+        await wait_for_point(fleet, job_id, 6)
         await client.cancel_job(job_id)
         report = await client.wait_for_job(job_id)
         assert report.state == "cancelled"
@@ -93,19 +93,6 @@ def test_a_scan_is_paused_between_points_and_rerun_from_a_point() -> None:
     run_fleet(main)
 
 
-async def _wait_for_point(fleet: VirtualFleet, job_id: str, point: int) -> None:
-    client, reached = fleet.make_client(), asyncio.Event()
-
-    def look(sample: BusSample) -> None:
-        if JobProgress.model_validate_json(sample.payload).point == point:
-            reached.set()
-
-    subscription = await client.bus.subscribe(client.keys.job_state(job_id), look)
-    async with asyncio.timeout(60):
-        await reached.wait()
-    await subscription.undeclare()
-
-
 async def _wait_for_state(fleet: VirtualFleet, job_id: str, state: str) -> None:
     client = fleet.make_client()
     async with asyncio.timeout(60):
@@ -118,7 +105,7 @@ def test_a_coordinator_that_is_killed_in_a_scan_leaves_the_points_so_far() -> No
         client = fleet.make_client()
         await outcome(fleet, PREPARE)
         job_id = await client.submit(job(f"[{GRID}]"))
-        await _wait_for_point(fleet, job_id, 9)
+        await wait_for_point(fleet, job_id, 9)
         fleet.kill("coordinator/first")
         fleet.start_coordinator("second")
         report = await client.wait_for_job(job_id)
@@ -220,7 +207,7 @@ def test_a_scan_that_fails_at_a_point_says_which() -> None:
         fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
         await asyncio.sleep(0.5)
         job_id = await client.submit(job(f"[{{do: dwell, duration: 1 ms}}, {line}]"))
-        await _wait_for_point(fleet, job_id, 4)
+        await wait_for_point(fleet, job_id, 4)
         await asyncio.sleep(0.2)
         fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=True))
         report = await client.wait_for_job(job_id)
@@ -241,7 +228,7 @@ def test_a_feed_hold_inside_a_scan_continues_to_the_same_point() -> None:
         client = fleet.make_client()
         await outcome(fleet, PREPARE)
         job_id = await client.submit(job("[{do: scan, axes: {gantry.x: {values: [0, 300, 10]}}, speed: 0.3}]"))
-        await _wait_for_point(fleet, job_id, 2)
+        await wait_for_point(fleet, job_id, 2)
         await fleet.wait_until(lambda states: states["gantry"].axes["x"].position > 100)
         await client.pause_job(job_id, now=True)
         await _wait_for_state(fleet, job_id, "paused")

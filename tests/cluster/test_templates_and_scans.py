@@ -1,16 +1,13 @@
 """Templates, scans, repeats and named positions together, on the virtual demo fleet."""
 
-import asyncio
 from pathlib import Path
 
 import pytest
-from cluster.worlds import EXAMPLES, PREPARE, demo_fleet, job, outcome, run_fleet
+from cluster.worlds import EXAMPLES, PREPARE, demo_fleet, job, outcome, run_fleet, wait_for_point
 
-from orchestrator.bus.base import BusSample
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Scan
-from orchestrator.model.report import JobProgress
 from orchestrator.model.templates.template import Template
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -111,7 +108,7 @@ def test_values_are_fixed_for_all_points_of_a_run() -> None:
         await outcome(fleet, PREPARE)
         scan = "{do: scan, axes: {gantry.x: {from: sample, to: 0, points: 5}}, at_each: [{do: dwell, duration: 50 ms}]}"
         job_id = await client.submit(job(f"[{{do: repeat, times: 2, steps: [{scan}]}}]"))
-        await _wait_for_point(fleet, job_id, 2)
+        await wait_for_point(fleet, job_id, 2)
         await client.save_position("sample", at={"gantry.x": 100})
         report = await client.wait_for_job(job_id)
         assert report.state == "done" and report.positions_used == {"sample": {"gantry.x": "12 mm"}}
@@ -119,19 +116,6 @@ def test_values_are_fixed_for_all_points_of_a_run() -> None:
         assert [each.target["gantry.x"] for each in points] == [12.0, 9.0, 6.0, 3.0, 0.0] * 2
 
     run_fleet(main, FLEET)
-
-
-async def _wait_for_point(fleet: VirtualFleet, job_id: str, point: int) -> None:
-    client, reached = fleet.make_client(), asyncio.Event()
-
-    def look(sample: BusSample) -> None:
-        if JobProgress.model_validate_json(sample.payload).point == point:
-            reached.set()
-
-    subscription = await client.bus.subscribe(client.keys.job_state(job_id), look)
-    async with asyncio.timeout(60):
-        await reached.wait()
-    await subscription.undeclare()
 
 
 def test_a_table_of_points_may_name_positions() -> None:

@@ -14,7 +14,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.report import JobReport, LeaseState
+from orchestrator.model.report import JobProgress, JobReport, LeaseState
 from orchestrator.model.templates.template import load_job
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -115,6 +115,20 @@ async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
             raise AssertionError(f"not ended within {LONGEST_S} s: {shown}") from None
     assert report is not None
     return report
+
+
+async def wait_for_point(fleet: VirtualFleet, job_id: str, point: int) -> None:
+    """Wait until a job works on a point of a scan, counted from 1."""
+    client, reached = fleet.make_client(), asyncio.Event()
+
+    def look(sample: BusSample) -> None:
+        if JobProgress.model_validate_json(sample.payload).point == point:
+            reached.set()
+
+    subscription = await client.bus.subscribe(client.keys.job_state(job_id), look)
+    async with asyncio.timeout(60):
+        await reached.wait()
+    await subscription.undeclare()
 
 
 async def refusal(fleet: VirtualFleet, *jobs: Job) -> RefusalDetails:

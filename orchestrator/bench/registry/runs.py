@@ -146,10 +146,10 @@ def run_sync(
     except re.error as error:
         raise InvalidOption("only", f"{only!r} is not a regular expression: {error}") from None
     if live is not None:
-        from orchestrator.bench.sync_live import bench_sync_live
+        from orchestrator.bench.sync.live import bench_sync_live
 
         return {"rows": _measure_live(lambda folder: bench_sync_live(live, folder, show_progress))}
-    from orchestrator.bench.sync import SyncOptions, bench_sync
+    from orchestrator.bench.sync.measure import SyncOptions, bench_sync
     from orchestrator.monitor.skew_plot import plot_skews
 
     options = SyncOptions(trials, seed, only, history, processes)

@@ -12,7 +12,7 @@ from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import MAX_POSITIONS, Axis
 from orchestrator.model.fleet_names import explain_position_name
-from orchestrator.model.names import controller_of
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.positions.entries import (
     PositionEntry,
     PositionRemoved,
@@ -150,7 +150,7 @@ class PositionBook:
         states = await self._query_states({controller_of(axis) for axis in axes})
         found: dict[str, str] = {}
         for axis in axes:
-            controller, _, name = axis.partition(".")
+            controller, name = split_name(axis)
             state = states[controller]
             if state is None or state.mode == "offline":
                 text = f"the position of {axis} is not known: {controller} is {'offline' if state else 'absent'}"

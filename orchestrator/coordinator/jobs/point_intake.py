@@ -7,7 +7,8 @@ from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.journal.point_store import UploadState
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Scan, find_scans, replace_scans
-from orchestrator.model.scan import VALUE_BYTES, PointTable
+from orchestrator.model.names import controller_of
+from orchestrator.model.scan import PointTable, find_row_bytes
 from orchestrator.model.service import PointsPut, PutPoints
 
 
@@ -32,7 +33,7 @@ class PointIntake:
                 unit = services.view.fleet.axis(each.axis).unit
                 if unit != each.unit:
                     text = f"the points of {each.axis} are in {each.unit}, and the axis is in {unit}"
-                    raise Refusal("bad-unit", text, "convert them", each.axis.partition(".")[0])
+                    raise Refusal("bad-unit", text, "convert them", controller_of(each.axis))
             named = await services.execute(services.journal.list_named_points)
             begin = store.begin_upload
             state = await services.execute(begin, request.digest, request.axes, request.count, utc, named)
@@ -65,5 +66,5 @@ def _make_table(digest: str, state: UploadState) -> PointTable | None:
     """The stored points; None while they are not complete."""
     if state.columns is None:
         return None
-    count = state.size // (len(state.columns) * VALUE_BYTES)
+    count = state.size // find_row_bytes(state.columns)
     return PointTable(digest=digest, count=count, columns=state.columns)

@@ -130,7 +130,7 @@ class ReportCollector:
         now.verdicts[verdict] = now.verdicts.get(verdict, 0) + 1
         skew = None
         if moved is not None:
-            skew = moved.promised_skew or moved.start_skew
+            skew = moved.narrowest_skew
             self._note_skew(now, moved)
             if verdict in ("amber", "red") and len(now.findings) < MAX_FINDINGS:
                 text = "; ".join(moved.deviations) or moved.reason
@@ -153,7 +153,7 @@ class ReportCollector:
         now.moved = None
 
     def _note_skew(self, now: _ScanProgress, moved: StepReport) -> None:
-        skew = moved.promised_skew or moved.start_skew
+        skew = moved.narrowest_skew
         if skew is None:
             return
         if skew.at_most_ns > now.skews.worst_ns or now.worst_report is None:
@@ -186,7 +186,7 @@ class ReportCollector:
             state="done",
             actual_s=(now.point_ns - now.begun_ns) / NS_PER_S,
             budget=None if worst is None else worst.budget,
-            start_skew=None if worst is None else worst.promised_skew or worst.start_skew,
+            start_skew=None if worst is None else worst.narrowest_skew,
             verdict=now.worst,
             scan=summary,
         )

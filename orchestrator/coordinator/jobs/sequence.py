@@ -54,10 +54,6 @@ class StepSequence:
         """Where step number `index` stands. Raises `IndexError`."""
         return self.order.locate(index)
 
-    def describe_place(self, index: int) -> str:
-        """The place of a step in words: `step 2 (scan), point 17 of 66 (move)`."""
-        return self.locate(index).describe()
-
     async def read_step(self, index: int) -> Step:
         """Step number `index`; at most a block of points is read. Raises `JournalError`."""
         place = self.locate(index)

@@ -24,7 +24,7 @@ from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
-from orchestrator.model.scan import ROW_TYPE, VALUE_BYTES, PointAxis, PointColumn, find_row_bytes, make_header
+from orchestrator.model.scan import ROW_TYPE, PointAxis, PointColumn, find_row_bytes, make_header
 from orchestrator.model.scans.point_summary import ColumnSummary
 
 QUOTA_BYTES = 512_000_000  # of all stored points
@@ -102,12 +102,13 @@ class PointStore:
         """The state of an upload, which counts as used now; None for an unknown digest."""
         with self._transaction():
             self._db.execute("UPDATE uploads SET used_utc = ? WHERE digest = ?", (utc, digest))
-            found = self._db.execute(
-                "SELECT received, size, columns FROM uploads WHERE digest = ?", (digest,)
-            ).fetchone()
-        if found is None:
+        return self._read_state(digest)
+
+    def _read_state(self, digest: str) -> UploadState | None:
+        found = self._select("SELECT received, size, columns FROM uploads WHERE digest = ?", (digest,))
+        if not found:
             return None
-        received, size, columns = found
+        received, size, columns = found[0]
         return UploadState(received, size, None if columns is None else _COLUMNS.validate_json(columns))
 
     def add_part(self, digest: str, begin: int, data: bytes, utc: str) -> UploadState:
@@ -115,7 +116,7 @@ class PointStore:
 
         Raises `Refusal` for an upload that is not known, and with the last part for a wrong digest, or a point that is
         not finite."""
-        state = self.find_upload(digest, utc)
+        state = self._read_state(digest)
         if state is None:
             raise Refusal("no-upload", "the upload of these points is not known any more", "begin it again")
         if begin != state.received or not data or state.columns is not None:
@@ -125,7 +126,8 @@ class PointStore:
             raise Refusal("bad-points", f"{received} bytes of points are more than the {state.size} announced", "")
         with self._transaction():
             self._db.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (digest, begin, data, crc32(data)))
-            self._db.execute("UPDATE uploads SET received = ? WHERE digest = ?", (received, digest))
+            values = (received, utc, digest)
+            self._db.execute("UPDATE uploads SET received = ?, used_utc = ? WHERE digest = ?", values)
         if received < state.size:
             return UploadState(received, state.size, None)
         return UploadState(received, state.size, self._finish_upload(digest))
@@ -162,11 +164,10 @@ class PointStore:
         found = self._select("SELECT header, columns FROM uploads WHERE digest = ?", (digest,))
         if not found or found[0][1] is None:
             raise JournalError(f"the points {digest[:15]}… are not stored any more", "submit the job again")
-        width = len(_AXES.validate_json(found[0][0]))
-        row_bytes = width * VALUE_BYTES
-        begin, end = first * row_bytes, (first + count) * row_bytes
+        axes = _AXES.validate_json(found[0][0])
+        begin, end = (number * find_row_bytes(axes) for number in (first, first + count))
         data = b"".join(self._read_parts(digest, begin, end))
-        return [tuple(row) for row in np.frombuffer(data, ROW_TYPE).reshape(-1, width).tolist()]
+        return [tuple(row) for row in np.frombuffer(data, ROW_TYPE).reshape(-1, len(axes)).tolist()]
 
     def _read_parts(self, digest: str, begin: int, end: int | None) -> Iterator[bytes]:
         """The stored bytes from `begin` to `end`, part by part. Raises `DamagedRecord`."""

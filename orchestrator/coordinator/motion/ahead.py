@@ -19,8 +19,8 @@ class StepAhead:
     """Prepares `step` behind `before`, which is released, in a task of its own.
 
     between: what happens between the two; where outputs are switched, the step is decided only after `allow_release`.
-    on_released: called once all members will start it. Members have room for one step beside the
-    present one: it is armed only after `allow_arming`, when `before` is the present one.
+    on_released: called once all members will start it. Members have room for one step beside the present one: it is
+    armed only after `allow_arming`, when `before` is the present one.
     """
 
     def __init__(
@@ -92,13 +92,8 @@ class StepAhead:
 
     async def feed_hold(self, actor: str) -> None:
         """Brake the step if it moves already, or prevent its start."""
-        motion = self._motion
-        if motion is not None and motion.start.state.paused_by is None:
-            motion.start.state.paused_by = actor
-            if self._stage in ("releasing", "released"):
-                await self._services.fleet.stop_members(
-                    motion.agreement.movers, "feed-hold", actor, f"paused by {actor}"
-                )
+        if self._motion is not None:
+            await self._motion.feed_hold(self._services.fleet, actor, begun=self._stage in ("releasing", "released"))
 
     # Inside
 

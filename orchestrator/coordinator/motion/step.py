@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import Protocol
 
 from orchestrator.clock.executor import run_while_recording
+from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest, plan_request
@@ -73,6 +74,14 @@ class PlannedMotion:
             between,
         )
 
+    async def feed_hold(self, fleet: FleetAccess, actor: str, *, begun: bool = True) -> None:
+        """Prevent the start, and brake the members, once. begun: they may be moving, or about to."""
+        state = self.start.state
+        if state.paused_by is None:
+            state.paused_by = actor
+            if begun:
+                await fleet.stop_members(self.agreement.movers, "feed-hold", actor, f"paused by {actor}")
+
 
 class MotionStep:
     """One motion step of a job. After a feed hold, `run` again continues to the same targets."""
@@ -130,10 +139,8 @@ class MotionStep:
 
     async def feed_hold(self, actor: str) -> None:
         """Brake the step if it is being started or moving; `run` then reports it as stopped."""
-        motion = self._motion
-        if motion is not None and motion.start.state.paused_by is None:
-            motion.start.state.paused_by = actor
-            await self._services.fleet.stop_members(motion.agreement.movers, "feed-hold", actor, f"paused by {actor}")
+        if self._motion is not None:
+            await self._motion.feed_hold(self._services.fleet, actor)
 
     def _end_motion(self, motion: PlannedMotion) -> None:
         self._motion = None

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.fleet_names import list_names, suggest_name
-from orchestrator.model.job import Move, Repeat, Scan, Step, iterate_steps, named_axes
+from orchestrator.model.job import Move, Repeat, Scan, Step, find_moved_twice, iterate_steps
 from orchestrator.model.names import ALL_AXES, Target, is_position_name
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.scan import ScanAxis
@@ -81,13 +81,11 @@ class PositionResolver:
 
     def _resolve_scan(self, step: Scan) -> Scan:
         at_each = self.resolve_steps(step.at_each)
-        for number, each in enumerate(at_each):
-            # A position may have axes that the file does not name.
-            twice = sorted(set(step.axis_names) & set(named_axes(each)))
-            if twice:
-                text = f"at_each[{number}] moves {', '.join(twice)} by a position, and the scan positions it"
-                remedy = "name the axes of the position that are to move: `to: {axis: position}`"
-                raise Refusal("bad-step", text, remedy)
+        # A position may have axes that the file does not name.
+        for number, twice in find_moved_twice(step.axis_names, at_each):
+            text = f"at_each[{number}] moves {', '.join(twice)} by a position, and the scan positions it"
+            remedy = "name the axes of the position that are to move: `to: {axis: position}`"
+            raise Refusal("bad-step", text, remedy)
         return replace_targets(step, self.find_target).model_copy(update={"at_each": at_each})
 
     def _is_kept(self, target: Quantity) -> bool:

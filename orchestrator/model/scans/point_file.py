@@ -10,16 +10,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.model.files import MAX_PROBLEMS, FileError, FileProblem
 from orchestrator.model.numbers import MAX_TEXT
 from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, PointAxis
+from orchestrator.model.scans.point_summary import ROWS_AT_ONCE, Rows
 from orchestrator.model.units import MAX_QUANTITY, Unit, UnitError, parse_quantity
-
-ROWS_AT_ONCE = 4096  # points in a block
-
-Rows = NDArray[np.float64]
 
 
 class _RowReader(Protocol):
@@ -45,7 +41,7 @@ class PointFile:
         """The columns, once the first block was read."""
 
     def read_blocks(self) -> Iterator[Rows]:
-        """The points, `ROWS_AT_ONCE` at a time: a row a point. Raises `FileError` with the wrong lines, at most
+        """The points, `ROWS_AT_ONCE` at a time. Raises `FileError` with the wrong lines, at most
         `MAX_PROBLEMS`, when it has read the file."""
         try:
             with self._path.open(encoding="utf-8-sig", newline="") as file:

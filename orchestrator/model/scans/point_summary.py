@@ -1,4 +1,4 @@
-"""The extremes of a table of points, found block by block."""
+"""Points in blocks of rows, and the extremes of a table of them, found block by block."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 from orchestrator.model.errors import Refusal
 from orchestrator.model.scan import PointAxis, PointColumn
 
+ROWS_AT_ONCE = 4096  # points in a block
+
 Rows = NDArray[np.float64]
+"""A block of points: a row a point, a column an axis."""
 
 
 class ColumnSummary:
@@ -24,7 +27,7 @@ class ColumnSummary:
         self._last: Rows | None = None
 
     def add_rows(self, rows: Rows) -> None:
-        """Add points. rows: one a point, a column an axis. Raises `Refusal`, code `not-finite`, naming the point."""
+        """Add points. Raises `Refusal`, code `not-finite`, naming the point."""
         if not len(rows):
             return
         finite = np.isfinite(rows)

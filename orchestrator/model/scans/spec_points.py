@@ -4,15 +4,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.scan import MAX_POINTS, PointAxis
+from orchestrator.model.scans.point_summary import ROWS_AT_ONCE, Rows
 from orchestrator.model.units import Unit
-
-ROWS_AT_ONCE = 4096  # points in a block
-
-Rows = NDArray[np.float64]
 
 
 class SpecPoints:
@@ -41,7 +37,7 @@ class SpecPoints:
         self.axes = [PointAxis(axis=name, unit=units[name]) for name in names]
 
     def read_blocks(self) -> Iterator[Rows]:
-        """The points, `ROWS_AT_ONCE` at a time: a row a point."""
+        """The points, `ROWS_AT_ONCE` at a time."""
         while len(self._path):
             chunk = self._path.consume(ROWS_AT_ONCE)
             yield np.column_stack([chunk.midpoints[each.axis] for each in self.axes]).astype(np.float64)

@@ -63,19 +63,15 @@ def count_point_steps(scan: Scan) -> int:
     return 1 + len(scan.at_each)
 
 
-def count_steps(steps: Sequence[Step]) -> int:
-    """The number of steps that run: every pass, every point with the steps at it."""
-    return sum(map(_count_step, steps))
-
-
 def count_reports(steps: Sequence[Step]) -> int:
-    """The number of entries in the report: as `count_steps`, but one for each pass of a scan."""
+    """The number of entries in the report: every step of every pass; a scan is one."""
     return sum(each.times * count_reports(each.steps) if isinstance(each, Repeat) else 1 for each in steps)
 
 
 def _count_step(step: Step) -> int:
+    """How many steps run for a written one: every pass, every point with the steps at it."""
     if isinstance(step, Repeat):
-        return step.times * count_steps(step.steps)
+        return step.times * sum(map(_count_step, step.steps))
     return step.point_count * count_point_steps(step) if isinstance(step, Scan) else 1
 
 

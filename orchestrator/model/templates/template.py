@@ -4,15 +4,12 @@ Values are put in after the file is read and before the job is validated, so tha
 that is submitted has plain steps; the coordinator knows no templates.
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import ValidationError
-
-from orchestrator.model.explain import list_problems, show_value
+from orchestrator.model.explain import show_value
 from orchestrator.model.files import (
     FileError,
     FileProblem,
@@ -20,6 +17,7 @@ from orchestrator.model.files import (
     locate_point_files,
     read_file,
     require_mapping,
+    validate_part,
     validate_value,
 )
 from orchestrator.model.fleet_names import list_names, suggest_name
@@ -144,7 +142,7 @@ class Template:
             self.parameters |= {} if found is None else found.parameters
 
     def _add_declaration_problems(self, value: Any) -> ParameterDeclarations | None:
-        found, problems = _validate_declarations(value)
+        found, problems = validate_part({DECLARATIONS: value}, ParameterDeclarations)
         self._problems += [self._file.problem(each.place, each.text) for each in problems]
         return found
 
@@ -274,13 +272,6 @@ class _ValueFiller:
             self.problems.append((place, None, f"found {show_value(text)}; {error}"))
             self.failed.add(id(node))
             return text
-
-
-def _validate_declarations(value: Any) -> tuple[ParameterDeclarations | None, list[Any]]:
-    try:
-        return ParameterDeclarations.model_validate_json(json.dumps({DECLARATIONS: value}), strict=True), []
-    except ValidationError as error:
-        return None, list_problems(error, ParameterDeclarations)
 
 
 def _describe_problem(

@@ -3,6 +3,7 @@ are scripted by the test."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -22,6 +23,7 @@ from orchestrator.coordinator.motion.chain import (
 from orchestrator.coordinator.motion.lead_time import KNOWN_AFTER, LATE_LOADING_FACTOR, LeadTimeEstimator
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.start import WITHDRAWN, StartSequence, StartState
+from orchestrator.coordinator.motion.step import PlannedMotion
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Proposal
 from orchestrator.model.state import StepCosts
@@ -85,7 +87,9 @@ class AheadWorld:
         return SimpleNamespace(plan=SimpleNamespace(profiles=self.profiles))
 
     async def _agree(self, *_: object) -> object:
-        return SimpleNamespace(start=self.start, watch=self.start, agreement=SimpleNamespace(movers=["c"]))
+        motion = SimpleNamespace(start=self.start, watch=self.start, agreement=SimpleNamespace(movers=["c"]))
+        motion.feed_hold = partial(PlannedMotion.feed_hold, cast(Any, motion))
+        return motion
 
     async def _stop_members(self, members: list[str], mode: str, *_: object) -> None:
         self.stops += [f"{mode} {member}" for member in members]

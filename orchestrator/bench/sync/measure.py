@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple
 
-from orchestrator.bench.sync_baselines import BASELINES, BaselineMethod
-from orchestrator.bench.sync_bounds import Bound, bound_of_drifting_ticks, bound_of_latencies, bound_of_ticks
+from orchestrator.bench.sync.baselines import BASELINES, BaselineMethod
+from orchestrator.bench.sync.bounds import Bound, bound_of_drifting_ticks, bound_of_latencies, bound_of_ticks
 from orchestrator.bench.sync_fleets import PP_SPREAD_MS, make_sync_fleet
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -314,7 +314,7 @@ async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, dr
     origin_ns = next(iter(fleet.coordinators.values()))[1].leadership.scale.origin_host_ns
     start_ns = max(motion.start_ns for motion in made) - min(motion.start_ns for motion in made)
     ends = [motion.end_ns for motion in made if motion.end_ns is not None]
-    skew, budget = step.promised_skew or step.start_skew, step.budget
+    skew, budget = step.narrowest_skew, step.budget
     assert skew is not None and budget is not None
     moved = dict(zip(fleet.controllers, made, strict=True))
     late = any(

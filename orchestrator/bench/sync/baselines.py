@@ -3,30 +3,25 @@
 Moves are loaded manually; then a chain gets its broadcast, or each controller its start command.
 """
 
-import asyncio
-from collections.abc import Callable, Coroutine, Mapping, Sequence
-from contextlib import suppress
-from contextvars import copy_context
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from orchestrator.bench.sync_fleets import DRIFT_PPM, HOLD_MS, SPREAD_US, WANDER_PPM
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.bench import scripted
+from orchestrator.bench.sync_fleets import DRIFT_PPM, HOLD_MS, WANDER_PPM
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import Link
-from orchestrator.link.memory import LAN, MemoryWire, serial_wire
-from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
+from sim.core.controller import DeviceSpec, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator
 
 COUNT = 8
 _LOAD = ("SHX", "SPX=50000", "ACX=500000", "DCX=500000", "PRX=20000")
-_TIMING = FirmwareTiming(500 * NS_PER_US, SPREAD_US * NS_PER_US)
 _SETTLE_NS = 200 * NS_PER_MS
 _HOLD_NS = round(HOLD_MS * NS_PER_MS)
 _WRITE_NS = (20_000, 60_000)  # duration of a script's write to a socket or port
-_SILENCE_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +47,6 @@ def _measure_skew(units: list[SimulatedController]) -> int:
     return max(starts) - min(starts)
 
 
-async def _read_available(link: Link) -> None:
-    """Read everything that has arrived so far."""
-    with suppress(TimeoutError):
-        while True:
-            async with asyncio.timeout(_SILENCE_S):
-                await link.read()
-
-
 async def _wait_for_acknowledgement(link: Link, ends: bytes) -> None:
     """Read until an acknowledgement has arrived."""
     seen = b""
@@ -71,13 +58,15 @@ async def _start_by_broadcast(clock: VirtualClock, draw: Random, *, shared: bool
     """Send `!BG` to a daisy chain; with shared sample clock, `TM -1` in all controllers but the first (SMC-2000,
     L975)."""
     branches = {
-        f"u{k}": DeviceSpec(k, {"axes": 2, "echo": False}, _draw_crystal(draw), _TIMING, draw.randrange(2**31))
+        f"u{k}": DeviceSpec(
+            k, {"axes": 2, "echo": False}, _draw_crystal(draw), scripted.YASKAWA_TIMING, draw.randrange(2**31)
+        )
         for k in range(COUNT)
     }
     line = build_line(find_simulator("smc2000"), clock, branches)
     if shared:
         line.endpoint.share_clock()  # type: ignore[attr-defined]  # of a chain
-    link = await _make_wire(clock, line.endpoint, "serial", draw, 19200).open_link()
+    link = await scripted.open_link(clock, line, 19200, draw, _HOLD_NS)
     await sleep_ns(clock, _draw_age(draw))
     for k in range(COUNT):
         external = ("TM -1",) if shared and k else ()
@@ -93,28 +82,15 @@ async def _start_by_broadcast(clock: VirtualClock, draw: Random, *, shared: bool
 class _ManualMake:
     """The manual commands of a make. load: lines; go: the start command; ends: the end of its acknowledgement."""
 
-    model: str
-    baud: int
-    options: Mapping[str, object]
-    timing: FirmwareTiming
+    controller: scripted.ScriptedController
     load: tuple[str, ...]
     go: str
     ends: bytes
-    eol: str = "\r"
 
 
-_SMC4000 = _ManualMake("smc4000", 0, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
-_SMC2000 = _ManualMake("smc2000", 19200, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
-_SHRC203 = _ManualMake(
-    "shrc203",
-    38400,
-    {"divide": 20, "speed": [100, 20000, 100]},
-    FirmwareTiming(NS_PER_MS, 800 * NS_PER_US),
-    ("C:11", "MP:1+P20000,S100F20000R100"),
-    "G:1",
-    b"OK\r\n",
-    "\r\n",
-)
+_SMC4000 = _ManualMake(scripted.SMC4000, ("EO 0", *_LOAD), "BGX", b":")
+_SMC2000 = _ManualMake(scripted.SMC2000, ("EO 0", *_LOAD), "BGX", b":")
+_SHRC203 = _ManualMake(scripted.SHRC203, ("C:11", "MP:1+P20000,S100F20000R100"), "G:1", b"OK\r\n")
 
 
 async def _start_one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_ManualMake], *, waits: bool) -> int:
@@ -123,32 +99,24 @@ async def _start_one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_
     units: list[SimulatedController] = []
     links: list[Link] = []
     for k, make in enumerate(makes):
-        branch = DeviceSpec(None, make.options, _draw_crystal(draw), make.timing, draw.randrange(2**31))
-        line = build_line(find_simulator(make.model), clock, {f"u{k}": branch})
+        line = make.controller.build(clock, f"u{k}", _draw_crystal(draw), draw)
         units += line.devices.values()
-        links.append(
-            await _make_wire(clock, line.endpoint, "serial" if make.baud else "tcp", draw, make.baud).open_link()
-        )
+        links.append(await scripted.open_link(clock, line, make.controller.baud, draw, _HOLD_NS))
         for text in make.load:
-            links[-1].write((text + make.eol).encode())
+            links[-1].write((text + make.controller.eol).encode())
             await sleep_ns(clock, _SETTLE_NS)
     await sleep_ns(clock, _draw_age(draw))
     for link in links:
-        await _read_available(link)
+        await scripted.discard_input(link)
     for make, link in zip(makes, links, strict=True):
         await sleep_ns(clock, draw.randrange(*_WRITE_NS))
-        link.write((make.go + make.eol).encode())
+        link.write((make.go + make.controller.eol).encode())
         if waits:
             await _wait_for_acknowledgement(link, make.ends)
     await sleep_ns(clock, _SETTLE_NS)
     for link in links:
         await link.close()
     return _measure_skew(units)
-
-
-def _make_wire(clock: VirtualClock, far: LineEndpoint, port: str, draw: Random, baud: int) -> MemoryWire:
-    model = serial_wire(baud, hold_ns=_HOLD_NS) if baud else LAN
-    return MemoryWire(clock, model, far, port, port, copy_context(), draw.randrange(2**31))
 
 
 def _make_manual_baselines(fleet: str, makes: Sequence[_ManualMake]) -> tuple[BaselineMethod, BaselineMethod]:
