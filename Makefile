@@ -114,6 +114,7 @@ LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashe
 lock:
 	$(LOCK) -o requirements.lock pyproject.toml
 	$(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+	$(LOCK) --extra record --extra export --extra scanspec -c requirements-dev.lock -o requirements-full.lock pyproject.toml
 	$(LOCK) --extra docs -c requirements-dev.lock -o requirements-docs.lock pyproject.toml
 	$(LOCK) -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
 

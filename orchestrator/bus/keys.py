@@ -86,6 +86,14 @@ class FleetKeys:
         """Report of a job; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/report"
 
+    def job_begun(self, job: str | None = None) -> str:
+        """A job as it began; published by the coordinator."""
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/begun"
+
+    def job_plan(self, job: str | None = None) -> str:
+        """The plans of a job's motion steps, each after the step; published by the coordinator."""
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/plan"
+
     @property
     def queue(self) -> str:
         """The queue of jobs; published by the coordinator."""

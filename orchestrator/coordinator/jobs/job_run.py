@@ -32,6 +32,7 @@ from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
+from orchestrator.model.recording import JobBegun
 from orchestrator.model.report import (
     FeedHold,
     JobProgress,
@@ -257,6 +258,7 @@ class JobRun:
             since_ns = services.clock.now_ns()
             user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")
             await services.leases.acquire(user, axes)
+            self._publish_beginning()
             await self._wait_for_rest(since_ns)
             await self._enable_by_policy()
             for index in range(self.row.from_step, len(self._steps)):
@@ -296,6 +298,22 @@ class JobRun:
         finally:
             await self._chain.drop("its job has ended", self.row.actor)
         return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports.reports}))
+
+    def _publish_beginning(self) -> None:
+        """Publish the job itself, for what records it."""
+        services, row = self._services, self.row
+        begun = JobBegun(
+            job_id=row.id,
+            name=row.name,
+            actor=row.actor,
+            utc=services.clock.utc(),
+            epoch=services.leadership.epoch,
+            repeat=row.repeat,
+            from_step=row.from_step,
+            positions_used=self._report.positions_used,
+            job=self.job,
+        )
+        services.bus.put(services.keys.job_begun(row.id), begun.to_json(), Priority.EVENT)
 
     def _take_positions(self) -> None:
         """Take the values of the named positions of its targets, for the whole run. Raises `Refusal`."""

@@ -165,6 +165,7 @@ class MotionStep:
         if report.state == "done":
             for axis, (exact, counts) in motion.planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)
+        services.publish_plan(request.job_id, recording)
         await services.execute(services.journal.store_recording, request.job_id, recording)
         return report
 

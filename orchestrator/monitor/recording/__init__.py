@@ -1,0 +1,1 @@
+"""Recordings of what a fleet publishes, as MCAP files: the recorder, repair, and reading."""

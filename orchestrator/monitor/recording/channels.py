@@ -1,0 +1,93 @@
+"""The channels of a recording: which keys are recorded, and the model and JSON schema of each."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
+
+from pydantic import ValidationError
+
+from orchestrator.bus.keys import ROOT
+from orchestrator.model.base import Model
+from orchestrator.model.messages import EstopMessage, EstopReset, LeaderHeartbeat
+from orchestrator.model.recording import JobBegun, MessagesDropped, StepStart, WallClockStepped
+from orchestrator.model.report import JobProgress, JobReport, LeaseState, QueueState, StepRecording
+from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState
+
+JSON = "json"
+BYTES = ""  # of payloads that are not valid for their key
+INVALID = "#invalid"  # ends the topic of their channel
+
+# What a key without ids is, below the fleet's prefix: its first chunk and its last one.
+_MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
+    {
+        ("ctl", "state"): ControllerState,
+        ("ctl", "event"): ControllerEvent,
+        ("ctl", "clock"): ClockMapping,
+        ("job", "state"): JobProgress,
+        ("job", "report"): JobReport,
+        ("job", "begun"): JobBegun,
+        ("job", "plan"): StepRecording,
+        ("queue", "queue"): QueueState,
+        ("leader", "leader"): LeaderHeartbeat,
+        ("estop", "estop"): EstopMessage,
+        ("estop-reset", "estop-reset"): EstopReset,
+        ("recorder", "step-start"): StepStart,
+        ("recorder", "dropped"): MessagesDropped,
+        ("recorder", "clock-stepped"): WallClockStepped,
+    }
+)
+# Signs of life: they repeat several times a second that nothing has changed.
+_NOT_RECORDED = frozenset({"session", "live"})
+# May be left out first when the disk is too slow: the next one replaces it.
+_REPLACED = frozenset({("ctl", "state"), ("job", "state"), ("queue", "queue"), ("leader", "leader"), ("ctl", "clock")})
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A key of a fleet. model: None: JSON without a schema of ours. is_replaced: the next message replaces this one."""
+
+    key: str
+    model: type[Model] | None
+    is_recorded: bool
+    is_replaced: bool
+
+    @property
+    def parts(self) -> list[str]:
+        """The chunks of the key below the fleet's prefix."""
+        return self.key.split("/")[3:]
+
+
+@cache
+def find_channel(key: str) -> Channel:
+    """Return the channel of a key. The number of keys of a fleet is small, but for those of jobs."""
+    parts = key.split("/")[3:]
+    kind = (parts[0], parts[-1]) if parts else ("", "")
+    model = LeaseState if kind[0] == "lease" else _MODELS.get(kind)
+    return Channel(key, model, kind[0] not in _NOT_RECORDED, kind in _REPLACED)
+
+
+def own_key(fleet: str, leaf: str) -> str:
+    """The topic of what the recorder itself adds to a recording; not a key of the bus."""
+    return f"{ROOT}/{fleet}/recorder/{leaf}"
+
+
+@cache
+def make_schema(model: type[Model]) -> tuple[str, bytes]:
+    """Name and JSON schema of a model's messages."""
+    schema = model.model_json_schema(by_alias=True, mode="serialization")
+    name = schema.get("properties", {}).get("schema", {}).get("const", f"tutti.{model.__name__}")
+    return name, json.dumps(schema, separators=(",", ":")).encode()
+
+
+def parse_message(channel: Channel, payload: bytes) -> Model | None:
+    """Return the message; None for JSON without a model. Raises `ValueError` for a payload that is not valid."""
+    if channel.model is None:
+        json.loads(payload)
+        return None
+    try:
+        return channel.model.model_validate_json(payload)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None

@@ -1,0 +1,47 @@
+"""The lock of a folder of recordings: two recorders would delete each other's files."""
+
+import fcntl
+import os
+from pathlib import Path
+
+from orchestrator.model.errors import TuttiError
+from orchestrator.model.private_files import make_private_folder, open_private_file
+
+LOCK = ".lock"
+
+
+class FolderInUse(TuttiError):
+    """Another recorder uses the folder. The text names it, and the remedy."""
+
+
+class FolderLock:
+    """The lock of a folder, held until `release` or the end of the process."""
+
+    def __init__(self, folder: Path) -> None:
+        """Create the folder, and lock it. Raises `FolderInUse`, `UnsafePath`, `OSError`."""
+        make_private_folder(folder)
+        self._fd = open_private_file(folder / LOCK, os.O_RDWR | os.O_CREAT)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._fd)
+            remedy = "end that one, or choose another folder: --folder"
+            raise FolderInUse(f"{folder}: another recorder uses this folder; {remedy}") from None
+
+    def release(self) -> None:
+        os.close(self._fd)
+
+
+def is_locked(folder: Path) -> bool:
+    """Whether a recorder uses the folder now."""
+    try:
+        fd = os.open(folder / LOCK, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(fd)
+    return False

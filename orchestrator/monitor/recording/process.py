@@ -1,0 +1,97 @@
+"""The recorder as a process of its own: `python -m orchestrator.monitor.recording.process --help`.
+
+Prints `ready` when it records. Ends with SIGTERM or SIGINT, and with its parent. Exit codes: 2 bad input, or another
+recorder uses the folder; 3 the bus cannot be reached.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import signal
+import sys
+import uuid
+from pathlib import Path
+
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import ProcessLog
+from orchestrator.bus.logfile import make_file_sink
+from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.clock.executor import ThreadExecutor
+from orchestrator.clock.live import LiveClock
+from orchestrator.clock.parent import die_with_parent
+from orchestrator.model.private_files import UnsafePath
+from orchestrator.monitor.recording.folder import RecorderLimits, RecordingFolder
+from orchestrator.monitor.recording.lock import FolderInUse, FolderLock
+from orchestrator.monitor.recording.recorder import FleetRecorder
+from orchestrator.monitor.recording.unfinished import list_unfinished, repair_left
+from orchestrator.monitor.recording.writer import RecordingWriter
+
+BAD_INPUT, NO_BUS = 2, 3
+
+
+async def record_fleet(options: argparse.Namespace) -> int:
+    """Record until the process is to end; return the exit code."""
+    lock = FolderLock(options.folder)
+    left = list_unfinished(options.folder)  # before this recorder begins its own
+    clock, execute = LiveClock(), ThreadExecutor("recordings")
+    log = ProcessLog("recorder", options.fleet, clock, make_file_sink(options.log))
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, end.set)
+    bus = await open_bus(options.connect)
+    keys = FleetKeys(options.fleet)
+    try:
+        limits = RecorderLimits(quota=options.quota)
+        folder = RecordingFolder(options.folder, options.fleet, clock, limits)
+        folder.on_alarm = lambda kind, text, active: log.warning(text) if active else log.info(text)
+        writer = RecordingWriter(folder, options.fleet, clock, options.fleet_file)
+        recorder = FleetRecorder(bus, keys, clock, writer, execute)
+        await recorder.start()
+        await bus.announce(keys.live("recorder", uuid.uuid4().hex[:8], "1"))
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        repairing = loop.create_task(repair_left(left, log))
+        running = loop.create_task(recorder.run())
+        ended = loop.create_task(end.wait())
+        await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
+        for task in (ended, repairing):
+            task.cancel()
+        if running.done():
+            running.result()  # a defect: the process ends with it, and is started again
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
+        await recorder.close()
+        log.info(f"{writer.written} messages recorded, {writer.dropped} left out, {writer.invalid} not valid")
+        return 0
+    finally:
+        await bus.close()
+        lock.release()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m orchestrator.monitor.recording.process", description=__doc__)
+    parser.add_argument("--fleet", required=True, help="the fleet's name")
+    parser.add_argument("--fleet-file", type=Path, default=None, help="attached to every recording")
+    parser.add_argument("--connect", required=True, help="the router, e.g. tcp/127.0.0.1:7447")
+    parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--quota", type=int, required=True, help="bytes that all recordings may take")
+    parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
+    options = parser.parse_args()
+    if options.parent:
+        die_with_parent(options.parent)
+    try:
+        return asyncio.run(record_fleet(options))
+    except (FolderInUse, UnsafePath, RouterUnreachable) as error:
+        sys.stderr.write(f"{error}\n")
+        return NO_BUS if isinstance(error, RouterUnreachable) else BAD_INPUT
+    except OSError as error:
+        place = error.filename or options.folder
+        sys.stderr.write(f"{place}: {error.strerror}; free space there, or choose another place\n")
+        return BAD_INPUT
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,73 @@
+"""The recorder of a fleet: takes every message from the bus, and has them written. It only listens.
+
+It has ordinary priority, and is the first to drop: when the disk is slower than the bus, values that the next ones
+replace are left out, then everything. What is left out is counted and recorded. Motion does not wait for it.
+"""
+
+from collections import Counter
+
+from orchestrator.bus.base import Bus, BusDeclaration, BusSample
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.executor import Executor
+from orchestrator.monitor.recording.channels import find_channel
+from orchestrator.monitor.recording.writer import ReceivedMessage, RecordingWriter
+
+WRITE_NS = 200 * NS_PER_MS  # from one batch to the next
+HOUSE_NS = NS_PER_S * 8 // 10  # from one closing of the chunks to the next: with a batch, at most 1 s
+MAX_REPLACED_BYTES = 32_000_000  # that wait for the disk; then values that the next ones replace are left out
+MAX_QUEUED_BYTES = 64_000_000  # then everything
+TOO_SLOW = "the disk is slower than the bus"
+
+
+class FleetRecorder:
+    """Records what one fleet publishes. Call `run` in a task until the recorder is to end, then `close`."""
+
+    def __init__(self, bus: Bus, keys: FleetKeys, clock: Clock, writer: RecordingWriter, execute: Executor) -> None:
+        self._bus, self._keys, self._clock = bus, keys, clock
+        self._writer, self._execute = writer, execute
+        self._queued: list[ReceivedMessage] = []
+        self._bytes = 0
+        self._dropped: Counter[str] = Counter()
+        self._subscription: BusDeclaration | None = None
+
+    async def start(self) -> None:
+        """Take every message from here on."""
+        self._subscription = await self._bus.subscribe(f"{self._keys.prefix}/**", self._receive)
+
+    async def run(self) -> None:
+        """Write what has come in, until cancelled."""
+        house_ns = self._clock.now_ns() + HOUSE_NS
+        while True:
+            await sleep_ns(self._clock, WRITE_NS)
+            await self._write_queued()
+            if self._clock.now_ns() >= house_ns:
+                await self._execute(self._writer.keep_house)
+                house_ns = self._clock.now_ns() + HOUSE_NS
+
+    async def close(self) -> None:
+        """Write what is left, and end all recordings."""
+        if self._subscription is not None:
+            await self._subscription.undeclare()
+        await self._write_queued()
+        await self._execute(self._writer.close)
+
+    def _receive(self, sample: BusSample) -> None:
+        channel, size = find_channel(sample.key), len(sample.payload)
+        if not channel.is_recorded:
+            return
+        if self._bytes + size > (MAX_REPLACED_BYTES if channel.is_replaced else MAX_QUEUED_BYTES):
+            self._dropped[sample.key] += 1
+            return
+        self._queued.append(ReceivedMessage(sample.key, sample.payload, self._clock.now_ns()))
+        self._bytes += size
+
+    async def _write_queued(self) -> None:
+        batch, dropped = self._queued, self._dropped
+        size, self._queued, self._dropped = sum(len(each.payload) for each in batch), [], Counter()
+        if dropped:
+            await self._execute(self._writer.count_drops, TOO_SLOW, dropped)
+        if batch:
+            await self._execute(self._writer.write_messages, batch)
+        # Only now: what a slow disk has not taken yet counts as well.
+        self._bytes -= size

@@ -1,0 +1,33 @@
+"""Recordings that a recorder has left without an index, because it was killed or the disk refused."""
+
+import asyncio
+from collections.abc import Iterable
+from pathlib import Path
+
+from orchestrator.bus.log import ProcessLog
+from orchestrator.monitor.recording.file import SUFFIX
+from orchestrator.monitor.recording.frames import is_complete
+from orchestrator.monitor.recording.repair import RepairFailed, repair_recording
+
+
+def list_unfinished(path: Path) -> list[Path]:
+    """The recordings of a folder without an index, oldest first."""
+    found: list[Path] = []
+    for each in sorted(path.glob(f"*{SUFFIX}")):
+        try:
+            with each.open("rb") as file:
+                if not is_complete(file, each.stat().st_size):
+                    found.append(each)
+        except OSError:
+            continue
+    return found
+
+
+async def repair_left(paths: Iterable[Path], log: ProcessLog) -> None:
+    """Repair what an earlier recorder has left."""
+    for each in paths:
+        try:
+            result = await asyncio.to_thread(repair_recording, each)
+            log.info(f"repaired {each.name}: {result.messages} messages; {result.reason}")
+        except (RepairFailed, OSError) as error:
+            log.warning(f"{each} cannot be repaired: {error}")
