@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -15,6 +15,7 @@ import click
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_result
 from orchestrator.cli.base.errors import errors, exit_interrupted, exit_with_error, run_main
+from orchestrator.cli.base.sizes import SizeType
 from orchestrator.cli.job_terms import DurationType
 
 if TYPE_CHECKING:
@@ -62,6 +63,16 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
 @click.option("--new-journal", is_flag=True, help="Begin a journal although the one of this fleet is missing.")
 @click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
+@click.option(
+    "--no-record", is_flag=True, help="Do not record what is published in STATE/recordings."
+)
+@click.option(
+    "--record-quota",
+    default="2GB",
+    show_default=True,
+    type=SizeType(),
+    help="Space for recordings; the oldest are deleted first.",
+)
 @click.option("--wait", is_flag=True, help="It is up only when every controller is reached; see --limit.")
 @click.option(
     "--limit",
@@ -85,6 +96,8 @@ def up(
     standby: bool,
     new_journal: bool,
     truth: bool,
+    no_record: bool,
+    record_quota: int,
     wait: bool,
     detach: bool,
     as_json: bool,
@@ -106,6 +119,7 @@ def up(
         fleet = load_checked_fleet(file, tolerant=True)
         folder = state or default_state(fleet.fleet)
         live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
+        live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -137,10 +151,21 @@ def up(
         return
     fleet = load_checked_fleet(file, tolerant=True)
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
+    options += ["--record-quota", f"{record_quota}B"]
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
-    flags["--new-journal"] = new_journal
+    flags |= {"--new-journal": new_journal, "--no-record": no_record}
     options += [name for name, given in flags.items() if given]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
+
+
+def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) -> int | None:
+    """The quota of the recorder, or None if nothing is recorded, which is said if it was wanted."""
+    from orchestrator.cli.base.extras import find_missing
+
+    missing = find_missing("record") if wanted else ""
+    if missing:
+        print_line(f"nothing is recorded: {missing}")
+    return quota if wanted and not missing else None
 
 
 async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool) -> list[str]:

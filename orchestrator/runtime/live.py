@@ -25,7 +25,16 @@ from orchestrator.model.private_files import open_for_append, open_private_file,
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
-from orchestrator.runtime.state_folder import ADAPTERS, JOURNAL, ROUTER_LATCH, UP_LOG, StateLock, UpFailed
+from orchestrator.runtime.state_folder import (
+    ADAPTERS,
+    FLEET_FILE,
+    JOURNAL,
+    RECORDINGS,
+    ROUTER_LATCH,
+    UP_LOG,
+    StateLock,
+    UpFailed,
+)
 from sim.link.arguments import NEXT
 
 READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
@@ -36,6 +45,7 @@ RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 FINAL_EXIT_CODES = frozenset({2, 4, 5})
 EXIT_PORT_IN_USE = 4  # of the router: another process uses its port
 STANDBY = "coordinator/standby"
+RECORDER = "recorder"
 EXISTING_JOURNAL = "--existing-journal"
 # Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
 EXIT_LEADERSHIP_LOST = frozenset({4, 6})
@@ -94,6 +104,7 @@ class LiveFleet:
     first_port: of the simulated controllers on Ethernet; the next ones count up. 0: free ones.
     standby: a second coordinator takes over when the first one dies or hangs.
     new_journal: a journal is begun although the fleet had one, which is missing.
+    record_quota: bytes of recordings in `state`/recordings; None: nothing is recorded.
     """
 
     fleet: Fleet
@@ -107,6 +118,7 @@ class LiveFleet:
     standby: bool = False
     new_journal: bool = False
     first_port: int = 0
+    record_quota: int | None = None
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
@@ -120,9 +132,10 @@ class LiveFleet:
             self._rotation = asyncio.create_task(self._rotate_logs())
             await self._start_router()
             self._lock.describe_fleet(self.fleet.fleet, self.connect)
+            file = self.state / FLEET_FILE
+            recording = asyncio.create_task(self._start_recorder(file))
             if self.simulated:
                 await self._start_simulators()
-            file = self.state / "fleet.json"
             replace_private_file(file, self.fleet.to_json())
             for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
                 await self._start_child(f"host/{host}", self._make_host_command(host, file))
@@ -133,6 +146,7 @@ class LiveFleet:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
+            await recording
         except BaseException:
             await self.close()
             raise
@@ -144,7 +158,7 @@ class LiveFleet:
         try:
             self._lock = StateLock(self.state)
             await self._start_simulators()
-            replace_private_file(self.state / "fleet.json", self.fleet.to_json())
+            replace_private_file(self.state / FLEET_FILE, self.fleet.to_json())
         except BaseException:
             await self.close()
             raise
@@ -161,7 +175,7 @@ class LiveFleet:
         # Both coordinators at once: the standby must not take over from the other.
         both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end_child(child) for child in both))
-        order = ["coordinator", "host", "sim", "router"]
+        order = ["coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
         for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
             await self._end_child(child)
         if self._rotation is not None:
@@ -220,6 +234,18 @@ class LiveFleet:
             ) from None
         self.connect = endpoint
         self.say(f"router on {endpoint}")
+
+    async def _start_recorder(self, file: Path) -> None:
+        """Start the recorder; a fleet runs without it as well."""
+        if self.record_quota is None:
+            return
+        command = [sys.executable, "-m", "orchestrator.monitor.recording.process", "--fleet", self.fleet.fleet]
+        command += ["--fleet-file", str(file), "--connect", self.connect, "--folder", str(self.state / RECORDINGS)]
+        command += ["--quota", str(self.record_quota), "--log", str(self.state / "log" / "recorder.jsonl")]
+        try:
+            await self._start_child(RECORDER, [*command, "--parent", str(os.getpid())])
+        except UpFailed as error:
+            self.say(f"nothing is recorded: {error}")
 
     def _make_simulator_arguments(self, names: Sequence[str]) -> list[str]:
         """Return the arguments of a simulator for the controllers of one link."""
@@ -345,6 +371,9 @@ class LiveFleet:
                     f"{child.name} has lost leadership, another coordinator leads; the adapter hosts here "
                     "serve that one"
                 )
+                return
+            if code in FINAL_EXIT_CODES and child.name == RECORDER:
+                self.say(f"nothing is recorded any more: {child.last_error_line() or f'exit code {code}'}")
                 return
             if code in FINAL_EXIT_CODES:
                 self._report_failure(f"{child.name} ended: {child.last_error_line() or f'exit code {code}'}")

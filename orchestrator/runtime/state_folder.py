@@ -15,8 +15,10 @@ LOCK = "lock"
 JOURNAL = "journal.sqlite3"
 ROUTER_LATCH = "estop-router.json"
 UP_LOG = "up.log"  # in the folder `log`: what a detached `tutti up` says
+FLEET_FILE = "fleet.json"  # the fleet as it runs
 ADAPTERS = "adapters"  # the folder of what adapters keep
-_FOLDERS = (ADAPTERS, "log", "ports", "truth", "world")
+RECORDINGS = "recordings"  # the folder of the recorder's files
+_FOLDERS = (ADAPTERS, RECORDINGS, "log", "ports", "truth", "world")
 
 
 class UpFailed(TuttiError):
@@ -80,7 +82,7 @@ def _restrict_folder(folder: Path) -> None:
         restrict_to_user(inner)
         for each in inner.glob("*") if inner.name != "ports" else ():
             restrict_to_user(each)
-    for each in (*folder.glob(f"{JOURNAL}*"), folder / "fleet.json", folder / LOCK):
+    for each in (*folder.glob(f"{JOURNAL}*"), folder / FLEET_FILE, folder / LOCK):
         restrict_to_user(each)
 
 

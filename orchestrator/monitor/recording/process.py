@@ -10,8 +10,11 @@ import contextlib
 import signal
 import sys
 import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
+from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
@@ -30,44 +33,64 @@ from orchestrator.monitor.recording.writer import RecordingWriter
 BAD_INPUT, NO_BUS = 2, 3
 
 
-async def record_fleet(options: argparse.Namespace) -> int:
-    """Record until the process is to end; return the exit code."""
+@dataclass(frozen=True, slots=True)
+class RecorderOptions:
+    """quota: bytes that all recordings of `folder` may take. fleet_file: attached to every recording."""
+
+    fleet: str
+    connect: str
+    folder: Path
+    quota: int
+    log: Path
+    fleet_file: Path | None
+
+
+async def record_fleet(options: RecorderOptions, on_ready: Callable[[], None]) -> int:
+    """Record until the process is to end; return the exit code.
+
+    Raises `FolderInUse`, `UnsafePath`, `OSError` for the folder, and `RouterUnreachable`.
+    """
     lock = FolderLock(options.folder)
-    left = list_unfinished(options.folder)  # before this recorder begins its own
-    clock, execute = LiveClock(), ThreadExecutor("recordings")
-    log = ProcessLog("recorder", options.fleet, clock, make_file_sink(options.log))
+    try:
+        log = ProcessLog("recorder", options.fleet, LiveClock(), make_file_sink(options.log))
+        bus = await open_bus(options.connect)
+        try:
+            await _record(options, bus, log, on_ready)
+        finally:
+            await bus.close()
+    finally:
+        lock.release()
+    return 0
+
+
+async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready: Callable[[], None]) -> None:
+    clock, keys = LiveClock(), FleetKeys(options.fleet)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, end.set)
-    bus = await open_bus(options.connect)
-    keys = FleetKeys(options.fleet)
-    try:
-        limits = RecorderLimits(quota=options.quota)
-        folder = RecordingFolder(options.folder, options.fleet, clock, limits)
-        folder.on_alarm = lambda kind, text, active: log.warning(text) if active else log.info(text)
-        writer = RecordingWriter(folder, options.fleet, clock, options.fleet_file)
-        recorder = FleetRecorder(bus, keys, clock, writer, execute)
-        await recorder.start()
-        await bus.announce(keys.live("recorder", uuid.uuid4().hex[:8], "1"))
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
-        repairing = loop.create_task(repair_left(left, log))
-        running = loop.create_task(recorder.run())
-        ended = loop.create_task(end.wait())
-        await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
-        for task in (ended, repairing):
-            task.cancel()
-        if running.done():
-            running.result()  # a defect: the process ends with it, and is started again
-        running.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running
-        await recorder.close()
-        log.info(f"{writer.written} messages recorded, {writer.dropped} left out, {writer.invalid} not valid")
-        return 0
-    finally:
-        await bus.close()
-        lock.release()
+    left = list_unfinished(options.folder)  # before this recorder begins its own
+    folder = RecordingFolder(options.folder, options.fleet, clock, RecorderLimits(quota=options.quota))
+    folder.on_alarm = lambda kind, text, active: log.warning(text) if active else log.info(text)
+    writer = RecordingWriter(folder, options.fleet, clock, options.fleet_file)
+    recorder = FleetRecorder(bus, keys, clock, writer, ThreadExecutor("recordings"))
+    await recorder.start()
+    await bus.announce(keys.live("recorder", uuid.uuid4().hex[:8], "1"))
+    log.info(f"records fleet {options.fleet} in {options.folder}")
+    on_ready()
+    repairing, running = loop.create_task(repair_left(left, log)), loop.create_task(recorder.run())
+    ended = loop.create_task(end.wait())
+    await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
+    for task in (ended, repairing, running):
+        task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await running  # raises a defect: then the process ends with it, and is started again
+    await recorder.close()
+    log.info(f"{writer.written} messages recorded, {writer.dropped} left out, {writer.invalid} not valid")
+
+
+def _print_ready() -> None:
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
 
 
 def main() -> int:
@@ -83,7 +106,14 @@ def main() -> int:
     if options.parent:
         die_with_parent(options.parent)
     try:
-        return asyncio.run(record_fleet(options))
+        return asyncio.run(
+            record_fleet(
+                RecorderOptions(
+                    options.fleet, options.connect, options.folder, options.quota, options.log, options.fleet_file
+                ),
+                _print_ready,
+            )
+        )
     except (FolderInUse, UnsafePath, RouterUnreachable) as error:
         sys.stderr.write(f"{error}\n")
         return NO_BUS if isinstance(error, RouterUnreachable) else BAD_INPUT

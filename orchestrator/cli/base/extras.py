@@ -1,0 +1,14 @@
+"""Optional parts of Tutti: what they need, and how it is installed."""
+
+from importlib.util import find_spec
+
+# The packages of each extra in pyproject.toml, by the names under which they are imported.
+_EXTRAS = {"record": ("mcap", "zstandard", "prometheus_client"), "export": ("mcap", "zstandard", "pyarrow", "h5py")}
+
+
+def find_missing(extra: str) -> str:
+    """What an extra needs and is not installed, with the remedy; empty if nothing is missing."""
+    missing = [name for name in _EXTRAS[extra] if find_spec(name) is None]
+    if not missing:
+        return ""
+    return f"not installed: {', '.join(missing)}; install it: pip install 'tutti[{extra}]'"

@@ -1,0 +1,85 @@
+"""Which folder of recordings a command means."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.base.codes import BAD_INPUT
+from orchestrator.cli.base.common import check_fleet_option
+from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.extras import find_missing
+
+if TYPE_CHECKING:
+    from orchestrator.monitor.recording.reader import RecordingSummary
+
+folder_option = click.option(
+    "--folder",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="The folder of the recordings. Else that of the fleet's state folder.",
+)
+fleet_option = click.option(
+    "--fleet",
+    envvar="TUTTI_FLEET",
+    show_envvar=True,
+    default=None,
+    callback=check_fleet_option,
+    help="The fleet, if several have run here.",
+)
+
+
+def require_extra(extra: str) -> None:
+    """End the command if a part that it needs is not installed."""
+    missing = find_missing(extra)
+    if missing:
+        text, _, remedy = missing.partition("; ")
+        exit_with_error(text, BAD_INPUT, remedy, code="not-installed")
+
+
+def find_folder(folder: Path | None, fleet: str | None) -> Path:
+    """The folder that is meant; without an answer the command ends."""
+    from orchestrator.runtime.state_folder import RECORDINGS, default_state, find_running_fleets
+
+    if folder is not None:
+        if not folder.is_dir():
+            exit_with_error(f"{folder} is no folder", BAD_INPUT, "give the folder of the recordings")
+        return folder
+    root = default_state("any").parent
+    found = {path.parent.name: path for path in sorted(root.glob(f"*/{RECORDINGS}"))}
+    found |= {each.fleet: each.folder / RECORDINGS for each in find_running_fleets()}
+    if fleet is not None:
+        found = {name: path for name, path in found.items() if name == fleet}
+    if not found:
+        what = f"no recordings of fleet {fleet}" if fleet else "no recordings"
+        exit_with_error(
+            f"{what} below {root}", BAD_INPUT, "with `tutti up --state FOLDER` they are in --folder FOLDER/recordings"
+        )
+    if len(found) > 1:
+        names = ", ".join(found)
+        exit_with_error(f"recordings of several fleets: {names}", BAD_INPUT, "choose one with --fleet or --folder")
+    return next(iter(found.values()))
+
+
+def find_recording(reference: str, folder: Path | None, fleet: str | None) -> "RecordingSummary":
+    """The recording that is meant: a file, or a job by its id, the beginning of it, its name, or `last`."""
+    from orchestrator.monitor.recording.reader import RecordingUnreadable, list_recordings, summarize_recording
+
+    path = Path(reference)
+    if path.suffix == ".mcap" or path.is_file():
+        try:
+            return summarize_recording(path)
+        except RecordingUnreadable as error:
+            exit_with_error(str(error), BAD_INPUT, "give a file that `tutti record` has written")
+        except OSError as error:
+            exit_with_error(f"{path}: {error.strerror}", BAD_INPUT)
+    place = find_folder(folder, fleet)
+    jobs = [each for each in list_recordings(place) if each.job_id]
+    named = jobs[-1:] if reference == "last" else [each for each in jobs if each.job_id.startswith(reference)]
+    named = named or [each for each in jobs if each.job_name == reference][-1:]
+    if not named:
+        exit_with_error(f"no recording of job {reference!r} in {place}", BAD_INPUT, "see `tutti record ls`")
+    if len(named) > 1:
+        found = ", ".join(each.job_id[:12] for each in named)
+        exit_with_error(f"{reference!r} stands for several jobs: {found}", BAD_INPUT, "write more of the id")
+    return named[0]
