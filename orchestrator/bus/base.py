@@ -89,8 +89,14 @@ class Bus(Protocol):
         e-stop may be published on an expression: all subscribers of matching keys receive it."""
         ...
 
-    async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
-        """Call `callback` with every sample on matching keys, from other processes and from this one."""
+    async def subscribe(
+        self, expression: str, callback: Callable[[BusSample], None], *, direct: bool = False
+    ) -> BusDeclaration:
+        """Call `callback` with every sample on matching keys, from other processes and from this one.
+
+        direct: call it at once, in the transport's own thread; for a process that only collects. It must be short and
+        safe to call from any thread, and must not use the bus. It costs a third of the processor time.
+        """
         ...
 
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:

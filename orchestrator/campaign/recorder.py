@@ -133,8 +133,10 @@ class RecordedBus:
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         self._bus.put(key, payload, priority)
 
-    async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
-        return await self._bus.subscribe(expression, callback)
+    async def subscribe(
+        self, expression: str, callback: Callable[[BusSample], None], *, direct: bool = False
+    ) -> BusDeclaration:
+        return await self._bus.subscribe(expression, callback, direct=direct)
 
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
         return await self._bus.serve(expression, handler)

@@ -29,6 +29,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "raw": ("controller", "Send a command in a controller's own language."),
     "trace": ("controller", "Show the last bytes on a controller's link."),
     "record": ("records.command", "Recordings: list and repair them, record a fleet."),
+    "export": ("records.export", "Write a recording as tables: Parquet, CSV, HDF5."),
     "completion": ("completion", "Print the completion script of a shell."),
     "schema": ("schema", "Print the JSON Schema of a fleet or job file."),
     "demo": ("demo", "Run a job on a simulated fleet and show the report."),

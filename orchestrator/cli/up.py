@@ -63,9 +63,7 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
 @click.option("--new-journal", is_flag=True, help="Begin a journal although the one of this fleet is missing.")
 @click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
-@click.option(
-    "--no-record", is_flag=True, help="Do not record what is published in STATE/recordings."
-)
+@click.option("--no-record", is_flag=True, help="Do not record what is published in STATE/recordings.")
 @click.option(
     "--record-quota",
     default="2GB",

@@ -60,7 +60,7 @@ class JobQueue(QueueState):
 
 
 class JobResult(JobReport):
-    """The record of a job that has ended. It prints as the table of `tutti job report`.
+    """The record of a job that has ended. It prints as the table of `tutti job report`, and is a data frame on demand.
 
     recordings: plan and polled positions of its first 100 motion steps, as far as they are kept. points: what was
     recorded at the points of its scans, the first 10,000.
@@ -75,6 +75,17 @@ class JobResult(JobReport):
     ) -> "JobResult":
         """A result of `report` with the recordings of its motion steps, and the points of its scans."""
         return cls.model_validate({**dict(report), "recordings": tuple(recordings), "points": tuple(points)})
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """Its moves as a data frame: one row for each axis of each motion step.
+
+        Starts and ends are intervals of fleet time that contain the true instants, `start_t_lo_ns` to `start_t_hi_ns`.
+        library: `pandas` or `polars`; None: whichever is installed. Raises `NoDataFrames`.
+        """
+        from orchestrator.monitor.export.dataframe import make_dataframe
+        from orchestrator.monitor.export.moves import make_moves_table
+
+        return make_dataframe(make_moves_table(self), library)
 
     def __str__(self) -> str:
         return _render_text(self._make_table())

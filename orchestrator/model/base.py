@@ -65,14 +65,7 @@ def parse_rational(value: object) -> Fraction:
         return value
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number, or a fraction in quotes such as "10000/3"')
-    text = value if isinstance(value, str) else str(value)
-    try:
-        found = _rational(text)
-    except (ValueError, ZeroDivisionError):
-        raise ValueError(f'{_shorten(text)!r} is not a number; write e.g. 400, 0.25, or "10000/3"') from None
-    if not -MAX_RATIONAL <= found <= MAX_RATIONAL:
-        raise ValueError(f"{_shorten(text)} is out of range; the largest number is {float(MAX_RATIONAL):g}")
-    return found
+    return _rational(value if isinstance(value, str) else str(value))
 
 
 def _shorten(text: str) -> str:
@@ -83,9 +76,15 @@ def _shorten(text: str) -> str:
 def _rational(text: str) -> Fraction:
     """Cached, because states repeat the same few offsets."""
     plain = text[: MAX_RATIONAL_LENGTH + 1].replace(" ", "")
-    if len(text) > MAX_RATIONAL_LENGTH or _RATIONAL.fullmatch(plain) is None:
-        raise ValueError(text)
-    return Fraction(plain)
+    try:
+        if len(text) > MAX_RATIONAL_LENGTH or _RATIONAL.fullmatch(plain) is None:
+            raise ValueError(text)
+        found = Fraction(plain)
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(f'{_shorten(text)!r} is not a number; write e.g. 400, 0.25, or "10000/3"') from None
+    if not -MAX_RATIONAL <= found <= MAX_RATIONAL:
+        raise ValueError(f"{_shorten(text)} is out of range; the largest number is {float(MAX_RATIONAL):g}")
+    return found
 
 
 Rational = Annotated[

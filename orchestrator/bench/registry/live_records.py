@@ -200,6 +200,55 @@ LIVE_BENCHMARKS = (
         has_failed=lambda document: bool(document["lost"] or document["doubled"] or document["moved_on"]),
     ),
     Benchmark(
+        "record",
+        """Measure the recorder, live: 64 axes on 16 controllers, published 100 times a second by a process of its own.
+
+        Everything published is recorded, or counted as left out; the recorder itself puts nothing and answers nothing.
+        Then copies of a recording are cut at random bytes, and the recorder is killed: each file is repaired, and keeps
+        all chunks that were closed.
+        """,
+        "tutti bench record --json",
+        (
+            BenchOption("seconds", "int", "Time of publishing.", 60, 5, 3600),
+            BenchOption("cuts", "int", "Copies that are cut.", 500, 1, 100_000),
+        ),
+        runs.run_record,
+        (
+            BenchTable(
+                lambda document: [
+                    (
+                        f"published {document['published']}; recorded {document['recorded']}, left out",
+                        document["dropped"],
+                        "all counted",
+                        document["counted"],
+                    ),
+                    ("processor time of the recorder, %", document["cpu_share"] * 100, "<= 15", document["cpu_met"]),
+                    ("MB an hour", document["mb_per_hour"], "<= 250", document["size_met"]),
+                    (
+                        f"closed chunks lost in {document['cuts']} cut copies",
+                        document["lost_chunks"],
+                        "0",
+                        not document["lost_chunks"],
+                    ),
+                    (
+                        f"recordings damaged by {document['kills']} kills",
+                        document["kill_losses"],
+                        "0",
+                        not document["kill_losses"],
+                    ),
+                ],
+                (
+                    BenchColumn("recorder", lambda row: row[0]),
+                    BenchColumn("found>", lambda row: row[1], ".4g"),
+                    BenchColumn("target", lambda row: row[2]),
+                    BenchColumn("met", lambda row: row[3]),
+                ),
+            ),
+            BenchNote(lambda document: document["failures"]),
+        ),
+        has_failed=lambda document: bool(document["failures"] or document["lost_chunks"] or document["kill_losses"]),
+    ),
+    Benchmark(
         "permit",
         """Time the loss of a permit in a step over eight controllers, live with simulated controllers.
 

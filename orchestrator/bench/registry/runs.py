@@ -201,6 +201,13 @@ def run_kills(show_progress: ShowProgress, rounds: int) -> Fields:
     return _measure_live(lambda folder: bench_kills(fleet, folder, rounds, show_progress))._asdict()
 
 
+def run_record(show_progress: ShowProgress, seconds: int, cuts: int) -> Fields:
+    from orchestrator.bench.recording.measure import bench_record, describe_failures
+
+    figures = _measure_live(lambda folder: bench_record(folder, seconds, cuts, show_progress))
+    return {**figures._asdict(), "failures": describe_failures(figures)}
+
+
 def run_permit(_: ShowProgress, rounds: int) -> Fields:
     from orchestrator.bench.permit import bench_permit
 

@@ -341,7 +341,9 @@ class MemoryBus(RequestingBus):
             priority, partial(self.net.send_sample, self, BusSample(check_put(key, priority), payload), priority)
         )
 
-    async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
+    async def subscribe(
+        self, expression: str, callback: Callable[[BusSample], None], *, direct: bool = False
+    ) -> BusDeclaration:
         self._check_open()
         subscription = _Subscription(self, check_expression(expression), callback)
         self.net.add_subscription(subscription)

@@ -136,7 +136,9 @@ class ZenohBus(RequestingBus):
         )
         sender.queue_call(priority, call, len(payload))
 
-    async def subscribe(self, expression: str, callback: Callable[[BusSample], None]) -> BusDeclaration:
+    async def subscribe(
+        self, expression: str, callback: Callable[[BusSample], None], *, direct: bool = False
+    ) -> BusDeclaration:
         declaration = _ZenohDeclaration(self._standing)
 
         def deliver_sample(sample: BusSample) -> None:
@@ -149,9 +151,12 @@ class ZenohBus(RequestingBus):
                 payload = self._take_payload(sample.payload, key)
                 if payload is None and priority is Priority.ESTOP:
                     payload = b""  # what cannot be read is an e-stop, too
-                if payload is not None:
-                    call = partial(deliver_sample, BusSample(key, payload))
-                    self._inbox.queue_call(priority, call, len(payload))
+                if payload is None:
+                    return
+                if direct:
+                    deliver_sample(BusSample(key, payload))
+                    return
+                self._inbox.queue_call(priority, partial(deliver_sample, BusSample(key, payload)), len(payload))
 
         check_expression(expression)
         subscriber = await self._run_declaration(

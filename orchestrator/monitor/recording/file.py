@@ -7,6 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
+import zstandard
+from mcap import writer as mcap_writer
 from mcap.writer import CompressionType, Writer
 
 from orchestrator.model.private_files import make_private_folder, open_private_file
@@ -14,7 +16,20 @@ from orchestrator.monitor.recording.channels import BYTES, INVALID, JSON, Channe
 
 SUFFIX = ".mcap"
 METADATA = "tutti"  # the name of the record that describes the file
-CHUNK_BYTES = 1_000_000  # before compression; a chunk is also closed once a second
+CHUNK_BYTES = 4_000_000  # before compression; a chunk is also closed once a second, and each one has an index
+
+ZSTD_LEVEL = 9  # 15 % smaller than the usual level 3, for 0.5 % of a processor at 1,600 messages a second
+
+
+class _DenseCompressor:
+    """Stands for the module `zstandard` in the library, which has no option for the level."""
+
+    @staticmethod
+    def compress(data: bytes) -> bytes:
+        return zstandard.compress(data, ZSTD_LEVEL)
+
+
+mcap_writer.zstandard = _DenseCompressor  # pyright: ignore[reportPrivateImportUsage]
 
 OpenFile = Callable[[Path], BinaryIO]
 
@@ -54,7 +69,8 @@ class RecordingFile:
         number = self._find_channel(channel, JSON if valid else BYTES)
         self.written += 1
         self.unsafe[channel.key] += 1
-        self._writer.add_message(number, received_ns, payload, published_ns, self.written & 0xFFFFFFFF)
+        # Without a number of its own: it would cost a tenth of the compressed size.
+        self._writer.add_message(number, received_ns, payload, published_ns)
 
     def attach(self, name: str, contents: bytes, at_ns: int, media_type: str = "application/json") -> None:
         """Add an attachment."""

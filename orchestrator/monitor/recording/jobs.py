@@ -95,8 +95,9 @@ class JobTracker:
             kept.pop()
         kept.append(state)
         del kept[:-KEPT_READINGS]
-        for holder in {*state.leases.values(), state.job or ""} & set(self.running):
-            self.running[holder].controllers.add(state.controller)
+        if self.running:
+            for holder in {*state.leases.values(), state.job or ""} & set(self.running):
+                self.running[holder].controllers.add(state.controller)
 
     def _take_lease(self, lease: LeaseState) -> None:
         if lease.holder in self.running:

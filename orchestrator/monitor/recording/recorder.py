@@ -4,6 +4,7 @@ It has ordinary priority, and is the first to drop: when the disk is slower than
 replace are left out, then everything. What is left out is counted and recorded. Motion does not wait for it.
 """
 
+import threading
 from collections import Counter
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
@@ -26,6 +27,7 @@ class FleetRecorder:
     def __init__(self, bus: Bus, keys: FleetKeys, clock: Clock, writer: RecordingWriter, execute: Executor) -> None:
         self._bus, self._keys, self._clock = bus, keys, clock
         self._writer, self._execute = writer, execute
+        self._lock = threading.Lock()
         self._queued: list[ReceivedMessage] = []
         self._bytes = 0
         self._dropped: Counter[str] = Counter()
@@ -33,7 +35,7 @@ class FleetRecorder:
 
     async def start(self) -> None:
         """Take every message from here on."""
-        self._subscription = await self._bus.subscribe(f"{self._keys.prefix}/**", self._receive)
+        self._subscription = await self._bus.subscribe(f"{self._keys.prefix}/**", self._receive, direct=True)
 
     async def run(self) -> None:
         """Write what has come in, until cancelled."""
@@ -53,21 +55,26 @@ class FleetRecorder:
         await self._execute(self._writer.close)
 
     def _receive(self, sample: BusSample) -> None:
+        """Queue a message; in a thread of the bus."""
         channel, size = find_channel(sample.key), len(sample.payload)
         if not channel.is_recorded:
             return
-        if self._bytes + size > (MAX_REPLACED_BYTES if channel.is_replaced else MAX_QUEUED_BYTES):
-            self._dropped[sample.key] += 1
-            return
-        self._queued.append(ReceivedMessage(sample.key, sample.payload, self._clock.now_ns()))
-        self._bytes += size
+        message = ReceivedMessage(sample.key, sample.payload, self._clock.now_ns())
+        with self._lock:
+            if self._bytes + size > (MAX_REPLACED_BYTES if channel.is_replaced else MAX_QUEUED_BYTES):
+                self._dropped[sample.key] += 1
+                return
+            self._queued.append(message)
+            self._bytes += size
 
     async def _write_queued(self) -> None:
-        batch, dropped = self._queued, self._dropped
-        size, self._queued, self._dropped = sum(len(each.payload) for each in batch), [], Counter()
+        with self._lock:
+            batch, dropped = self._queued, self._dropped
+            self._queued, self._dropped = [], Counter()
         if dropped:
             await self._execute(self._writer.count_drops, TOO_SLOW, dropped)
         if batch:
             await self._execute(self._writer.write_messages, batch)
         # Only now: what a slow disk has not taken yet counts as well.
-        self._bytes -= size
+        with self._lock:
+            self._bytes -= sum(len(each.payload) for each in batch)

@@ -66,7 +66,7 @@ def _copy_whole_part(path: Path, copy: Path) -> tuple[int, int]:
     """Write the whole part of a recording to `copy`; return the number of messages, and where it ends."""
     whole_until, size = 0, path.stat().st_size
     with path.open("rb") as source, create_file(copy) as target:
-        writer = Writer(target, chunk_size=4 * CHUNK_BYTES, compression=CompressionType.ZSTD)
+        writer = Writer(target, chunk_size=2 * CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="tutti", library="tutti")
         recording = _RecordCopier(writer)
         for group in read_frames(source, size):

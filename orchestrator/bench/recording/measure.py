@@ -1,0 +1,239 @@
+"""Measures the recorder: nothing lost uncounted, processor time, size; and recordings that were cut, or killed."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple
+
+from orchestrator.bench.truth import NothingHappened
+from orchestrator.bus.base import BusError, BusSample
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.model.recording import MessagesDropped
+from orchestrator.monitor.recording.frames import FrameGroup, read_frames
+from orchestrator.monitor.recording.reader import Recording, summarize_recording
+from orchestrator.monitor.recording.repair import repair_recording
+from orchestrator.runtime.live import find_free_port
+
+FLEET = "bench"
+CONTROLLERS, AXES, HZ = 16, 4, 100.0
+CPU_TARGET, HOUR_TARGET_MB = 0.15, 250.0
+CUT_S = 5.0  # of the recording that is cut
+KILLS = 5
+
+
+class RecordFigures(NamedTuple):
+    """published = recorded + dropped. cpu_share: of one processor. others: keys that the recorder has put, and how
+    often. answers: whether it answers queries. cuts: number of cut copies; lost_chunks: closed chunks missing after
+    their repair; kills: of the recorder, each repaired."""
+
+    axes: int
+    hz: float
+    seconds: float
+    published: int
+    recorded: int
+    dropped: int
+    cpu_share: float
+    mb_per_hour: float
+    others: dict[str, int]
+    answers: bool
+    cuts: int
+    lost_chunks: int
+    kills: int
+    kill_losses: int
+    counted: bool
+    cpu_met: bool
+    size_met: bool
+
+
+async def bench_record(folder: Path, seconds: float, cuts: int, show_progress: Callable[[str], None]) -> RecordFigures:
+    """Measure. Raises `NothingHappened`."""
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
+    router = await _start("orchestrator.bus.zenoh.router", endpoint, str(os.getpid()))
+    try:
+        show_progress(f"{CONTROLLERS * AXES} axes at {HZ:g} Hz for {seconds:g} s")
+        place = folder / "run"
+        recorder = await _start_recorder(endpoint, place)
+        watcher = await _BusWatcher.start(endpoint)
+        published = await _publish(endpoint, seconds)
+        answers = await watcher.find_answers()
+        cpu_s = await _end_recorder(recorder)
+        recorded, dropped = _count_recorded(place)
+        size = sum(each.stat().st_size for each in place.glob("*.mcap"))
+        others = await watcher.close()
+        show_progress(f"{cuts} cut copies of a recording of {CUT_S:g} s")
+        lost_chunks = await _cut_and_repair(endpoint, folder, cuts)
+        show_progress(f"{KILLS} kills of the recorder")
+        kill_losses = await _kill_and_repair(endpoint, folder)
+    finally:
+        router.terminate()
+        await router.wait()
+    mb = size / 1e6 / seconds * 3600
+    return RecordFigures(
+        CONTROLLERS * AXES,
+        HZ,
+        seconds,
+        published,
+        recorded,
+        dropped,
+        cpu_s / seconds,
+        mb,
+        others,
+        answers,
+        cuts,
+        lost_chunks,
+        KILLS,
+        kill_losses,
+        recorded + dropped == published,
+        cpu_s / seconds <= CPU_TARGET,
+        mb <= HOUR_TARGET_MB,
+    )
+
+
+class _BusWatcher:
+    """Counts what is put on the bus by others than the publisher."""
+
+    def __init__(self, bus: Any) -> None:
+        self._bus = bus
+        self._keys = FleetKeys(FLEET)
+        self._counted: Counter[str] = Counter()
+
+    @classmethod
+    async def start(cls, endpoint: str) -> "_BusWatcher":
+        watcher = cls(await open_bus(endpoint))
+        await watcher._bus.subscribe("**", watcher._count)
+        return watcher
+
+    def _count(self, sample: BusSample) -> None:
+        if not sample.key.endswith("/state") and sample.key != self._keys.leader:
+            self._counted[sample.key] += 1
+
+    async def find_answers(self) -> bool:
+        """Whether any process answers a query on any key of the fleet."""
+        with suppress(BusError):
+            return bool(await self._bus.find_servers(f"{self._keys.prefix}/**", 1.0))
+        return False
+
+    async def close(self) -> dict[str, int]:
+        await self._bus.close()
+        return dict(self._counted)
+
+
+async def _start(module: str, *arguments: str) -> asyncio.subprocess.Process:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", module, *arguments, stdout=asyncio.subprocess.PIPE
+    )
+    assert process.stdout is not None
+    if not await process.stdout.readline():
+        raise NothingHappened(f"{module} has not started")
+    return process
+
+
+async def _start_recorder(endpoint: str, place: Path) -> asyncio.subprocess.Process:
+    options = ["--fleet", FLEET, "--connect", endpoint, "--folder", str(place), "--quota", str(2 * 10**9)]
+    return await _start("orchestrator.monitor.recording.process", *options, "--log", str(place / "recorder.jsonl"))
+
+
+async def _publish(endpoint: str, seconds: float) -> int:
+    module, arguments = "orchestrator.bench.recording.publisher", [endpoint, FLEET, str(CONTROLLERS), f"{HZ}"]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", module, *arguments, f"{seconds}", stdout=asyncio.subprocess.PIPE
+    )
+    output, _ = await process.communicate()
+    return int(output)
+
+
+async def _end_recorder(process: asyncio.subprocess.Process) -> float:
+    """End it; return the processor time that it has used, with its start."""
+    used_s = _cpu_s(process.pid)
+    process.terminate()
+    await process.wait()
+    return used_s
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _count_recorded(place: Path) -> tuple[int, int]:
+    """How many states the recordings have, and how many they say were left out."""
+    recorded = dropped = 0
+    for path in place.glob("*.mcap"):
+        with Recording(path) as recording:
+            for message in recording.read_messages():
+                recorded += message.key.endswith("/state") and message.valid
+                if message.key == "recorder/dropped":
+                    dropped += MessagesDropped.model_validate_json(message.payload).total
+    return recorded, dropped
+
+
+def _list_chunks(path: Path) -> list[tuple[int, int]]:
+    """Of each closed chunk, where it ends and how many messages it has."""
+    with path.open("rb") as file:
+        groups = read_frames(file, path.stat().st_size)
+        counted = [(each.ends_at, _count(each)) for each in groups if isinstance(each, FrameGroup)]
+    return [each for each in counted if each[1]]
+
+
+def _count(group: FrameGroup) -> int:
+    return sum(type(record).__name__ == "Message" for record in group.records)
+
+
+async def _cut_and_repair(endpoint: str, folder: Path, cuts: int) -> int:
+    """Cut copies of a recording at random bytes, and repair them; return how many closed chunks were lost."""
+    place = folder / "cut"
+    recorder = await _start_recorder(endpoint, place)
+    await _publish(endpoint, CUT_S)
+    await _end_recorder(recorder)
+    (path,) = place.glob("fleet-*.mcap")
+    whole, chunks, draw = path.read_bytes(), _list_chunks(path), Random(1)
+    lost = 0
+    copy = place / "copy.mcap"
+    for _ in range(cuts):
+        cut = draw.randrange(200, len(whole))
+        copy.write_bytes(whole[:cut])
+        result = repair_recording(copy)
+        kept = sum(messages for ends_at, messages in chunks if ends_at <= cut)
+        after = summarize_recording(copy)
+        lost += result.messages < kept or not after.is_complete or after.messages != result.messages
+    return lost
+
+
+async def _kill_and_repair(endpoint: str, folder: Path) -> int:
+    """Kill the recorder at work; return in how many recordings a chunk that was closed before is missing."""
+    losses, draw = 0, Random(2)
+    for number in range(KILLS):
+        place = folder / f"kill-{number}"
+        recorder = await _start_recorder(endpoint, place)
+        publishing = asyncio.ensure_future(_publish(endpoint, 4.0))
+        await asyncio.sleep(2.0 + draw.random() * 2)
+        (path,) = place.glob("fleet-*.mcap")
+        before = sum(messages for _, messages in _list_chunks(path))
+        recorder.send_signal(signal.SIGKILL)
+        await recorder.wait()
+        await publishing
+        result = repair_recording(path)
+        losses += result.messages < before or before == 0 or not summarize_recording(path).is_complete
+    return losses
+
+
+def describe_failures(figures: RecordFigures) -> list[str]:
+    """What a measurement shows to be wrong, in words."""
+    found: list[str] = []
+    if not figures.counted:
+        found.append(
+            f"{figures.published - figures.recorded - figures.dropped} messages are neither recorded nor counted"
+        )
+    if figures.others:
+        found.append(f"put on the bus beside the publisher: {json.dumps(figures.others)}")
+    if figures.answers:
+        found.append("a process answers queries")
+    return found

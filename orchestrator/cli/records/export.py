@@ -1,0 +1,119 @@
+"""`tutti export`: recordings as tables."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED
+from orchestrator.cli.base.common import console, json_option, print_json
+from orchestrator.cli.base.errors import errors, exit_with_error
+from orchestrator.cli.records.folder import find_recording, fleet_option, folder_option, require_extra
+
+if TYPE_CHECKING:
+    from orchestrator.monitor.export.files import TableFormat
+    from orchestrator.monitor.export.table import DataTable
+    from orchestrator.monitor.recording.reader import Recording, RecordingSummary
+
+_FORMATS = ("parquet", "csv", "hdf5")
+
+
+@click.command(epilog="Example: tutti export scan --to parquet -o scan.parquet")
+@click.argument("recording")
+@click.option("--to", "table_format", required=True, type=click.Choice(_FORMATS), help="The format.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The first file.")
+@click.option(
+    "--period", default=None, metavar="DURATION", help="Of the common grid, e.g. 10ms. Default: that of the readings."
+)
+@folder_option
+@fleet_option
+@json_option
+def export(
+    recording: str,
+    table_format: str,
+    output: Path,
+    period: str | None,
+    folder: Path | None,
+    fleet: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Write a recording as tables. RECORDING: a job (its id, the beginning of it, its name, `last`), or a file.
+
+    \b
+    grid     all axes on one grid of fleet time
+    samples  every reading as it came
+    moves    each axis of each motion step, with the intervals of its start
+             and end, and the step's verdict
+
+    Units, job and verdicts are metadata of the files. HDF5 has the tables in one file; of CSV, metadata are in a JSON
+    file beside.
+    """
+    if table_format == "csv":
+        require_extra("record")
+    else:
+        require_extra("export")
+    from orchestrator.monitor.export.files import SUFFIXES, write_tables
+    from orchestrator.monitor.export.samples import ExportTooLarge
+    from orchestrator.monitor.recording.reader import Recording, RecordingUnreadable
+
+    chosen = cast("TableFormat", table_format)
+    wanted = SUFFIXES[chosen]
+    if output.suffix != wanted:
+        exit_with_error(f"{output} does not end with {wanted}", BAD_INPUT, f"write it so: -o {output.stem}{wanted}")
+    period_ns = _parse_period(period)
+    summary = find_recording(recording, folder, fleet)
+    try:
+        with Recording(summary.path) as opened:
+            tables, notes = _make_tables(opened, summary, period_ns)
+        files = write_tables(tables, output, chosen)
+    except (RecordingUnreadable, ExportTooLarge) as error:
+        exit_with_error(str(error), FAILED)
+    except OSError as error:
+        exit_with_error(f"{error.filename or output}: {error.strerror}", BAD_INPUT, "choose another place with -o")
+    rows = {table.name: table.row_count for table in tables}
+    if as_json:
+        print_json(
+            {"recording": str(summary.path), "files": [str(each) for each in files], "rows": rows, "notes": notes}
+        )
+        return
+    for note in notes:
+        errors.print(note, highlight=False, soft_wrap=True)
+    words = ", ".join(f"{name} {count} rows" for name, count in rows.items())
+    console.print(f"{words}; in {', '.join(map(str, files))}", highlight=False, soft_wrap=True)
+
+
+def _parse_period(period: str | None) -> int | None:
+    from orchestrator.model.duration import parse_duration
+
+    if period is None:
+        return None
+    try:
+        found = parse_duration(period)
+    except ValueError as error:
+        exit_with_error(f"--period: {error}", BAD_INPUT)
+    if found <= 0:
+        exit_with_error(f"--period {period}: must be more than nothing", BAD_INPUT)
+    return found
+
+
+def _make_tables(
+    opened: "Recording", summary: "RecordingSummary", period_ns: int | None
+) -> "tuple[list[DataTable], list[str]]":
+    """The tables of a recording, and what is to be said about it."""
+    from orchestrator.monitor.export.moves import make_moves_table
+    from orchestrator.monitor.export.recorded import load_run
+    from orchestrator.monitor.export.samples import make_grid_table, make_samples_table
+
+    run = load_run(opened)
+    tables: list[Any] = [make_grid_table(run, period_ns), make_samples_table(run)]
+    notes: list[str] = []
+    if run.report is not None:
+        tables.append(make_moves_table(run.report, run.events))
+    elif summary.job_id:
+        notes.append("the job's report is not in it: the recording ended before the job, so that there are no moves")
+    if opened.damage is not None:
+        notes.append(f"it is read up to byte {opened.damage.at}: {opened.damage.text}; see `tutti record repair`")
+    if run.unread:
+        notes.append(f"{run.unread} messages are not valid, and left out")
+    return tables, notes

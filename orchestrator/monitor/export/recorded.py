@@ -1,0 +1,68 @@
+"""What an export takes from a recording: readings of axes, plans, events, the report."""
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pydantic import ValidationError
+
+from orchestrator.model.report import JobReport, StepRecording
+from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
+from orchestrator.monitor.recording.reader import Recording
+
+
+class RecordedReading(NamedTuple):
+    """One reading of an axis. fleet_ns: when the answer to the poll had arrived; utc_ns: the same instant."""
+
+    fleet_ns: int
+    utc_ns: int
+    mode: str
+    axis: AxisState
+
+
+@dataclass(slots=True)
+class RecordedRun:
+    """The contents of a recording. readings: by axis, in order. unread: messages that were not valid."""
+
+    readings: dict[str, list[RecordedReading]] = field(default_factory=lambda: defaultdict(list))
+    plans: list[StepRecording] = field(default_factory=list[StepRecording])
+    events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
+    report: JobReport | None = None
+    unread: int = 0
+
+    @property
+    def utc_offset_ns(self) -> int:
+        """UTC less fleet time, ns; 0 without a reading."""
+        first = next((each[0] for each in self.readings.values() if each), None)
+        return 0 if first is None else first.utc_ns - first.fleet_ns
+
+
+def load_run(recording: Recording) -> RecordedRun:
+    """Read a recording for an export. Raises `RecordingUnreadable`."""
+    run = RecordedRun()
+    for message in recording.read_messages():
+        kind, leaf = message.key.partition("/")[0], message.key.rpartition("/")[2]
+        try:
+            if not message.valid:
+                run.unread += 1
+            elif (kind, leaf) == ("ctl", "state"):
+                _add_state(run, ControllerState.model_validate_json(message.payload), message.published_ns)
+            elif (kind, leaf) == ("ctl", "event"):
+                run.events.append(ControllerEvent.model_validate_json(message.payload))
+            elif (kind, leaf) == ("job", "plan"):
+                run.plans.append(StepRecording.model_validate_json(message.payload))
+            elif (kind, leaf) == ("job", "report"):
+                run.report = JobReport.model_validate_json(message.payload)
+        except ValidationError:  # of another version
+            run.unread += 1
+    return run
+
+
+def _add_state(run: RecordedRun, state: ControllerState, utc_ns: int) -> None:
+    if state.read_fleet_ns is None:
+        return
+    for name, axis in state.axes.items():
+        readings = run.readings[f"{state.controller}.{name}"]
+        # A state is also published without a new reading.
+        if not readings or readings[-1].fleet_ns < state.read_fleet_ns:
+            readings.append(RecordedReading(state.read_fleet_ns, utc_ns, state.mode, axis))

@@ -1,0 +1,171 @@
+"""Tables of recorded positions: the readings as they came, and all axes on one grid of fleet time."""
+
+# NumPy types interpolation only in part.
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from statistics import median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.errors import TuttiError
+from orchestrator.model.report import StepRecording
+from orchestrator.monitor.export.recorded import RecordedReading, RecordedRun
+from orchestrator.monitor.export.table import DataTable
+
+MAX_GAP_NS = 2 * NS_PER_S  # between two readings; in a longer gap the position is not known
+LEAST_PERIOD_NS, MOST_PERIOD_NS = NS_PER_MS, NS_PER_S
+MAX_ROWS = 20_000_000
+
+_SAMPLE_COLUMNS = (
+    "fleet_ns",
+    "utc_ns",
+    "axis",
+    "position",
+    "commanded",
+    "velocity",
+    "motor_position",
+    "raw_counts",
+    "unit",
+    "moving",
+    "mode",
+)
+
+Array = NDArray[Any]
+
+
+class ExportTooLarge(TuttiError):
+    """The table would have too many rows. The text names the number, and the remedy."""
+
+
+def make_samples_table(run: RecordedRun) -> DataTable:
+    """Every reading of every axis as it came, in order of time: one row each. Positions in the unit of their row."""
+    rows = [
+        (each.fleet_ns, each.utc_ns, name, *_axis_values(each))
+        for name, readings in run.readings.items()
+        for each in readings
+    ]
+    rows.sort(key=lambda row: (row[0], row[2]))
+    columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_SAMPLE_COLUMNS)}
+    return DataTable("samples", columns, {"fleet_ns": "ns", "utc_ns": "ns"}, _describe(run))
+
+
+def _axis_values(reading: RecordedReading) -> tuple[Any, ...]:
+    axis = reading.axis
+    return (
+        axis.position,
+        axis.commanded,
+        axis.velocity,
+        axis.motor_position,
+        axis.raw_counts,
+        axis.unit,
+        axis.moving,
+        reading.mode,
+    )
+
+
+def make_grid_table(run: RecordedRun, period_ns: int | None = None) -> DataTable:
+    """All axes on one grid of fleet time, from the first reading to the last: one row an instant.
+
+    Columns: `fleet_ns`, `utc_ns`, `step` (-1 between motion steps), and for each axis its position, commanded position
+    and velocity, interpolated linearly between readings (NaN where there is none within 2 s), and where there are plans
+    its planned position, exactly (motor position; NaN outside of its steps). period_ns: None: the median time between
+    readings of the axis that is read most often. Raises `ExportTooLarge`.
+    """
+    readings = {name: each for name, each in sorted(run.readings.items()) if each}
+    if not readings:
+        return DataTable("grid", {"fleet_ns": (), "utc_ns": (), "step": ()}, {}, _describe(run))
+    period_ns = period_ns or _find_period_ns(readings)
+    begin_ns = min(each[0].fleet_ns for each in readings.values())
+    end_ns = max(each[-1].fleet_ns for each in readings.values())
+    count = (end_ns - begin_ns) // period_ns + 1
+    if count * len(readings) > MAX_ROWS:
+        raise ExportTooLarge(
+            f"{count} instants of {len(readings)} axes are more than {MAX_ROWS} values; choose a longer --period"
+        )
+    grid: Array = begin_ns + period_ns * np.arange(count, dtype=np.int64)
+    columns: dict[str, Any] = {"fleet_ns": grid, "utc_ns": grid + run.utc_offset_ns}
+    columns["step"] = _mark_steps(run.plans, grid)
+    units = {"fleet_ns": "ns", "utc_ns": "ns"}
+    for name, each in readings.items():
+        unit = each[-1].axis.unit
+        found = {
+            f"{name}.position": _interpolate(grid, each, [one.axis.position for one in each]),
+            f"{name}.commanded": _interpolate(grid, each, [one.axis.commanded for one in each]),
+            f"{name}.velocity": _interpolate(grid, each, [one.axis.velocity for one in each]),
+        }
+        planned = _sample_plans(run.plans, name, grid)
+        if planned is not None:
+            found[f"{name}.planned"] = planned
+        columns |= found
+        units |= {column: f"{unit}/s" if column.endswith(".velocity") else unit for column in found}
+    return DataTable("grid", columns, units, _describe(run))
+
+
+def _find_period_ns(readings: Mapping[str, Sequence[RecordedReading]]) -> int:
+    """The median time between readings of the axis that is read most often."""
+    medians = [
+        median(later.fleet_ns - earlier.fleet_ns for earlier, later in pairwise(each))
+        for each in readings.values()
+        if len(each) > 1
+    ]
+    return round(min(max(min(medians, default=MOST_PERIOD_NS), LEAST_PERIOD_NS), MOST_PERIOD_NS))
+
+
+def _interpolate(grid: Array, readings: Sequence[RecordedReading], values: Sequence[float]) -> Array:
+    at_ns = np.array([each.fleet_ns for each in readings], dtype=np.int64)
+    # Relative to the first instant: doubles have no room for ns of weeks.
+    known = np.array(values, dtype=np.float64)
+    found: Array = np.interp(grid - at_ns[0], at_ns - at_ns[0], known, left=np.nan, right=np.nan)
+    after = np.clip(np.searchsorted(at_ns, grid), 1, max(1, len(at_ns) - 1))
+    if len(at_ns) > 1:
+        found[(at_ns[after] - at_ns[after - 1] > MAX_GAP_NS) & (grid != at_ns[after])] = np.nan
+    return found
+
+
+def _mark_steps(plans: Sequence[StepRecording], grid: Array) -> Array:
+    steps: Array = np.full(len(grid), -1, dtype=np.int64)
+    for plan in plans:
+        longest_s = max((each.profile.duration_s for each in plan.axes.values()), default=0.0)
+        steps[(grid >= plan.t0_fleet_ns) & (grid <= plan.t0_fleet_ns + longest_s * NS_PER_S)] = plan.step
+    return steps
+
+
+def _sample_plans(plans: Sequence[StepRecording], name: str, grid: Array) -> Array | None:
+    """The planned motor position of an axis on the grid; None: it has no plan."""
+    mine = [each for each in plans if name in each.axes]
+    if not mine:
+        return None
+    planned: Array = np.full(len(grid), np.nan)
+    for plan in mine:
+        axis = plan.axes[name]
+        first, last = np.searchsorted(
+            grid, [plan.t0_fleet_ns, plan.t0_fleet_ns + round(axis.profile.duration_s * NS_PER_S) + 1]
+        )
+        at = axis.profile.make_evaluator()
+        for row in range(first, last):
+            counts = axis.profile.start_counts + at((grid[row] - plan.t0_fleet_ns) / NS_PER_S).position
+            planned[row] = counts / axis.counts_per_unit
+    return planned
+
+
+def _describe(run: RecordedRun) -> dict[str, str]:
+    """What belongs to a job's tables as metadata: the job, and the verdicts of its steps."""
+    report = run.report
+    if report is None:
+        return {}
+    verdicts = {str(step.index): step.verdict for step in report.steps if step.verdict != "none"}
+    return {
+        "job_id": report.job_id,
+        "job": report.name,
+        "actor": report.actor,
+        "state": report.state,
+        "started_utc": report.started_utc or "",
+        "ended_utc": report.ended_utc or "",
+        "verdicts": json.dumps(verdicts),
+    }
