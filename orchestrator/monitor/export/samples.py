@@ -16,7 +16,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.report import StepRecording
 from orchestrator.monitor.export.recorded import RecordedReading, RecordedRun
-from orchestrator.monitor.export.table import DataTable
+from orchestrator.monitor.export.table import Column, DataTable
 
 MAX_GAP_NS = 2 * NS_PER_S  # between two readings; in a longer gap the position is not known
 LEAST_PERIOD_NS, MOST_PERIOD_NS = NS_PER_MS, NS_PER_S
