@@ -30,10 +30,11 @@ from orchestrator.model.state import (
     EventKind,
     EventsRequest,
     FaultReport,
+    LinkTotals,
     Mode,
 )
 
-STATES_PER_CLOCK = 10  # states between two publications of the mapping, which drifts slowly
+STATES_PER_CLOCK = 10  # states between two publications of what changes slowly
 _NONE = Fraction(0)
 
 
@@ -152,11 +153,18 @@ class StatePublisher:
         self.published_ns = self._clock.now_ns()
         state = self.current_state()
         self._bus.put(self._keys.state(self._controller), state.to_json(), Priority.STATE)
-        mapping = self._clock_mapping()
-        if mapping is not None and self._state_seq % STATES_PER_CLOCK == 0:
+        if self._state_seq % STATES_PER_CLOCK == 0:
+            self._publish_background()
+        return state
+
+    def _publish_background(self) -> None:
+        """Publish what changes slowly: the clock mapping, and the bytes on the link."""
+        mapping, trace = self._clock_mapping(), self._context.trace
+        if mapping is not None:
             shown = clock_mapping(self._controller, mapping, self._clock.now_ns())
             self._bus.put(self._keys.clock(self._controller), shown.to_json(), Priority.STATE)
-        return state
+        totals = LinkTotals(controller=self._controller, bytes_out=trace.bytes_out, bytes_in=trace.bytes_in)
+        self._bus.put(self._keys.link(self._controller), totals.to_json(), Priority.STATE)
 
     def _axis_state(self, name: str, reading: ControllerReading | None) -> AxisState:
         axis = self._config.axes[name]

@@ -17,6 +17,7 @@ from orchestrator.cli.base.common import check_endpoint_option, console, json_op
 from orchestrator.cli.base.errors import errors, exit_interrupted, exit_with_error, run_main
 from orchestrator.cli.base.sizes import SizeType
 from orchestrator.cli.job_terms import DurationType
+from orchestrator.cli.records.folder import metrics_option
 
 if TYPE_CHECKING:
     from orchestrator.runtime.live import LiveFleet
@@ -71,6 +72,7 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
     type=SizeType(),
     help="Space for recordings; the oldest are deleted first.",
 )
+@metrics_option
 @click.option("--wait", is_flag=True, help="It is up only when every controller is reached; see --limit.")
 @click.option(
     "--limit",
@@ -96,6 +98,7 @@ def up(
     truth: bool,
     no_record: bool,
     record_quota: int,
+    metrics_port: int | None,
     wait: bool,
     detach: bool,
     as_json: bool,
@@ -118,6 +121,7 @@ def up(
         folder = state or default_state(fleet.fleet)
         live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
         live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
+        live.metrics_port = metrics_port
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -150,6 +154,7 @@ def up(
     fleet = load_checked_fleet(file, tolerant=True)
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
     options += ["--record-quota", f"{record_quota}B"]
+    options += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
     flags |= {"--new-journal": new_journal, "--no-record": no_record}
     options += [name for name, given in flags.items() if given]

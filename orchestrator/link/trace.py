@@ -13,10 +13,13 @@ TraceEntry = tuple[int, TraceDirection, bytes]
 
 
 class TraceRing:
-    """Entries of the last 60 s: (host ns, direction, bytes). received_ns: host time of the last received bytes."""
+    """Entries of the last 60 s: (host ns, direction, bytes). received_ns: host time of the last received bytes.
+    bytes_out, bytes_in: on the link since the ring was made."""
 
     def __init__(self) -> None:
         self.received_ns = 0
+        self.bytes_out = 0
+        self.bytes_in = 0
         self._entries: deque[TraceEntry] = deque(maxlen=MAX_TRACE_ENTRIES)
 
     def add_entry(self, at_ns: int, direction: TraceDirection, data: bytes) -> None:
@@ -24,6 +27,9 @@ class TraceRing:
         self._entries.append((at_ns, direction, data))
         if direction == "in":
             self.received_ns = at_ns
+            self.bytes_in += len(data)
+        else:
+            self.bytes_out += len(data)
         if late:  # bytes written by another process are recorded afterwards
             self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=MAX_TRACE_ENTRIES)
         while self._entries[0][0] < at_ns - TRACE_NS:

@@ -231,6 +231,18 @@ class ClockMapping(Model):
     consistent: bool = True
 
 
+class LinkTotals(Model):
+    """Bytes on a controller's link since its adapter host has started, on `ctl/{id}/link`.
+
+    Controllers on one serial line share them.
+    """
+
+    schema_: Literal["tutti.link/1"] = Field(default="tutti.link/1", alias="schema")
+    controller: Id
+    bytes_out: Int53
+    bytes_in: Int53
+
+
 class LearnedCrystal(Model):
     """The crystal of a controller without a readable clock, estimated from the moves that it has timed.
 

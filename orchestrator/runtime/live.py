@@ -104,7 +104,8 @@ class LiveFleet:
     first_port: of the simulated controllers on Ethernet; the next ones count up. 0: free ones.
     standby: a second coordinator takes over when the first one dies or hangs.
     new_journal: a journal is begun although the fleet had one, which is missing.
-    record_quota: bytes of recordings in `state`/recordings; None: nothing is recorded.
+    record_quota: bytes of recordings in `state`/recordings; None: nothing is recorded, and there are no metrics.
+    metrics_port: of the metrics; None: the first free one; 0: none.
     """
 
     fleet: Fleet
@@ -119,6 +120,7 @@ class LiveFleet:
     new_journal: bool = False
     first_port: int = 0
     record_quota: int | None = None
+    metrics_port: int | None = None
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
@@ -242,8 +244,12 @@ class LiveFleet:
         command = [sys.executable, "-m", "orchestrator.monitor.recording.process", "--fleet", self.fleet.fleet]
         command += ["--fleet-file", str(file), "--connect", self.connect, "--folder", str(self.state / RECORDINGS)]
         command += ["--quota", str(self.record_quota), "--log", str(self.state / "log" / "recorder.jsonl")]
+        if self.metrics_port is not None:
+            command += ["--metrics-port", str(self.metrics_port)]
         try:
-            await self._start_child(RECORDER, [*command, "--parent", str(os.getpid())])
+            recorder = await self._start_child(RECORDER, [*command, "--parent", str(os.getpid())])
+            if recorder.ready_output[0]:
+                self.say(recorder.ready_output[0])
         except UpFailed as error:
             self.say(f"nothing is recorded: {error}")
 

@@ -18,7 +18,7 @@ from orchestrator.cli.base.common import (
 )
 from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.base.sizes import SizeType
-from orchestrator.cli.records.folder import find_folder, fleet_option, folder_option, require_extra
+from orchestrator.cli.records.folder import find_folder, fleet_option, folder_option, metrics_option, require_extra
 
 if TYPE_CHECKING:
     from orchestrator.monitor.recording.reader import RecordingSummary
@@ -50,7 +50,10 @@ def record() -> None:
 @click.option(
     "--fleet-file", type=click.Path(path_type=Path, exists=True), default=None, help="Attached to every recording."
 )
-def start(connect: str, fleet: str, folder: Path, quota: int, fleet_file: Path | None) -> None:
+@metrics_option
+def start(
+    connect: str, fleet: str, folder: Path, quota: int, fleet_file: Path | None, metrics_port: int | None
+) -> None:
     """Record a fleet until Ctrl-C, also from another machine. It only listens, and never slows motion down.
 
     The oldest recordings are deleted when the quota is used up, never that of a running job.
@@ -63,10 +66,13 @@ def start(connect: str, fleet: str, folder: Path, quota: int, fleet_file: Path |
     from orchestrator.monitor.recording.lock import FolderInUse
     from orchestrator.monitor.recording.process import RecorderOptions, record_fleet
 
-    def print_ready() -> None:
-        console.print(f"records fleet {fleet} in {folder}; Ctrl-C ends it", highlight=False, soft_wrap=True)
+    def print_ready(metrics: str) -> None:
+        with_metrics = f"; {metrics}" if metrics else ""
+        console.print(
+            f"records fleet {fleet} in {folder}{with_metrics}; Ctrl-C ends it", highlight=False, soft_wrap=True
+        )
 
-    options = RecorderOptions(fleet, connect, folder, quota, folder / "recorder.jsonl", fleet_file)
+    options = RecorderOptions(fleet, connect, folder, quota, folder / "recorder.jsonl", fleet_file, metrics_port)
     try:
         asyncio.run(record_fleet(options, print_ready))
     except FolderInUse as error:

@@ -27,6 +27,12 @@ fleet_option = click.option(
     callback=check_fleet_option,
     help="The fleet, if several have run here.",
 )
+metrics_option = click.option(
+    "--metrics-port",
+    type=click.IntRange(0, 65_535),
+    default=None,
+    help="Port of the metrics for Prometheus, on 127.0.0.1; 0: none. Default: the first free one of 9464 to 9473.",
+)
 
 
 def require_extra(extra: str) -> None:

@@ -13,7 +13,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.messages import EstopMessage, EstopReset, LeaderHeartbeat
 from orchestrator.model.recording import JobBegun, MessagesDropped, StepStart, WallClockStepped
 from orchestrator.model.report import JobProgress, JobReport, LeaseState, QueueState, StepRecording
-from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState
+from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
 JSON = "json"
 BYTES = ""  # of payloads that are not valid for their key
@@ -25,6 +25,7 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
         ("ctl", "state"): ControllerState,
         ("ctl", "event"): ControllerEvent,
         ("ctl", "clock"): ClockMapping,
+        ("ctl", "link"): LinkTotals,
         ("job", "state"): JobProgress,
         ("job", "report"): JobReport,
         ("job", "begun"): JobBegun,
@@ -41,7 +42,9 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
 # Signs of life: they repeat several times a second that nothing has changed.
 _NOT_RECORDED = frozenset({"session", "live"})
 # May be left out first when the disk is too slow: the next one replaces it.
-_REPLACED = frozenset({("ctl", "state"), ("job", "state"), ("queue", "queue"), ("leader", "leader"), ("ctl", "clock")})
+_REPLACED = frozenset(
+    {("ctl", "state"), ("ctl", "clock"), ("ctl", "link"), ("job", "state"), ("queue", "queue"), ("leader", "leader")}
+)
 
 
 @dataclass(frozen=True, slots=True)

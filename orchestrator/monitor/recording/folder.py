@@ -12,6 +12,7 @@ from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.private_files import UnsafePath
+from orchestrator.monitor.recording.channels import Channel
 from orchestrator.monitor.recording.file import SUFFIX, OpenFile, RecordingFile, create_file
 from orchestrator.monitor.recording.instants import UtcScale
 from orchestrator.monitor.recording.jobs import TrackedJob
@@ -85,17 +86,29 @@ class RecordingFolder:
             self.on_alarm("recording", f"{self._path}: recordings are written again", False)  # noqa: FBT003
         return recording
 
+    def write_message(
+        self, name: str, channel: Channel, payload: bytes, times_ns: tuple[int, int], *, valid: bool
+    ) -> None:
+        """Write a message to an open recording; if the disk refuses, the recording is given up."""
+        try:
+            self.open[name].file.write_message(channel, payload, times_ns, valid=valid)
+        except OSError as error:
+            self._give_up(name, error)
+
     def write_safely(self, name: str, write: Callable[[RecordingFile], None]) -> bool:
-        """Write to an open recording; if the disk refuses, the recording is given up. Return whether it was written."""
+        """Do something else with an open recording; if the disk refuses, it is given up. Return whether it was done."""
         try:
             write(self.open[name].file)
         except OSError as error:
-            file = self.open.pop(name).file
-            file.abandon()
-            self.on_lost(file.unsafe)
-            self._report_trouble(error)
+            self._give_up(name, error)
             return False
         return True
+
+    def _give_up(self, name: str, error: OSError) -> None:
+        file = self.open.pop(name).file
+        file.abandon()
+        self.on_lost(file.unsafe)
+        self._report_trouble(error)
 
     def end_recording(self, name: str) -> None:
         """Write its index, and close it."""

@@ -1,5 +1,6 @@
 """Which messages belong to the recording of a job, and when a job begins and ends."""
 
+from collections import deque
 from dataclasses import dataclass, field
 
 from orchestrator.model.base import Model
@@ -36,12 +37,13 @@ class JobTracker:
     def __init__(self) -> None:
         self.running: dict[str, TrackedJob] = {}
         self._holders: dict[str, str] = {}
-        self._readings: dict[str, list[ControllerState]] = {}
+        self._states: dict[str, deque[tuple[int, bytes]]] = {}
+        """By controller, its last states with the instants of their readings; as text, which costs less to keep."""
 
-    def take_message(self, message: Model | None) -> list[StepStart]:
-        """Take a message into account; return the starts of steps that it completes."""
+    def take_message(self, message: Model | None, payload: bytes) -> list[StepStart]:
+        """Take a message into account; return the starts of steps that it completes. payload: its text."""
         if isinstance(message, ControllerState):
-            self._take_state(message)
+            self._take_state(message, payload)
         elif isinstance(message, JobBegun):
             self._find_job(message.job_id, message.name)
         elif isinstance(message, JobProgress):
@@ -73,9 +75,9 @@ class JobTracker:
     def _list_readings(self, before_ns: int | None) -> dict[str, AxisReading]:
         """The last reading of every axis; before_ns: not later than this instant of fleet time."""
         found: dict[str, AxisReading] = {}
-        for controller, states in self._readings.items():
-            early = [each for each in states if before_ns is None or (each.read_fleet_ns or 0) <= before_ns]
-            state = (early or states[:1])[-1]
+        for controller, states in self._states.items():
+            early = [text for read_ns, text in states if before_ns is None or read_ns <= before_ns]
+            state = ControllerState.model_validate_json((early or [states[0][1]])[-1])
             for name, axis in state.axes.items():
                 found[f"{controller}.{name}"] = AxisReading(
                     position=axis.position,
@@ -88,13 +90,12 @@ class JobTracker:
                 )
         return found
 
-    def _take_state(self, state: ControllerState) -> None:
+    def _take_state(self, state: ControllerState, payload: bytes) -> None:
         # A start is reported some milliseconds after it: the readings before that are looked for.
-        kept = self._readings.setdefault(state.controller, [])
-        if kept and kept[-1].read_fleet_ns == state.read_fleet_ns:
-            kept.pop()
-        kept.append(state)
-        del kept[:-KEPT_READINGS]
+        kept = self._states.get(state.controller)
+        if kept is None:
+            kept = self._states[state.controller] = deque(maxlen=KEPT_READINGS)
+        kept.append((state.read_fleet_ns or 0, payload))
         if self.running:
             for holder in {*state.leases.values(), state.job or ""} & set(self.running):
                 self.running[holder].controllers.add(state.controller)
@@ -113,9 +114,10 @@ class JobTracker:
         if job is None:
             job = self.running[job_id] = TrackedJob(job_id, name)
             job.controllers |= {each for each, holder in self._holders.items() if holder == job_id}
-            for states in self._readings.values():
-                if job_id in states[-1].leases.values():
-                    job.controllers.add(states[-1].controller)
+            for states in self._states.values():
+                state = ControllerState.model_validate_json(states[-1][1])
+                if job_id in state.leases.values():
+                    job.controllers.add(state.controller)
         return job
 
     def _take_progress(self, progress: JobProgress) -> list[StepStart]:

@@ -1,7 +1,7 @@
 """The recorder as a process of its own: `python -m orchestrator.monitor.recording.process --help`.
 
-Prints `ready` when it records. Ends with SIGTERM or SIGINT, and with its parent. Exit codes: 2 bad input, or another
-recorder uses the folder; 3 the bus cannot be reached.
+Prints a line when it records: the address of the metrics, or why there is none. Ends with SIGTERM or SIGINT, and with
+its parent. Exit codes: 2 bad input, or another recorder uses the folder; 3 the bus cannot be reached.
 """
 
 import argparse
@@ -21,9 +21,11 @@ from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
 from orchestrator.clock.executor import ThreadExecutor
-from orchestrator.clock.live import LiveClock
+from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.model.private_files import UnsafePath
+from orchestrator.monitor.metrics.fleet_metrics import FleetMetrics
+from orchestrator.monitor.metrics.server import NoPort, serve_metrics
 from orchestrator.monitor.recording.folder import RecorderLimits, RecordingFolder
 from orchestrator.monitor.recording.lock import FolderInUse, FolderLock
 from orchestrator.monitor.recording.recorder import FleetRecorder
@@ -35,18 +37,23 @@ BAD_INPUT, NO_BUS = 2, 3
 
 @dataclass(frozen=True, slots=True)
 class RecorderOptions:
-    """quota: bytes that all recordings of `folder` may take. fleet_file: attached to every recording."""
+    """quota: bytes that all recordings of `folder` may take. fleet_file: attached to every recording.
+    metrics_port: None: the first free one; 0: metrics are not served.
+    """
 
     fleet: str
     connect: str
     folder: Path
     quota: int
     log: Path
-    fleet_file: Path | None
+    fleet_file: Path | None = None
+    metrics_port: int | None = 0
 
 
-async def record_fleet(options: RecorderOptions, on_ready: Callable[[], None]) -> int:
+async def record_fleet(options: RecorderOptions, on_ready: Callable[[str], None]) -> int:
     """Record until the process is to end; return the exit code.
+
+    on_ready: called with the address of the metrics, or why there is none.
 
     Raises `FolderInUse`, `UnsafePath`, `OSError` for the folder, and `RouterUnreachable`.
     """
@@ -63,7 +70,7 @@ async def record_fleet(options: RecorderOptions, on_ready: Callable[[], None]) -
     return 0
 
 
-async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready: Callable[[], None]) -> None:
+async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready: Callable[[str], None]) -> None:
     clock, keys = LiveClock(), FleetKeys(options.fleet)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -72,11 +79,14 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
     folder = RecordingFolder(options.folder, options.fleet, clock, RecorderLimits(quota=options.quota))
     folder.on_alarm = lambda kind, text, active: log.warning(text) if active else log.info(text)
     writer = RecordingWriter(folder, options.fleet, clock, options.fleet_file)
+    metrics = FleetMetrics(clock, lambda: (writer.written, writer.dropped, writer.invalid))
+    writer.on_message = lambda channel, message: metrics.take_message(message)
     recorder = FleetRecorder(bus, keys, clock, writer, ThreadExecutor("recordings"))
     await recorder.start()
+    prepare_live_process()
     await bus.announce(keys.live("recorder", uuid.uuid4().hex[:8], "1"))
     log.info(f"records fleet {options.fleet} in {options.folder}")
-    on_ready()
+    on_ready(_serve_metrics(metrics, options.metrics_port, log))
     repairing, running = loop.create_task(repair_left(left, log)), loop.create_task(recorder.run())
     ended = loop.create_task(end.wait())
     await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
@@ -88,8 +98,19 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
     log.info(f"{writer.written} messages recorded, {writer.dropped} left out, {writer.invalid} not valid")
 
 
-def _print_ready() -> None:
-    sys.stdout.write("ready\n")
+def _serve_metrics(metrics: FleetMetrics, port: int | None, log: ProcessLog) -> str:
+    """Serve metrics; return their address, or why there is none."""
+    if port == 0:
+        return ""
+    try:
+        return f"metrics on {serve_metrics(metrics.registry, port)}"
+    except NoPort as error:
+        log.warning(str(error))
+        return str(error)
+
+
+def _print_ready(metrics: str) -> None:
+    sys.stdout.write(f"{metrics}\n")
     sys.stdout.flush()
 
 
@@ -101,19 +122,22 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--quota", type=int, required=True, help="bytes that all recordings may take")
     parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--metrics-port", type=int, default=None, help="0: no metrics; default: the first free one")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     options = parser.parse_args()
+    chosen = RecorderOptions(
+        fleet=options.fleet,
+        connect=options.connect,
+        folder=options.folder,
+        quota=options.quota,
+        log=options.log,
+        fleet_file=options.fleet_file,
+        metrics_port=options.metrics_port,
+    )
     if options.parent:
         die_with_parent(options.parent)
     try:
-        return asyncio.run(
-            record_fleet(
-                RecorderOptions(
-                    options.fleet, options.connect, options.folder, options.quota, options.log, options.fleet_file
-                ),
-                _print_ready,
-            )
-        )
+        return asyncio.run(record_fleet(chosen, _print_ready))
     except (FolderInUse, UnsafePath, RouterUnreachable) as error:
         sys.stderr.write(f"{error}\n")
         return NO_BUS if isinstance(error, RouterUnreachable) else BAD_INPUT

@@ -12,7 +12,6 @@ from orchestrator.model.recording import JobBegun, MessagesDropped, WallClockSte
 from orchestrator.model.report import JobReport
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState
 from orchestrator.monitor.recording.channels import Channel, find_channel, own_key, parse_message
-from orchestrator.monitor.recording.file import RecordingFile
 from orchestrator.monitor.recording.folder import FLEET, OpenRecording, RecordingFolder
 from orchestrator.monitor.recording.instants import FleetScale
 from orchestrator.monitor.recording.jobs import JobTracker
@@ -112,7 +111,7 @@ class RecordingWriter:
         instant_ns = _find_own_instant(message)
         if instant_ns is not None:
             self._scale.take_message(instant_ns, received.received_ns)
-        starts = self._jobs.take_message(message)
+        starts = self._jobs.take_message(message, received.payload)
         self._write_or_count(self._jobs.find_jobs(channel, message), _Entry(channel, received, instant_ns))
         self._attach_message(message, received)
         for start in starts:
@@ -152,10 +151,8 @@ class RecordingWriter:
             scale, written = recording.scale, True
             times = max(0, scale.utc_ns(received.received_ns)), max(0, scale.utc_ns(own_ns))
 
-            def write(file: RecordingFile, times: tuple[int, int] = times) -> None:
-                file.write_message(entry.channel, received.payload, times, valid=entry.valid)
-
-            self._folder.write_safely(name, write)  # what it loses by an error is counted with the rest of the file
+            # What an error loses is counted with the rest of the file.
+            self._folder.write_message(name, entry.channel, received.payload, times, valid=entry.valid)
         self.written += written
         return "" if written else REFUSED
 
