@@ -12,8 +12,10 @@ from typing import BinaryIO, NamedTuple
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
+from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
@@ -69,6 +71,17 @@ def read_frames(file: BinaryIO, size: int) -> Iterator[FrameGroup | Damage]:
         if records:
             yield FrameGroup(records, ends_at)
         at = ends_at
+
+
+def read_index(file: BinaryIO, size: int) -> Summary | None:
+    """The index at the end of a file; None if there is none, or it is damaged."""
+    if not is_complete(file, size):
+        return None
+    file.seek(0)
+    try:
+        return make_reader(file, validate_crcs=True).get_summary()
+    except _DAMAGE:
+        return None
 
 
 def is_complete(file: BinaryIO, size: int) -> bool:

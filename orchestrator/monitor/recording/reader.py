@@ -5,14 +5,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Message, Metadata
 
 from orchestrator.model.errors import TuttiError
 from orchestrator.monitor.recording.channels import INVALID
 from orchestrator.monitor.recording.file import METADATA, SUFFIX
-from orchestrator.monitor.recording.frames import Damage, is_complete, read_frames
+from orchestrator.monitor.recording.frames import Damage, read_frames, read_index
 
 
 class RecordingUnreadable(TuttiError):
@@ -102,7 +100,8 @@ def summarize_recording(path: Path) -> RecordingSummary:
     """What a file is about; quick, also for a large one. Raises `RecordingUnreadable`, `OSError`."""
     size = path.stat().st_size
     with path.open("rb") as file:
-        summary = RecordingSummary(path, size, is_complete(file, size))
+        index = read_index(file, size)
+        summary = RecordingSummary(path, size, index is not None)
         for group in read_frames(file, size):
             if isinstance(group, Damage):
                 if group.at == 0:
@@ -112,22 +111,11 @@ def summarize_recording(path: Path) -> RecordingSummary:
             if found:
                 summary.description = found[0].metadata
                 break
-        if summary.is_complete:
-            _add_figures(summary, file)
-    return summary
-
-
-def _add_figures(summary: RecordingSummary, file: BinaryIO) -> None:
-    file.seek(0)
-    try:
-        index = make_reader(file).get_summary()
-    except McapError:
-        summary.is_complete = False
-        return
     if index is not None and index.statistics is not None:
         figures = index.statistics
         summary.messages = figures.message_count
         summary.begins_ns, summary.ends_ns = figures.message_start_time, figures.message_end_time
+    return summary
 
 
 def list_recordings(folder: Path) -> list[RecordingSummary]:

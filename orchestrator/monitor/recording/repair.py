@@ -8,7 +8,7 @@ from mcap.writer import CompressionType, Writer
 
 from orchestrator.model.errors import TuttiError
 from orchestrator.monitor.recording.file import CHUNK_BYTES, create_file
-from orchestrator.monitor.recording.frames import Damage, FrameGroup, is_complete, read_frames
+from orchestrator.monitor.recording.frames import Damage, FrameGroup, read_frames, read_index
 
 DAMAGED = ".damaged"  # added to the name of the original, if the damage is not at its end
 REPAIRED = ".repaired"  # of a copy that is being written
@@ -41,7 +41,7 @@ def repair_recording(path: Path) -> RepairResult:
     size = path.stat().st_size
     with path.open("rb") as file:
         damage = next((each for each in read_frames(file, size) if isinstance(each, Damage)), None)
-        if damage is None and is_complete(file, size):
+        if damage is None and read_index(file, size) is not None:
             return RepairResult(path, _count_messages(path))
         if damage is not None and damage.at == 0:
             raise RepairFailed(f"{path}: {damage.text}; it is no recording")
@@ -58,7 +58,7 @@ def repair_recording(path: Path) -> RepairResult:
         original = path.with_name(f"{path.name}{DAMAGED}")
         path.replace(original)
     copy.replace(path)
-    at, reason = (size, "its end is damaged") if damage is None else (damage.at, damage.text)
+    at, reason = (size, "its index is damaged") if damage is None else (damage.at, damage.text)
     return RepairResult(path, messages, at, reason, size - whole_until, original)
 
 
