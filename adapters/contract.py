@@ -224,6 +224,27 @@ class WriteResult:
     late: bool
 
 
+@dataclass(frozen=True, slots=True)
+class SamplingPlan:
+    """What a controller will record: the time between two samples, and how long fetching them takes at most."""
+
+    period_ns: int
+    fetch_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class SampledPositions:
+    """Positions that a controller has recorded by itself.
+
+    Sample k was taken at first_ns + k * period_ns, within ± bound_ns, host time. counts: by axis, all of one length.
+    """
+
+    first_ns: int
+    period_ns: float
+    bound_ns: int
+    counts: Mapping[str, Sequence[int]]
+
+
 class TimedWrite(Protocol):
     """Bytes that are scheduled for an instant."""
 
@@ -463,6 +484,22 @@ class Driver(ABC):
         """The present move has ended, `wait_for_end` has returned: the next move is the present one from now on, for
         every method."""
         raise Refusal("not-armed", "no next move is loaded", "arm it first")
+
+    # Sampling by the controller itself
+
+    async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
+        """Have the controller record the actual positions of `axes` from now on for `seconds`, at least every
+        `period_ns`; what was recorded before is dropped.
+
+        Called at rest, before a step is armed; axes of the same controller may be armed and moved meanwhile. Raises
+        `Refusal` (code `no-sampling` for a make that cannot; `sampling-period`, `sampling-space` with what would fit).
+        """
+        del axes, period_ns, seconds
+        raise Refusal("no-sampling", "this make cannot record positions by itself", "remove `record` from the step")
+
+    async def take_samples(self) -> SampledPositions:
+        """Stop recording, fetch what was recorded, and free its memory. Called at rest. Raises `Refusal`."""
+        raise Refusal("no-sampling", "nothing is being recorded", "begin it first")
 
     @abstractmethod
     async def stop(self, *, abort: bool) -> None:

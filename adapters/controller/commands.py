@@ -16,6 +16,7 @@ from adapters.controller.motors import MotorControl
 from adapters.controller.participant import StepParticipant
 from adapters.controller.publisher import StatePublisher, first_error_text
 from adapters.controller.referencing import AxisReferencing
+from adapters.controller.sampling import SampleCollection
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
 from adapters.controller.surveillance import Surveillance
@@ -32,6 +33,7 @@ from orchestrator.model.messages import (
     AdoptRequest,
     ArmedReply,
     ArmRequest,
+    BeginSampling,
     CommitRequest,
     CommittedReply,
     ConfigureRequest,
@@ -56,8 +58,11 @@ from orchestrator.model.messages import (
     Reply,
     Request,
     ResetRequest,
+    SamplesTaken,
+    SamplingBegun,
     SetPositionRequest,
     StopRequest,
+    TakeSamples,
     TraceReply,
 )
 from orchestrator.model.state import FaultReport
@@ -102,6 +107,7 @@ class Components:
     motors: MotorControl
     referencing: AxisReferencing
     surveillance: Surveillance
+    samples: SampleCollection
     status: ControllerStatus
     publisher: StatePublisher
 
@@ -131,6 +137,8 @@ class ControllerCommands:
             "jog": (JogRequest, Reply, self._handle_jog),
             "set-position": (SetPositionRequest, Reply, self._handle_set_position),
             "output": (OutputRequest, Reply, self._handle_output),
+            "begin-sampling": (BeginSampling, SamplingBegun, components.samples.begin),
+            "take-samples": (TakeSamples, SamplesTaken, components.samples.take),
             "reset": (ResetRequest, Reply, self._handle_reset),
             "configure": (ConfigureRequest, Reply, self._handle_configure),
             "raw": (RawRequest, RawReply, self._handle_raw),

@@ -26,6 +26,7 @@ from adapters.controller.pending_stop import PendingStop
 from adapters.controller.publisher import StatePublisher, StepActivity
 from adapters.controller.readings import require_sound_reading
 from adapters.controller.referencing import AxisReferencing
+from adapters.controller.sampling import SampleCollection
 from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
@@ -117,6 +118,7 @@ class ControllerSupervisor:
             motors=self._motors,
             referencing=self._referencing,
             surveillance=self._surveillance,
+            samples=SampleCollection(driver, condition, self._has_step, self._require_scale),
             status=condition,
             publisher=self._publisher,
         )

@@ -98,6 +98,10 @@ class FleetKeys:
         """The plans of a job's motion steps, each after the step; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/plan"
 
+    def job_samples(self, job: str | None = None) -> str:
+        """Positions that controllers have sampled by themselves; published by the coordinator."""
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/samples"
+
     @property
     def queue(self) -> str:
         """The queue of jobs; published by the coordinator."""

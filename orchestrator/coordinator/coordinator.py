@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from orchestrator.bus.base import BusDeclaration, BusError, DoubleServer, Priority
+from orchestrator.bus.base import BusDeclaration, BusError, DoubleServer
 from orchestrator.bus.latch import LatchKeeper
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.owner import TaskOwner
@@ -27,12 +27,12 @@ from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
+from orchestrator.coordinator.motion.publisher import StepPublisher
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import COMPARING, AdoptedReply, AdoptRequest, LeaderHeartbeat
-from orchestrator.model.report import StepRecording
 from orchestrator.model.state import ControllerState
 
 T = TypeVar("T")
@@ -60,7 +60,8 @@ class Coordinator:
         access = self._fleet = FleetAccess(self._view, requests, permits, clock, self._log, tasks)
         self._leases = LeaseRegistry(access, bus, keys)
         self._positions = PositionBook(access, environment.journal, self._execute)
-        motion = MotionServices(access, self.leadership, environment.journal, self._execute, self._publish_plan)
+        publisher = StepPublisher(bus, keys)
+        motion = MotionServices(access, self.leadership, environment.journal, self._execute, publisher)
         self._plain_steps = PlainSteps(access, motion.targets)
         services = JobServices(
             bus=bus,
@@ -133,12 +134,6 @@ class Coordinator:
         not arrived."""
         await self._environment.execute(self._environment.journal.require_latest_epoch, self.leadership.epoch)
         return await self._environment.execute(function, *values)
-
-    def _publish_plan(self, job_id: str, recording: StepRecording) -> None:
-        """Publish the plan of a step, for what records it; the positions polled are published as states."""
-        axes = {name: axis.model_copy(update={"sampled": []}) for name, axis in recording.axes.items()}
-        plan = recording.model_copy(update={"axes": axes})
-        self._environment.bus.put(self._environment.keys.job_plan(job_id), plan.to_json(), Priority.EVENT)
 
     # Adoption of every controller that is published and not adopted by this leader yet
 

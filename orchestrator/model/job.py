@@ -67,6 +67,15 @@ class MotionOptions(StepBase):
     max_path_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
 
 
+class StepSampling(Model):
+    """Positions that controllers record by themselves while a step moves, more densely than they can be polled."""
+
+    axes: Axes
+    period: Duration = Field(
+        default=2_000_000, gt=0, description="Longest time between two samples; controllers use the next shorter one."
+    )
+
+
 class MoveTargets(StepBase):
     """Where axes move to."""
 
@@ -76,6 +85,9 @@ class MoveTargets(StepBase):
         description="Absolute targets by axis: quantities, or names of positions; or one name, for all its axes.",
     )
     by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
+    record: StepSampling | None = Field(
+        default=None, description="Have controllers record positions by themselves, for the recording of the job."
+    )
 
 
 class Move(MotionOptions, MoveTargets):

@@ -428,6 +428,42 @@ class OutputRequest(FencedRequest):
     value: bool
 
 
+class BeginSampling(FencedRequest):
+    """Have the controller record positions of its axes by itself, for a step that is about to be armed.
+
+    period_ns: longest time between two samples. seconds: for how long, from now.
+    """
+
+    job: Label
+    step: Int53
+    axes: list[str] = Field(min_length=1, max_length=64)
+    period_ns: Int53 = Field(gt=0)
+    seconds: float = Field(gt=0, le=86_400)
+
+
+class SamplingBegun(Reply):
+    """period_ns: time between two samples. fetch_ns: longest time that fetching them takes."""
+
+    period_ns: Int53 = 0
+    fetch_ns: Int53 = 0
+
+
+class TakeSamples(FencedRequest):
+    """Fetch what was recorded for a step; at rest. After that the controller records no more."""
+
+    job: Label
+    step: Int53
+
+
+class SamplesTaken(Reply):
+    """first_fleet_ns, period_ns, bound_ns: see `recording.StepSamples`. counts: by axis."""
+
+    first_fleet_ns: Int53 = 0
+    period_ns: float = 0.0
+    bound_ns: Int53 = 0
+    counts: dict[str, list[Int53]] = Field(default={})
+
+
 class RawRequest(Request):
     """A command in the make's own language. Logged; needs the leases of all axes, and `i_know`: no limit is checked."""
 

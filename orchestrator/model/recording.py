@@ -56,6 +56,32 @@ class StepStart(Model):
     axes: dict[str, AxisReading]
 
 
+class SampledAxis(Model):
+    """counts: positions as the controller has sampled them; position in `unit`: counts / counts_per_unit (motor
+    position)."""
+
+    unit: str
+    counts_per_unit: float
+    counts: list[Int53]
+
+
+class StepSamples(Model):
+    """Positions that a controller has sampled by itself during a step, on `job/{id}/samples`.
+
+    Sample k was taken at first_fleet_ns + k * period_ns, within ± bound_ns, which is guaranteed: by the controller's
+    clock mapping, and the resolution of its counter.
+    """
+
+    schema_: Literal["tutti.samples/1"] = Field(default="tutti.samples/1", alias="schema")
+    job_id: str
+    step: Int53
+    controller: str
+    first_fleet_ns: Int53
+    period_ns: float
+    bound_ns: Int53
+    axes: dict[str, SampledAxis]
+
+
 class MessagesDropped(Model):
     """Messages that the recorder has left out, and why. by_key: their number by key."""
 

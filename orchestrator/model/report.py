@@ -217,6 +217,14 @@ class StepChain(Model):
     broken: str = ""
 
 
+class SamplingReport(Model):
+    """What controllers have recorded by themselves during a step. samples: by controller, how many of each axis.
+    problem: why there are fewer, or none."""
+
+    samples: dict[str, Int53] = Field(default={})
+    problem: str = ""
+
+
 class StepReport(Model):
     """The record of one step, or of a whole scan (`scan`), followed by that of its point that was not done.
     After feed holds it describes the last part, and lists the holds before.
@@ -249,6 +257,7 @@ class StepReport(Model):
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
     scan: ScanSummary | None = None
+    sampling: SamplingReport | None = None
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
     @property

@@ -155,6 +155,8 @@ class JobForecaster(AxisForecaster):
 
     @_run.register
     def _(self, step: Move) -> _Span:
+        if step.record is not None:
+            self._expand(step.record.axes, ("record", "axes"))
         unknown = self._note_unknown_positions(step)
         if unknown:
             named = [axis for axis in unknown if axis != ALL_AXES and self._find_axis(axis, ("to", axis)) is not None]

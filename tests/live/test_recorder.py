@@ -26,7 +26,9 @@ def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(shared: RunningF
     folder = shared.state / "recordings"
     report = shared.run(READY)
     wait_until(
-        lambda: any(each["job_id"] == report.job_id and each["state"] == "complete" for each in list_recordings(folder)),
+        lambda: any(
+            each["job_id"] == report.job_id and each["state"] == "complete" for each in list_recordings(folder)
+        ),
         "the recording of the job is complete",
     )
     output = tmp_path / "run.csv"
@@ -35,7 +37,16 @@ def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(shared: RunningF
     assert "gantry.x.position" in output.read_text().splitlines()[0]
     # One recorder uses a folder.
     second = tutti(
-        "record", "start", "--fleet", "demo", "--connect", shared.endpoint, "--folder", str(folder), "--metrics-port", "0"
+        "record",
+        "start",
+        "--fleet",
+        "demo",
+        "--connect",
+        shared.endpoint,
+        "--folder",
+        str(folder),
+        "--metrics-port",
+        "0",
     )
     assert second.returncode == 2 and "another recorder uses this folder" in second.stderr
     address = re.findall(r"metrics on (\S+)", shared.output())[-1]

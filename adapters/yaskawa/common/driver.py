@@ -4,7 +4,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Generic, Literal, TypeVar
 
-from adapters.contract import ControllerIdentity, DriverSetup, JogMove, Lowered, SettingDifference
+from adapters.contract import (
+    ControllerIdentity,
+    DriverSetup,
+    JogMove,
+    Lowered,
+    SampledPositions,
+    SamplingPlan,
+    SettingDifference,
+)
 from adapters.toolkit.connection import MoverDriver
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common import homing
@@ -13,6 +21,7 @@ from adapters.yaskawa.common.dialect import send_raw
 from adapters.yaskawa.common.jogging import YaskawaJogging
 from adapters.yaskawa.common.lowering import YaskawaLowered
 from adapters.yaskawa.common.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
+from adapters.yaskawa.common.sampling import DeviceSampling
 from adapters.yaskawa.common.settings import load_soft_limits
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SettingsWatch
@@ -59,6 +68,7 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
         self._watch = watch
         self._jogging = YaskawaJogging(device, setup.clock, motors)
         self._steppers: set[str] = set()
+        self._sampling: DeviceSampling
 
     async def connect(self) -> ControllerIdentity:
         self._start.drop_move()
@@ -129,6 +139,14 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
 
     def take_next(self) -> None:
         self._start.take_next()
+
+    async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
+        with log_refusals(self._log, "sampling"):
+            return await self._sampling.begin(axes, period_ns, seconds)
+
+    async def take_samples(self) -> SampledPositions:
+        with log_refusals(self._log, "the fetching of samples"):
+            return await self._sampling.take()
 
     async def stop(self, *, abort: bool) -> None:
         self._device.stop_all(abort=abort)

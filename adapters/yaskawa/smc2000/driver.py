@@ -33,6 +33,7 @@ from adapters.yaskawa.common.lowering import (
 )
 from adapters.yaskawa.common.model import SMC2000
 from adapters.yaskawa.common.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
+from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.watch import SMC2000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.smc2000 import program as smc2000_program
@@ -54,6 +55,7 @@ CHAIN_ADDRESSES = range(8)  # addresses in a chain (L939)
 # of elements per transfer: other controllers of a chain wait an eighth of a second for their turn
 ARRAY_CHARACTERS = 240
 ARRAY_BACK = 40  # elements per upload
+SAMPLED_AXES = (4, 8)  # arrays of the record mode: of models with up to four axes, and of larger ones (L11043)
 STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
 
 # For the declared costs: characters of an exchange, sent and received, while arming.
@@ -105,6 +107,9 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         )
         watch = SettingsWatch(device, motors, SMC2000_WATCHED, slow=True)
         super().__init__(setup, motors, device, SerialStart(device, setup.clock, options), watch)
+        channels = SAMPLED_AXES[max(motors.values()) >= SAMPLED_AXES[0]]
+        limits = SamplingLimits.of_link(channels, ARRAY_BACK, options.exchange_ns, self._char_ns)
+        self._sampling = DeviceSampling(device, motors, limits)
         # The time that the shared lowering assumes for a command of a stop.
         wire_us = EXCHANGE_CHARACTERS * self._char_ns // NS_PER_US
         self._slow_exchange_ns = options.model_copy(

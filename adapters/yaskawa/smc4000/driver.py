@@ -32,6 +32,7 @@ from adapters.yaskawa.common.record import (
     VELOCITY_SCALE,
     AxisRecord,
 )
+from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.session import pack_operands
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
@@ -50,6 +51,8 @@ BAUD_RATES = (9600, 19200)  # by jumper JP2 (L599, L851)
 LONGEST_EXCHANGE = 80  # characters, sent and received
 POINTS = 8  # inputs, outputs (L390, L470)
 RELEASE_NS = 3 * NS_PER_MS  # in which a request to withdraw a following step arrives
+SAMPLED_AXES = 8  # arrays of the record mode (L9216)
+UPLOAD_ELEMENTS = 100  # of a sampled array at once
 ARM_EXCHANGES = 14
 DISARM_EXCHANGES = 5
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
@@ -80,6 +83,9 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         serial = isinstance(setup.config.link, SerialLink)
         watch = SettingsWatch(device, motors, SMC4000_WATCHED, slow=serial)
         super().__init__(setup, motors, device, SampleStart(device, setup.clock, options), watch)
+        char_ns = 10 * NS_PER_S // setup.config.link.baud if isinstance(setup.config.link, SerialLink) else NS_PER_US
+        limits = SamplingLimits.of_link(SAMPLED_AXES, UPLOAD_ELEMENTS, options.exchange_ns, char_ns)
+        self._sampling = DeviceSampling(device, motors, limits)
         self._serial = serial
         self._options = options
         # The level of the limit bits at rest: it depends on the configuration of the switches (L10906-10939).

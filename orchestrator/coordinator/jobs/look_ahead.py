@@ -62,6 +62,9 @@ def _find_hindrance(fleet: Fleet, moving: Move, step: Move) -> str:
     settling = [name for name in moving.to | moving.by if fleet.axis(name).done == "in_position"]
     if settling:
         return f"{settling[0]} must settle in position before it"
+    for each, when in ((moving, "before it"), (step, "for it")):
+        if each.record is not None:
+            return f"controllers record positions {when} (`record`)"
     if step.align:
         return "it waits for aligned ticks (`align`)"
     return "a trigger line starts it (`start: line`)" if step.start == "line" else ""

@@ -1,6 +1,5 @@
 """The services that motion steps need."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from orchestrator.clock.executor import Executor
@@ -8,7 +7,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
-from orchestrator.model.report import StepRecording
+from orchestrator.coordinator.motion.publisher import StepPublisher
 from orchestrator.plan.step import ExactTargets
 
 
@@ -17,15 +16,14 @@ class MotionServices:
     """Services and memory that the steps of one coordinator share.
 
     execute: calls the journal. estimator: lead times of earlier steps. targets: exact targets of axes.
-    stop_times_ns: by controller, how long stopping its last step takes at most. publish_plan: publishes the plan of a
-    step of a job that has ended.
+    stop_times_ns: by controller, how long stopping its last step takes at most.
     """
 
     fleet: FleetAccess
     leadership: Leadership
     journal: Journal
     execute: Executor
-    publish_plan: Callable[[str, StepRecording], None]
+    publisher: StepPublisher
     estimator: LeadTimeEstimator = field(default_factory=LeadTimeEstimator)
     targets: ExactTargets = field(default_factory=ExactTargets)
     stop_times_ns: dict[str, int] = field(default_factory=dict[str, int])

@@ -13,6 +13,7 @@ from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNeg
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest, plan_request
 from orchestrator.coordinator.motion.recorder import StepRecorder
 from orchestrator.coordinator.motion.report import judge_completed_step, make_step_report
+from orchestrator.coordinator.motion.sampling import StepSampler
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StartSequence, StateCallback
 from orchestrator.coordinator.motion.watch import StepWatch
@@ -117,7 +118,9 @@ class MotionStep:
             return StepReport(index=request.index, do="move", name=name, state="done", reason="already there")
         motion = self._motion = await PlannedMotion.agree(services, planned)
         recorder = StepRecorder(services.fleet.view, motion.agreement.plan.profiles)
+        sampler = StepSampler(services, request)
         try:
+            await sampler.begin(motion.agreement.plan.duration_s, motion.agreement.lead_ns)
             await motion.start.run(observer.on_state)
         except BaseException as error:
             self._end_motion(motion)
@@ -128,7 +131,8 @@ class MotionStep:
             else:
                 await motion.start.disarm_line_driver()
             raise
-        return await self._watch_motion(motion, observer, recorder)
+        report = await self._watch_motion(motion, observer, recorder)
+        return report.model_copy(update={"sampling": await sampler.take()})
 
     async def run_released(self, motion: PlannedMotion, observer: StepObserver) -> StepReport:
         """Watch a step that was released behind the one before it, to its end; otherwise like `run`."""
@@ -165,7 +169,7 @@ class MotionStep:
         if report.state == "done":
             for axis, (exact, counts) in motion.planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)
-        services.publish_plan(request.job_id, recording)
+        services.publisher.publish_plan(request.job_id, recording)
         await services.execute(services.journal.store_recording, request.job_id, recording)
         return report
 

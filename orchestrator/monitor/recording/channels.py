@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from orchestrator.bus.keys import ROOT
 from orchestrator.model.base import Model
 from orchestrator.model.messages import EstopMessage, EstopReset, LeaderHeartbeat
-from orchestrator.model.recording import JobBegun, MessagesDropped, StepStart, WallClockStepped
+from orchestrator.model.recording import JobBegun, MessagesDropped, StepSamples, StepStart, WallClockStepped
 from orchestrator.model.report import JobProgress, JobReport, LeaseState, QueueState, StepRecording
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
@@ -30,6 +30,7 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
         ("job", "report"): JobReport,
         ("job", "begun"): JobBegun,
         ("job", "plan"): StepRecording,
+        ("job", "samples"): StepSamples,
         ("queue", "queue"): QueueState,
         ("leader", "leader"): LeaderHeartbeat,
         ("estop", "estop"): EstopMessage,

@@ -1,0 +1,54 @@
+"""Positions that a controller records by itself during a step: begun before the step is armed, fetched at rest."""
+
+from collections.abc import Callable
+
+from adapters.contract import Driver
+from adapters.controller.status import ControllerStatus
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import BeginSampling, SamplesTaken, SamplingBegun, TakeSamples
+
+
+class SampleCollection:
+    """The samples of one controller. has_step: whether a step is loaded or moving. scale: fleet time."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        status: ControllerStatus,
+        has_step: Callable[[], bool],
+        scale: Callable[[], FleetScale],
+    ) -> None:
+        self._driver = driver
+        self._status = status
+        self._has_step = has_step
+        self._scale = scale
+        self._recorded_for: tuple[str, int] | None = None
+
+    async def begin(self, request: BeginSampling) -> SamplingBegun:
+        """Have the controller record. Raises `Refusal`."""
+        self._require_rest()
+        self._recorded_for = None
+        plan = await self._driver.begin_sampling(request.axes, request.period_ns, request.seconds)
+        self._recorded_for = request.job, request.step
+        return SamplingBegun(period_ns=plan.period_ns, fetch_ns=plan.fetch_ns)
+
+    async def take(self, request: TakeSamples) -> SamplesTaken:
+        """Fetch what was recorded for the step. Raises `Refusal`."""
+        if self._recorded_for != (request.job, request.step):
+            raise Refusal("no-samples", f"nothing was recorded for job {request.job} step {request.step}", "")
+        self._require_rest()
+        self._recorded_for = None
+        found = await self._driver.take_samples()
+        return SamplesTaken(
+            first_fleet_ns=self._scale().to_fleet_ns(found.first_ns),
+            period_ns=found.period_ns,
+            bound_ns=found.bound_ns,
+            counts={axis: list(counts) for axis, counts in found.counts.items()},
+        )
+
+    def _require_rest(self) -> None:
+        moving = [name for name, axis in self._status.require_online().axes.items() if axis.moving]
+        if moving or self._has_step():
+            what = f"axis {moving[0]} is moving" if moving else "a step is loaded"
+            raise Refusal("moving", what, "wait for the end of the motion")
