@@ -226,7 +226,8 @@ class WriteResult:
 
 @dataclass(frozen=True, slots=True)
 class SamplingPlan:
-    """What a controller will record: the time between two samples, and how long fetching them takes at most."""
+    """What a controller will record: the time between two samples of a moving axis, and how long fetching them takes at
+    most."""
 
     period_ns: int
     fetch_ns: int
@@ -236,11 +237,10 @@ class SamplingPlan:
 class SampledPositions:
     """Positions that a controller has recorded by itself.
 
-    Sample k was taken at first_ns + k * period_ns, within ± bound_ns, host time. counts: by axis, all of one length.
+    at_ns: host instants of the samples, each within ± bound_ns, guaranteed. counts: by axis, one for each instant.
     """
 
-    first_ns: int
-    period_ns: float
+    at_ns: Sequence[int]
     bound_ns: int
     counts: Mapping[str, Sequence[int]]
 

@@ -29,6 +29,7 @@ from adapters.cia402.objects import CONSUMER, CYCLIC_MODE, FOLLOWED, DictionaryO
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import required_pdos
 from adapters.cia402.power import PowerStage
+from adapters.cia402.sampling import PdoSampling
 from adapters.cia402.sdo import bus_off_fault
 from adapters.cia402.starts import SyncScheduler
 from adapters.cia402.states import DriveState
@@ -41,6 +42,8 @@ from adapters.contract import (
     DriverSetup,
     JogMove,
     Lowered,
+    SampledPositions,
+    SamplingPlan,
     SettingDifference,
 )
 from adapters.toolkit.connection import ConnectedDriver
@@ -302,6 +305,16 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         assert isinstance(lowered, Cia402Lowered)
         with log_refusals(self._log, "arming"):
             return await self.connection.mover.arm_move(lowered, t0_ns)
+
+    async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
+        del axes  # it has one
+        return self._make_sampling().begin(period_ns, seconds)
+
+    async def take_samples(self) -> SampledPositions:
+        return self._make_sampling().take(len(self._bus.units), self._bus.bitrate)
+
+    def _make_sampling(self) -> PdoSampling:
+        return PdoSampling(self.connection.node, self._options, self._axis)
 
     async def stop(self, *, abort: bool) -> None:
         """Stop by halt, with the deceleration of the profile; or by quick stop, with the drive's own."""

@@ -88,6 +88,8 @@ class BusDrive:
         self.nmt = _BOOT_UP
         """Its NMT state, from its last heartbeat."""
         self.beat_ns = 0
+        self.positions: list[tuple[int, int]] | None = None
+        """Arrival and value of its positions while they are sampled; None: they are not kept."""
         self._watchers: list[asyncio.Future[None]] = []
         self._closed: LinkClosed | None = None
 
@@ -120,6 +122,8 @@ class BusDrive:
                     self.running_ns = at_ns
                 self.moved_ns = at_ns
             self.demand, self.actual, self.state_ns = demand, ACTUAL.decode(data[4:]), at_ns
+            if self.positions is not None:
+                self.positions.append((at_ns, self.actual))
         elif function == TPDO[2] and len(data) == INPUTS.byte_size + VELOCITY.byte_size:
             self.inputs, self.velocity = INPUTS.decode(data), VELOCITY.decode(data[4:])
         elif function == TPDO[3] and len(data) == STATUSWORD.byte_size + DEMAND.byte_size:

@@ -39,10 +39,9 @@ class SampleCollection:
             raise Refusal("no-samples", f"nothing was recorded for job {request.job} step {request.step}", "")
         self._require_rest()
         self._recorded_for = None
-        found = await self._driver.take_samples()
+        found, scale = await self._driver.take_samples(), self._scale()
         return SamplesTaken(
-            first_fleet_ns=self._scale().to_fleet_ns(found.first_ns),
-            period_ns=found.period_ns,
+            fleet_ns=[scale.to_fleet_ns(at_ns) for at_ns in found.at_ns],
             bound_ns=found.bound_ns,
             counts={axis: list(counts) for axis, counts in found.counts.items()},
         )

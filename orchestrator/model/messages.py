@@ -456,10 +456,9 @@ class TakeSamples(FencedRequest):
 
 
 class SamplesTaken(Reply):
-    """first_fleet_ns, period_ns, bound_ns: see `recording.StepSamples`. counts: by axis."""
+    """fleet_ns, bound_ns: see `recording.StepSamples`. counts: by axis."""
 
-    first_fleet_ns: Int53 = 0
-    period_ns: float = 0.0
+    fleet_ns: list[Int53] = Field(default=[])
     bound_ns: Int53 = 0
     counts: dict[str, list[Int53]] = Field(default={})
 

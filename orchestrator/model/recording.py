@@ -68,16 +68,15 @@ class SampledAxis(Model):
 class StepSamples(Model):
     """Positions that a controller has sampled by itself during a step, on `job/{id}/samples`.
 
-    Sample k was taken at first_fleet_ns + k * period_ns, within ± bound_ns, which is guaranteed: by the controller's
-    clock mapping, and the resolution of its counter.
+    fleet_ns: the instants of the samples, each within ± bound_ns, which is guaranteed by the controller's clock mapping
+    and the resolution of its counter, or by the times of its bus.
     """
 
     schema_: Literal["tutti.samples/1"] = Field(default="tutti.samples/1", alias="schema")
     job_id: str
     step: Int53
     controller: str
-    first_fleet_ns: Int53
-    period_ns: float
+    fleet_ns: list[Int53]
     bound_ns: Int53
     axes: dict[str, SampledAxis]
 

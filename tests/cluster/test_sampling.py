@@ -11,8 +11,11 @@ from cluster.worlds import EXAMPLES, PREPARE, job, outcome, refusal, run_fleet
 from orchestrator.bus.base import BusSample
 from orchestrator.model.recording import StepSamples
 from orchestrator.model.report import JobReport
+from orchestrator.monitor.export.recorded import load_run
+from orchestrator.monitor.export.samples import make_device_table
+from orchestrator.monitor.recording.reader import Recording
 from orchestrator.runtime.virtual import VirtualFleet
-from tutti import Job, Move, Tutti
+from tutti import Job, JobFailed, Move, Tutti
 from tutti.testing import VirtualTestbed, virtual_fleet
 
 DEMO = EXAMPLES / "demo.fleet.yaml"
@@ -37,13 +40,18 @@ def check_against_truth(fleet: VirtualTestbed, samples: StepSamples, axis: str) 
     truth, sampled = fleet.truth(axis), samples.axes[axis.partition(".")[2]]
     worst = 0.0
     for number, counts in enumerate(sampled.counts):
-        at_s = (samples.first_fleet_ns + number * samples.period_ns) / 1e9
+        at_s = samples.fleet_ns[number] / 1e9
         bound_s = samples.bound_ns / 1e9
         around = [truth.position_at(at_s + shift) for shift in (-bound_s, -bound_s / 2, 0, bound_s / 2, bound_s)]
         position = counts / sampled.counts_per_unit
         assert min(around) - 0.002 <= position <= max(around) + 0.002, (number, at_s, position, around)
         worst = max(worst, abs(position - around[2]))
     return worst
+
+
+def periods(samples: StepSamples) -> float:
+    """The mean time between samples, ns."""
+    return (samples.fleet_ns[-1] - samples.fleet_ns[0]) / (len(samples.fleet_ns) - 1)
 
 
 def test_samples_are_where_the_axis_truly_was_within_their_bound() -> None:
@@ -57,19 +65,19 @@ def test_samples_are_where_the_axis_truly_was_within_their_bound() -> None:
         assert report.state == "done" and step.sampling is not None
         assert step.sampling.samples == {"gantry": len(samples.axes["x"].counts)} and not step.sampling.problem
         assert samples.step == step.index and samples.controller == "gantry"
-        assert samples.period_ns == pytest.approx(1.953125e6, rel=1e-4)
+        assert periods(samples) == pytest.approx(1.953125e6, rel=1e-3)
         assert samples.bound_ns < 4_000_000
         # The whole motion is in it: from rest to rest.
         x = samples.axes["x"].counts
         assert x[0] == 0 and x[-1] == 100_000 and len(set(x)) > 50
-        assert step.t0_fleet_ns is not None and samples.first_fleet_ns < step.t0_fleet_ns
+        assert step.t0_fleet_ns is not None and samples.fleet_ns[0] < step.t0_fleet_ns
         for axis in ("gantry.x", "gantry.y"):
             check_against_truth(fleet, samples, axis)
         # Nothing is left in the controller: the next step has room again.
         again, more = fleet.run(
             lambda tutti: run_sampled(tutti, Move(to={"gantry.x": 0}, record={"axes": ["gantry.x"], "period": "4 ms"}))
         )
-        assert again.state == "done" and more[0].period_ns == pytest.approx(3.90625e6, rel=1e-4)
+        assert again.state == "done" and periods(more[0]) == pytest.approx(3.90625e6, rel=1e-3)
         assert more[0].axes["x"].counts[-1] == 0
 
 
@@ -87,6 +95,23 @@ def test_a_serial_controller_samples_as_densely_and_is_fetched_in_its_time() -> 
         check_against_truth(fleet, samples, names[0])
 
 
+def test_the_positions_that_a_drive_sends_by_itself_are_samples() -> None:
+    with virtual_fleet(EXAMPLES / "cia402.fleet.yaml") as fleet:
+        axis = fleet.fleet.axis_names[0]
+        controller = axis.partition(".")[0]
+        fleet.tutti.enable(controller)
+        fleet.tutti.home(controller)
+        fleet.advance("5 s")
+        report, (samples,) = fleet.run(
+            lambda tutti: run_sampled(tutti, Move(to={axis: 30}, record={"axes": [axis], "period": "20 ms"}))
+        )
+        assert report.state == "done" and len(samples.fleet_ns) > 20
+        assert samples.bound_ns < 4_000_000
+        check_against_truth(fleet, samples, axis)
+        with pytest.raises(JobFailed, match="the drive sends its position every 10 ms; write a period of at least 10"):
+            fleet.run(lambda tutti: run_sampled(tutti, Move(to={axis: 0}, record={"axes": [axis], "period": "2 ms"})))
+
+
 def test_samples_are_in_the_recording_of_the_job(tmp_path: Path) -> None:
     async def main(virtual: VirtualFleet) -> RecordedFleet:
         recorded = RecordedFleet(virtual, tmp_path)
@@ -102,7 +127,16 @@ def test_samples_are_in_the_recording_of_the_job(tmp_path: Path) -> None:
 
     recorded = run_fleet(main)
     (message,) = read_messages(recorded.files("job")[-1], lambda key: key.endswith("/samples"))
-    assert StepSamples.model_validate_json(message.payload).axes["x"].counts[-1] == 20_000
+    samples = StepSamples.model_validate_json(message.payload)
+    assert samples.axes["x"].counts[-1] == 20_000
+    with Recording(recorded.files("job")[-1]) as recording:
+        table = make_device_table(load_run(recording))
+    columns = table.columns
+    assert list(columns["position"]) == [counts / 1000 for counts in samples.axes["x"].counts]
+    assert all(
+        t_hi - t_lo == 2 * samples.bound_ns for t_lo, t_hi in zip(columns["t_lo_ns"], columns["t_hi_ns"], strict=True)
+    )
+    assert set(columns["axis"]) == {"gantry.x"} and set(columns["unit"]) == {"mm"}
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,8 @@ class DeviceSampling:
         earliest, latest = recording.first
         first_ns = (mapping.to_host_ns(earliest) + mapping.to_host_ns(latest)) // 2
         bound_ns = mapping.bound_at_ns(mapping.to_host_ns(earliest)) + ceil((latest - earliest) * mapping.tick_ns / 2)
-        return SampledPositions(first_ns, recording.period * mapping.tick_ns, bound_ns, counts)
+        period_ns = recording.period * mapping.tick_ns
+        return SampledPositions([first_ns + round(number * period_ns) for number in range(filled)], bound_ns, counts)
 
     async def _allocate(self, axes: Sequence[str], count: int, period_ns: float) -> None:
         session = self._device.session

@@ -45,6 +45,7 @@ def export(
     samples  every reading as it came
     moves    each axis of each motion step, with the intervals of its start
              and end, and the step's verdict
+    device   positions that controllers have recorded by themselves (`record`)
 
     Units, job and verdicts are metadata of the files. HDF5 has the tables in one file; of CSV, metadata are in a JSON
     file beside.
@@ -103,11 +104,13 @@ def _make_tables(
     """The tables of a recording, and what is to be said about it."""
     from orchestrator.monitor.export.moves import make_moves_table
     from orchestrator.monitor.export.recorded import load_run
-    from orchestrator.monitor.export.samples import make_grid_table, make_samples_table
+    from orchestrator.monitor.export.samples import make_device_table, make_grid_table, make_samples_table
 
     run = load_run(opened)
     tables: list[Any] = [make_grid_table(run, period_ns), make_samples_table(run)]
     notes: list[str] = []
+    if run.samples:
+        tables.append(make_device_table(run))
     if run.report is not None:
         tables.append(make_moves_table(run.report, run.events))
     elif summary.job_id:

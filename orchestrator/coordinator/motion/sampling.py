@@ -64,7 +64,7 @@ class StepSampler:
             if reply.refused is None:
                 self._publish(member, reply)
         refused = [f"{member}: {reply.refused.text}" for member, reply in replies.items() if reply.refused is not None]
-        counted = {member: max(map(len, reply.counts.values()), default=0) for member, reply in replies.items()}
+        counted = {member: len(reply.fleet_ns) for member, reply in replies.items()}
         return SamplingReport(samples=counted, problem="; ".join(refused))
 
     def _publish(self, member: str, reply: SamplesTaken) -> None:
@@ -77,8 +77,7 @@ class StepSampler:
                 job_id=self._request.job_id,
                 step=self._request.index,
                 controller=member,
-                first_fleet_ns=reply.first_fleet_ns,
-                period_ns=reply.period_ns,
+                fleet_ns=reply.fleet_ns,
                 bound_ns=reply.bound_ns,
                 axes=axes,
             )

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
+from orchestrator.model.recording import StepSamples
 from orchestrator.model.report import JobReport, StepRecording
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 from orchestrator.monitor.recording.reader import Recording
@@ -27,6 +28,7 @@ class RecordedRun:
     readings: dict[str, list[RecordedReading]] = field(default_factory=lambda: defaultdict(list))
     plans: list[StepRecording] = field(default_factory=list[StepRecording])
     events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
+    samples: list[StepSamples] = field(default_factory=list[StepSamples])
     report: JobReport | None = None
     unread: int = 0
 
@@ -51,6 +53,8 @@ def load_run(recording: Recording) -> RecordedRun:
                 run.events.append(ControllerEvent.model_validate_json(message.payload))
             elif (kind, leaf) == ("job", "plan"):
                 run.plans.append(StepRecording.model_validate_json(message.payload))
+            elif (kind, leaf) == ("job", "samples"):
+                run.samples.append(StepSamples.model_validate_json(message.payload))
             elif (kind, leaf) == ("job", "report"):
                 run.report = JobReport.model_validate_json(message.payload)
         except ValidationError:  # of another version

@@ -36,6 +36,8 @@ _SAMPLE_COLUMNS = (
     "mode",
 )
 
+_DEVICE_COLUMNS = ("fleet_ns", "utc_ns", "t_lo_ns", "t_hi_ns", "step", "axis", "position", "unit")
+
 Array = NDArray[Any]
 
 
@@ -53,6 +55,23 @@ def make_samples_table(run: RecordedRun) -> DataTable:
     rows.sort(key=lambda row: (row[0], row[2]))
     columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_SAMPLE_COLUMNS)}
     return DataTable("samples", columns, {"fleet_ns": "ns", "utc_ns": "ns"}, _describe(run))
+
+
+def make_device_table(run: RecordedRun) -> DataTable:
+    """Positions that controllers have sampled by themselves (motor positions): one row each, with the interval that
+    certainly contains its instant, `t_lo_ns` to `t_hi_ns`, fleet time."""
+    offset_ns, rows = run.utc_offset_ns, list[tuple[Any, ...]]()
+    for each in run.samples:
+        for name, axis in each.axes.items():
+            for at_ns, counts in zip(each.fleet_ns, axis.counts, strict=True):
+                interval = at_ns - each.bound_ns, at_ns + each.bound_ns
+                position = counts / axis.counts_per_unit
+                rows.append(
+                    (at_ns, at_ns + offset_ns, *interval, each.step, f"{each.controller}.{name}", position, axis.unit)
+                )
+    rows.sort(key=lambda row: (row[0], row[5]))
+    columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_DEVICE_COLUMNS)}
+    return DataTable("device", columns, dict.fromkeys(_DEVICE_COLUMNS[:4], "ns"), _describe(run))
 
 
 def _axis_values(reading: RecordedReading) -> tuple[Any, ...]:
