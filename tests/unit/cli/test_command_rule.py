@@ -14,6 +14,7 @@ from orchestrator.cli.main import main
 WITHOUT_JSON = {
     "axis jog": "a panel on a terminal",
     "completion": "what it prints is a script",
+    "record start": "it records until it is interrupted",
     "schema": "what it prints is JSON already",
 }
 
