@@ -11,6 +11,7 @@ from orchestrator.bus.base import BusDeclaration, BusError, DoubleServer
 from orchestrator.bus.latch import LatchKeeper
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.owner import TaskOwner
+from orchestrator.coordinator.alarms.service import AlarmService
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.manual import ManualLeases
@@ -22,6 +23,7 @@ from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.jobs.steps import PlainSteps
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
@@ -61,6 +63,9 @@ class Coordinator:
         self._positions = PositionBook(access, environment.journal, self._execute)
         motion = MotionServices(access, self.leadership, environment.journal, self._execute)
         self._plain_steps = PlainSteps(access, motion.targets)
+        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
+        self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
+        motion.listeners.append(self._alarms.motion.take_motion)
         services = JobServices(
             bus=bus,
             keys=keys,
@@ -73,12 +78,12 @@ class Coordinator:
             plain_steps=self._plain_steps,
             leases=self._leases,
             positions=self._positions,
+            alarms=self._alarms.register,
             leadership=self.leadership,
             log=self._log,
         )
         self.scheduler = Scheduler(services)
         self._positions.on_change = self.scheduler.forget_needs
-        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         maintenance = (
             FleetReload(access, self._leases, environment.save_fleet),
             WiringCheck(access, self._leases),
@@ -107,6 +112,7 @@ class Coordinator:
         await self._leases.start()
         await self._manual.start()
         await self._positions.start()
+        await self._alarms.start(self.leadership.epoch)
         await self.scheduler.start()
         self._declared = [
             await bus.serve(keys.service(), self._requests.answer),
@@ -121,6 +127,7 @@ class Coordinator:
         self._declared.clear()
         await self.scheduler.close(reason)
         self._manual.close()
+        await self._alarms.close()
         await self._leases.close()
         await self._view.close()
         await self._latch_keeper.close()
@@ -130,8 +137,12 @@ class Coordinator:
     async def _execute(self, function: Callable[..., T], *values: Any) -> T:
         """Call the journal; refused once another coordinator has taken an epoch from it, even if its heartbeat has
         not arrived."""
-        await self._environment.execute(self._environment.journal.require_latest_epoch, self.leadership.epoch)
-        return await self._environment.execute(function, *values)
+        try:
+            await self._environment.execute(self._environment.journal.require_latest_epoch, self.leadership.epoch)
+            return await self._environment.execute(function, *values)
+        except JournalError as error:
+            self._alarms.service.note_write(error)
+            raise
 
     # Adoption of every controller that is published and not adopted by this leader yet
 
@@ -192,6 +203,7 @@ class Coordinator:
 
     def _report_contradiction(self, heartbeat: LeaderHeartbeat) -> None:
         """Something sends heartbeats of a coordinator that does not answer: an alarm, once for each."""
+        self._alarms.service.note_contradiction(heartbeat)
         sender = (heartbeat.epoch, heartbeat.coordinator)
         if sender not in self._contradictions and len(self._contradictions) < MAX_CONTRADICTIONS:
             self._contradictions.add(sender)
@@ -202,6 +214,7 @@ class Coordinator:
 
     def _report_double_answer(self, key: str) -> None:
         """Something else serves a key of an adapter or of this coordinator: an alarm, once for each key."""
+        self._alarms.service.note_double_answer(key)
         if key not in self._double_answers and len(self._double_answers) < MAX_CONTRADICTIONS:
             self._double_answers.add(key)
             self._log.warning(f"two processes answer on {key}; one of them should not. Find it before anything moves")

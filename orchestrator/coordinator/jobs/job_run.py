@@ -10,6 +10,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.alarms.register import AlarmRegister
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.positions import PositionBook
@@ -73,6 +74,7 @@ class JobServices:
     plain_steps: PlainSteps
     leases: LeaseRegistry
     positions: PositionBook
+    alarms: AlarmRegister
     leadership: Leadership
     log: ProcessLog
 
