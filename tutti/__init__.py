@@ -36,6 +36,7 @@ from orchestrator.model.job import (
     Step,
     WaitInput,
 )
+from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -53,6 +54,7 @@ from orchestrator.model.templates.template import Template, load_job
 __version__ = _version("tutti")
 
 __all__ = [
+    "AlarmRecord",
     "AxisState",
     "BlockingJob",
     "BlockingManualControl",

@@ -298,3 +298,19 @@ def test_ten_steps_near_their_budget_raise_one_alarm() -> None:
         assert alarm.text.startswith("3 steps in succession of gantry+stage have used more than 1% of")
 
     run_fleet(main, fleet_with(alarms={"budget": {"limit": 0.01, "steps": 3}}))
+
+
+def test_rules_follow_a_reload_and_the_command_does_not() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        with pytest.raises(Refusal, match="notify would change") as refused:
+            await client.reload_fleet(fleet_with(notify={"command": ["/tmp/mine"]}))
+        assert refused.value.code == "other-command"
+        fleet.wires["stage"].cut = True
+        await wait_s(fleet, 6)
+        assert "disconnected-stage" in await states(fleet)
+        await client.reload_fleet(fleet_with(alarms={"disconnected": {"enabled": False}}))
+        await wait_s(fleet, 7)
+        assert await states(fleet) == {"disconnected-stage": "returned", "fault-no-answer-stage": "unacknowledged"}
+
+    run_fleet(main, fleet_with())

@@ -37,6 +37,9 @@ EXAMPLES: dict[str, Any] = {
     "epoch": 1,
     "coordinator": "c1",
     "actor": "reader",
+    "alarm_id": "estop-fleet",
+    "alarm_ids": [],
+    "all": True,
     "after_point": 0,
     "after_step": -1,
     "axes": ["gantry.x"],
@@ -53,8 +56,10 @@ EXAMPLES: dict[str, Any] = {
     "dry_run": False,
     "event": None,
     "first": 0,
+    "for_s": None,
     "from_point": None,
     "from_step": 0,
+    "history": 5,
     "holder": "manual-reader",
     "i_know": True,
     "job_id": "none",
@@ -79,10 +84,12 @@ EXAMPLES: dict[str, Any] = {
     "values": {},
     "velocities": {"gantry.x": 0.0},
     "what": "reading",
+    "why": "",
 }
 
 
 SILENT = {
+    "alarm/{id}": "there is no alarm",
     "lease/{id}/{axis}": "no make here lets axes of one controller move for different holders",
     "leads/{coordinator}": "only served",
     "kept-estop/{keeper}": "only served",

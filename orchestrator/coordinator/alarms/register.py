@@ -127,7 +127,7 @@ class AlarmRegister:
     def _show(self, change: AlarmChange, before: AlarmRecord | None) -> None:
         record = self._records[change.record.id] = change.record
         if before is None or before.state != record.state:
-            self._access.log.info(f"alarm {record.id} is {record.state}: {record.text}", alarm=record.id)
+            self._access.log.info(f"alarm {record.id} is {record.state}", priority=record.priority)
         self._bus.put(self._keys.alarm(record.id), record.to_json(), Priority.EVENT)
         if change.notify:
             self.on_notice(record)
