@@ -37,6 +37,7 @@ from orchestrator.model.job import (
     WaitInput,
 )
 from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -89,6 +90,7 @@ __all__ = [
     "Scan",
     "SetOutput",
     "SetPosition",
+    "StatisticsRead",
     "Step",
     "StepRecording",
     "StepReport",

@@ -29,6 +29,7 @@ from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import TraceReply
 from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -568,3 +569,8 @@ class BlockingTutti(BlockingObject[Tutti]):
     def unshelve_alarm(self, alarm_id: str) -> AlarmRecord:
         """End the shelving of an alarm. Raises `Refusal`: codes `unknown-alarm`, `journal`."""
         return self._run(self._wrapped.unshelve_alarm(alarm_id))
+
+    def read_statistics(self, since: str | None = None, *, by_day: bool = False) -> StatisticsRead:
+        """What axes, controllers and jobs have done. since: a UTC day, `2026-01-31`; None: the last week. by_day: also
+        those of each day. Raises `Refusal`: codes `too-much`, `journal`."""
+        return self._run(self._wrapped.read_statistics(since, by_day=by_day))

@@ -1,5 +1,7 @@
 """Requests about alarms and statistics."""
 
+from datetime import UTC, datetime, timedelta
+
 from orchestrator.client.connection import FleetConnection
 from orchestrator.model.operation.alarms import (
     AcknowledgeAlarms,
@@ -10,10 +12,11 @@ from orchestrator.model.operation.alarms import (
     ListAlarms,
     ShelveAlarm,
 )
+from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 
 
 class OperationRequests(FleetConnection):
-    """List, acknowledge and shelve alarms."""
+    """List, acknowledge and shelve alarms; read statistics."""
 
     async def list_alarms(self, *, normal: bool = False) -> list[AlarmRecord]:
         """The alarms: those that wait for a user first, by priority. normal: also those that are over and acknowledged.
@@ -40,6 +43,14 @@ class OperationRequests(FleetConnection):
     async def unshelve_alarm(self, alarm_id: str) -> AlarmRecord:
         """End the shelving of an alarm. Raises `Refusal`: codes `unknown-alarm`, `journal`."""
         return await self._shelve(alarm_id, None, "")
+
+    async def read_statistics(self, since: str | None = None, *, by_day: bool = False) -> StatisticsRead:
+        """What axes, controllers and jobs have done. since: a UTC day, `2026-01-31`; None: the last week. by_day: also
+        those of each day. Raises `Refusal`: codes `too-much`, `journal`."""
+        if since is None:
+            since = (datetime.now(UTC) - timedelta(days=7)).date().isoformat()
+        request = ReadStatistics(**self.request_fields(), since=since, by_day=by_day)
+        return await self.request_service("statistics", request, StatisticsRead)
 
     async def _shelve(self, alarm_id: str, for_s: float | None, why: str) -> AlarmRecord:
         request = ShelveAlarm(**self.request_fields(), alarm_id=alarm_id, for_s=for_s, why=why)

@@ -30,6 +30,7 @@ from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -65,7 +66,8 @@ class Coordinator:
         self._plain_steps = PlainSteps(access, motion.targets)
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
-        motion.listeners.append(self._alarms.motion.take_motion)
+        self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
+        motion.listeners.extend((self._alarms.motion.take_motion, self._statistics.take_motion))
         services = JobServices(
             bus=bus,
             keys=keys,
@@ -79,6 +81,7 @@ class Coordinator:
             leases=self._leases,
             positions=self._positions,
             alarms=self._alarms.register,
+            statistics=self._statistics,
             leadership=self.leadership,
             log=self._log,
         )
@@ -113,6 +116,7 @@ class Coordinator:
         await self._manual.start()
         await self._positions.start()
         await self._alarms.start(self.leadership.epoch)
+        await self._statistics.start()
         await self.scheduler.start()
         self._declared = [
             await bus.serve(keys.service(), self._requests.answer),
@@ -128,6 +132,7 @@ class Coordinator:
         await self.scheduler.close(reason)
         self._manual.close()
         await self._alarms.close()
+        await self._statistics.close()
         await self._leases.close()
         await self._view.close()
         await self._latch_keeper.close()

@@ -30,6 +30,7 @@ from orchestrator.model.operation.alarms import (
     ListAlarms,
     ShelveAlarm,
 )
+from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 from orchestrator.model.positions.entries import (
     PositionRemoved,
     PositionSaved,
@@ -133,6 +134,7 @@ class UserRequests:
             "alarms": Verb(ListAlarms, AlarmsListed, services.alarms.list_alarms, cached=False),
             "acknowledge": Verb(AcknowledgeAlarms, AlarmsAcknowledged, services.alarms.acknowledge_alarms),
             "shelve": Verb(ShelveAlarm, AlarmShelved, services.alarms.shelve_alarm),
+            "statistics": Verb(ReadStatistics, StatisticsRead, services.statistics.read_statistics, cached=False),
             "names": Verb(Request, FleetNames, self._list_names, cached=False),
         }
 

@@ -45,6 +45,7 @@ EXAMPLES: dict[str, Any] = {
     "axes": ["gantry.x"],
     "after": None,
     "before": "none",
+    "by_day": True,
     "begin": None,
     "check": True,
     "client_key": "of mine",
@@ -158,6 +159,8 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
                 request["job"] = json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())
             if key == "svc/put-points":
                 request |= {"axes": [{"axis": "gantry.x", "unit": "mm"}], "begin": 0}
+            if key == "svc/statistics":
+                request["since"] = "2026-01-01"
             if "configuration" in fields:
                 request["configuration"] = demo_fleet().to_plain()
             assert set(request) == set(fields), f"{key}: no example of {set(fields) - set(request)}"

@@ -33,6 +33,7 @@ SERVICE: dict[str, dict[str, Any]] = {
     "names": {},
     "alarms": {"all": True, "history": 5},
     "acknowledge": {"alarm_ids": ["estop-fleet"]},
+    "statistics": {"since": "2026-01-01", "by_day": True},
     "shelve": {"alarm_id": "estop-fleet", "for_s": 5.0, "why": "w"},
     "positions": {},
     "save-position": {"name": "here", "axes": ["gantry"], "values": {"gantry.x": "1 mm"}, "description": "d"},

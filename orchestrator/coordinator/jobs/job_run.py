@@ -29,6 +29,7 @@ from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
@@ -75,6 +76,7 @@ class JobServices:
     leases: LeaseRegistry
     positions: PositionBook
     alarms: AlarmRegister
+    statistics: StatisticsCollector
     leadership: Leadership
     log: ProcessLog
 

@@ -1,6 +1,7 @@
 """`tutti alarm …` and the line of `tutti status`: what they print, and their exit codes."""
 
 import json
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -57,3 +58,21 @@ def test_mistakes_say_what_to_do(world: CommandWorld) -> None:
         ("alarm unshelve nothing", 2, "see `tutti alarm ls --all`"),
     ):
         assert text in world.refused(code, *words.split()), words
+
+
+def test_statistics_are_tables_csv_and_json(world: CommandWorld) -> None:
+    for words in ("axis enable gantry stage", "axis home", "axis move gantry.x=12.5 stage.u=3mm"):
+        world.done(*words.split())
+    shown = world.done("stats", "--since", "2026-01-01T00:00:00Z")
+    rows = {line.split()[0]: line.split()[1:] for line in shown.splitlines() if line.strip()}
+    assert rows["gantry.x"][:2] == ["1", "0"] and rows["stage.u"][2:4] == ["3", "mm"]
+    assert re.search(r"^gantry +100\.00%", shown, re.MULTILINE) and rows["jobs:"] == ["3", "done"]
+    assert shown.startswith("since 2026-01-01\n") and "gantry - stage" in shown
+    lines = world.done("stats", "--since", "2026-01-01T00:00:00Z", "--csv").splitlines()
+    assert lines[0] == "day,kind,subject,figure,value,unit" and "2026-01-01,axis,stage.u,distance,3.0,mm" in lines
+    found = json.loads(world.done("stats", "--since", "2026-01-01T00:00:00Z", "--json", "--by-day"))
+    assert found["total"]["jobs"] == {"done": 3} and [each["day"] for each in found["days"]] == ["2026-01-01"]
+    assert world.done("stats", "--since", "2025-01-01T00:00:00Z", "--by-day").count("gantry.x") == 2
+    assert "nothing was counted" in world.done("stats", "--since", "2026-02-01T00:00:00Z")
+    both = world.run("stats", "--csv", "--json")
+    assert both.exit_code == 2 and "choose one of --csv and --json" in both.stdout
