@@ -109,20 +109,22 @@ class NoticeRule(AlarmRule):
 class AlarmRules(Model):
     """The rules for all kinds of alarms."""
 
-    disconnected: DisconnectionRule = DisconnectionRule()
-    fault: AlarmRule = Field(default=AlarmRule(), description="A controller reports a fault; one alarm for each code.")
-    estop: EstopRule = EstopRule()
-    limit_switch: LimitRule = LimitRule()
-    clock_bound: ClockRule = ClockRule()
-    budget: BudgetRule = BudgetRule()
-    link_errors: LinkRule = LinkRule()
-    disk: DiskRule = DiskRule()
-    following_error: FollowingRule = FollowingRule()
-    second_leader: LeaderRule = LeaderRule()
-    double_answer: LeaderRule = LeaderRule()
-    notify: NoticeRule = NoticeRule()
+    disconnected: DisconnectionRule = Field(default_factory=DisconnectionRule)
+    fault: AlarmRule = Field(
+        default_factory=AlarmRule, description="A controller reports a fault; one alarm for each code."
+    )
+    estop: EstopRule = Field(default_factory=EstopRule)
+    limit_switch: LimitRule = Field(default_factory=LimitRule)
+    clock_bound: ClockRule = Field(default_factory=ClockRule)
+    budget: BudgetRule = Field(default_factory=BudgetRule)
+    link_errors: LinkRule = Field(default_factory=LinkRule)
+    disk: DiskRule = Field(default_factory=DiskRule)
+    following_error: FollowingRule = Field(default_factory=FollowingRule)
+    second_leader: LeaderRule = Field(default_factory=LeaderRule)
+    double_answer: LeaderRule = Field(default_factory=LeaderRule)
+    notify: NoticeRule = Field(default_factory=NoticeRule)
     other: AlarmRule = Field(
-        default=AlarmRule(), description="Alarms of other processes; each of them states its priority."
+        default_factory=AlarmRule, description="Alarms of other processes; each of them states its priority."
     )
 
 

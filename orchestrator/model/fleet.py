@@ -467,7 +467,7 @@ class Fleet(Model):
         default={}, max_length=MAX_POSITIONS, description="Named positions, for the targets of jobs and commands."
     )
     queue: QueuePolicy = QueuePolicy()
-    alarms: AlarmRules = Field(default=AlarmRules(), description="What raises an alarm, by kind of alarm.")
+    alarms: AlarmRules = Field(default_factory=AlarmRules, description="What raises an alarm, by kind of alarm.")
     notify: NotifyCommand | None = Field(default=None, description="The command that is run for alarms.")
 
     @field_validator("controllers")

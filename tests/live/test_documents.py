@@ -26,6 +26,7 @@ PAGES = (
     "how-to/use-templates.md",
     "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",
+    "how-to/handle-alarms.md",
     "how-to/use-python.md",
     "how-to/test-your-jobs.md",
 )

@@ -33,7 +33,7 @@ def stats(
     """Show statistics: moves, distance and reversals of axes, availability of controllers, start skews of pairs of
     controllers, jobs and failures by cause.
 
-    They are kept by UTC day, also when jobs are deleted. A figure is in the journal a second after it was counted.
+    They are kept by UTC day, also when jobs are deleted.
     """
     from orchestrator.cli.statistics.words import list_figures, make_tables
 

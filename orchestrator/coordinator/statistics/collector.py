@@ -1,6 +1,7 @@
-"""The statistics of the operation: counted in memory, and added to the journal a second later.
+"""The statistics of the operation: counted in memory, and added to the journal when a job has ended, and every ten
+seconds while one moves.
 
-What was counted in the last second is lost if the coordinator is killed. Nothing is asked of a controller.
+What was counted since then is lost if the coordinator is killed. Nothing is asked of a controller.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from orchestrator.model.report import AxisRecording, JobReport, StepRecording, S
 from orchestrator.model.state import ControllerEvent, ControllerState
 
 TICK_NS = NS_PER_S
+MOTION_NS = 10 * NS_PER_S  # from a step to the write; a write may delay the decision of a step that is being armed
 AVAILABILITY_NS = 60 * NS_PER_S  # between two writes of nothing but times
 MAX_FIGURES = 20_000  # that wait for the journal; then new ones are lost
 MAX_ROWS = 200_000  # of one request
@@ -41,12 +43,11 @@ class StatisticsCollector:
         self._counted: dict[FigureKey, float] = {}
         self._directions: dict[str, int] = {}
         self._clock = AvailabilityClock(access.view, access.clock, self._count)
-        self._written_ns = 0
-        self._is_urgent = False
+        self._due_ns = 0
 
     async def start(self) -> None:
         """Listen, and write what was counted."""
-        self._written_ns = self._access.clock.now_ns()
+        self._due_ns = self._access.clock.now_ns() + AVAILABILITY_NS
         self._access.view.add_state_listener(self._take_state)
         self._access.view.add_event_listener(self._take_event)
         self._access.tasks.spawn(self._run(), vital=True)
@@ -76,7 +77,7 @@ class StatisticsCollector:
                 self._count("failures", "", cause[:MAX_CAUSE], 1)
         if report.state == "failed" and all(step.state == "done" for step in report.steps):
             self._count("failures", "", "not-begun", 1)
-        self._is_urgent = True
+        self._write_within(0)
 
     def _count_move(self, name: str, axis: AxisRecording, t0_fleet_ns: int, *, done: bool) -> None:
         profile = axis.profile
@@ -94,7 +95,7 @@ class StatisticsCollector:
             self._directions[name] = direction
             self._count("axis", name, f"distance {axis.unit}", abs(moved / axis.counts_per_unit))
         self._count("axis", name, "moving_s", moving_s)
-        self._is_urgent = True
+        self._write_within(MOTION_NS)
 
     def _count_skews(self, report: StepReport) -> None:
         starts = {
@@ -118,7 +119,7 @@ class StatisticsCollector:
         if event.kind in ("fault", "offline") and event.controller in self._access.view.fleet.controllers:
             code = event.fault.code if event.fault is not None else event.kind
             self._count("controller", event.controller, f"fault {code[:MAX_CAUSE]}", 1)
-            self._is_urgent = True
+            self._write_within(MOTION_NS)
 
     def _count(self, kind: str, subject: str, figure: str, value: float) -> None:
         self._add((self._access.clock.utc()[:10], kind, subject, figure), value)
@@ -132,22 +133,24 @@ class StatisticsCollector:
 
     # Journal
 
+    def _write_within(self, time_ns: int) -> None:
+        self._due_ns = min(self._due_ns, self._access.clock.now_ns() + time_ns)
+
     async def _run(self) -> None:
         while True:
             await sleep_ns(self._access.clock, TICK_NS)
             self._clock.tick()
-            if self._is_urgent or self._access.clock.now_ns() - self._written_ns >= AVAILABILITY_NS:
+            if self._access.clock.now_ns() >= self._due_ns:
                 try:
                     await self._write()
                 except EpochOvertaken:
                     return
                 except JournalError:
-                    self._written_ns = self._access.clock.now_ns()  # and again a minute later
-                    self._is_urgent = False
+                    continue  # and again a minute later
 
     async def _write(self) -> None:
         counted, self._counted = self._counted, {}
-        self._is_urgent, self._written_ns = False, self._access.clock.now_ns()
+        self._due_ns = self._access.clock.now_ns() + AVAILABILITY_NS
         rows = [StatisticsRow(*key, value) for key, value in counted.items()]
         if not rows:
             return
