@@ -67,7 +67,7 @@ class Coordinator:
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
-        motion.listeners.extend((self._alarms.motion.take_motion, self._statistics.take_motion))
+        motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion))
         services = JobServices(
             bus=bus,
             keys=keys,
@@ -146,7 +146,7 @@ class Coordinator:
             await self._environment.execute(self._environment.journal.require_latest_epoch, self.leadership.epoch)
             return await self._environment.execute(function, *values)
         except JournalError as error:
-            self._alarms.service.note_write(error)
+            self._alarms.note_write(error)
             raise
 
     # Adoption of every controller that is published and not adopted by this leader yet
@@ -208,7 +208,7 @@ class Coordinator:
 
     def _report_contradiction(self, heartbeat: LeaderHeartbeat) -> None:
         """Something sends heartbeats of a coordinator that does not answer: an alarm, once for each."""
-        self._alarms.service.note_contradiction(heartbeat)
+        self._alarms.note_contradiction(heartbeat)
         sender = (heartbeat.epoch, heartbeat.coordinator)
         if sender not in self._contradictions and len(self._contradictions) < MAX_CONTRADICTIONS:
             self._contradictions.add(sender)
@@ -219,7 +219,7 @@ class Coordinator:
 
     def _report_double_answer(self, key: str) -> None:
         """Something else serves a key of an adapter or of this coordinator: an alarm, once for each key."""
-        self._alarms.service.note_double_answer(key)
+        self._alarms.note_double_answer(key)
         if key not in self._double_answers and len(self._double_answers) < MAX_CONTRADICTIONS:
             self._double_answers.add(key)
             self._log.warning(f"two processes answer on {key}; one of them should not. Find it before anything moves")
@@ -232,6 +232,7 @@ class Coordinator:
             # A process that slept may have lost its router, and closing would wait for it.
             with suppress(TimeoutError):
                 async with asyncio.timeout(LEAVE_S):
+                    await self._alarms.close()
                     for declared in self._declared:
                         await declared.undeclare()
             self._declared.clear()

@@ -9,13 +9,21 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.coordinator.alarms.fleet_sources import FleetAlarms
+from orchestrator.coordinator.alarms.motion_sources import MotionAlarms
 from orchestrator.coordinator.leadership.environment import CommandResult
+from orchestrator.coordinator.statistics.availability import AvailabilityClock
+from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.operation.alarms import AlarmRecord, AlarmRequest
 from orchestrator.runtime.virtual import VirtualFleet
 
-QUICK = {"disconnected": {"for": "2 s", "return_after": "1 s"}, "link_errors": {"limit": 3}}
+QUICK = {
+    "disconnected": {"for": "2 s", "return_after": "1 s"},
+    "link_errors": {"limit": 3, "within": "30 s"},
+    "second_leader": {"return_after": "10 s"},
+}
 
 
 def fleet_with(**sections: object) -> Fleet:
@@ -245,26 +253,26 @@ def test_a_command_that_fails_or_hangs_is_run_again_and_survives_a_restart() -> 
         client = fleet.make_client()
         await outcome(fleet, PREPARE)
         fleet.wires["stage"].cut = True
-        await wait_s(fleet, 130)
+        await wait_s(fleet, 45)
         tries = [at for at, alarm, _ in commands.runs if alarm == "fault-no-answer-stage"]
         other = [at for at, alarm, _ in commands.runs if alarm == "disconnected-stage"]
         assert len(tries) >= 3 and len(other) == 1, commands.runs
         pauses = [round(after - before) for before, after in pairwise(tries)]
-        assert pauses[:2] == [10 + 30, 20]  # one that hangs is killed after its timeout
+        assert pauses[:2] == [2 + 5, 4]  # one that hangs is killed after its timeout
         # It has failed again and again: an alarm, for which it is not run.
         assert (await states(fleet))["notify-command"] in ("unacknowledged", "returned")
         assert "notify-command" not in commands.alarms
         commands.codes.clear()
         await restart(fleet)
-        await wait_s(fleet, 60)
+        await wait_s(fleet, 10)
         assert len({change for _, alarm, change in commands.runs if alarm == "fault-no-answer-stage"}) == 1
         count = len(commands.runs)
         await restart(fleet)
-        await wait_s(fleet, 60)
+        await wait_s(fleet, 10)
         assert len(commands.runs) == count
         await client.close()
 
-    run_fleet(main, fleet_with(notify={"command": ["page"], "timeout": "30 s", "pause": "10 s"}))
+    run_fleet(main, fleet_with(notify={"command": ["page"], "timeout": "5 s", "pause": "2 s"}))
 
 
 def test_links_that_break_often_and_forged_leaders_are_alarms() -> None:
@@ -282,7 +290,7 @@ def test_links_that_break_often_and_forged_leaders_are_alarms() -> None:
         await wait_s(fleet, 2)
         alarm = next(each for each in await client.list_alarms() if each.kind == "second-leader")
         assert "coordinator ffffffff with epoch 99" in alarm.text
-        await wait_s(fleet, 600)
+        await wait_s(fleet, 40)
         assert set((await states(fleet)).values()) == {"returned"}
 
     run_fleet(main, fleet_with())
@@ -314,3 +322,46 @@ def test_rules_follow_a_reload_and_the_command_does_not() -> None:
         assert await states(fleet) == {"disconnected-stage": "returned", "fault-no-answer-stage": "unacknowledged"}
 
     run_fleet(main, fleet_with())
+
+
+def test_a_defect_of_alarms_or_statistics_is_logged_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("a defect")
+
+    for owner, name in (
+        (FleetAlarms, "take_state"),
+        (FleetAlarms, "tick"),
+        (MotionAlarms, "take_motion"),
+        (StatisticsCollector, "_count"),
+        (AvailabilityClock, "tick"),
+    ):
+        monkeypatch.setattr(owner, name, fail)
+
+    async def main(fleet: VirtualFleet) -> None:
+        moved = job("[{do: move, to: {gantry.x: 10, stage.u: 2}}]")
+        assert (await outcome(fleet, PREPARE, moved)).state == "done"
+        assert not fleet.coordinators["first"][1].broken.is_set()
+        assert any("a defect of the coordinator: ValueError('a defect')" in line for line in fleet.lines)
+
+    run_fleet(main)
+
+
+def test_an_acknowledged_estop_stays_so_over_a_restart_and_a_takeover_ends_the_notices_of_the_old_leader() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        commands = Commands(fleet)
+        client = fleet.make_client()
+        await client.estop("hand in the machine")
+        await wait_s(fleet, 2)
+        await client.acknowledge_alarms()
+        fleet.start_coordinator("second", take_over=True)
+        await wait_s(fleet, 15)
+        assert set((await states(fleet)).values()) == {"acknowledged"}
+        assert {each.id: each.count for each in await client.list_alarms()}["estop-fleet"] == 1
+        await client.reset()
+        await wait_s(fleet, 2)
+        fleet.wires["stage"].cut = True
+        await wait_s(fleet, 10)
+        assert (await states(fleet, normal=True))["estop-fleet"] == "normal"
+        assert len(commands.alarms) == len(set(commands.alarms)) and "disconnected-stage" in commands.alarms
+
+    run_fleet(main, fleet_with(notify={"command": ["page"]}))

@@ -38,7 +38,7 @@ def alarm() -> None:
 @click.option("--history", default=0, type=click.IntRange(0, 10_000), help="The last changes of alarms, so many.")
 @fleet_options
 @json_option
-def list_alarms(everything: bool, history: int, connect: str, fleet: str | None, *, as_json: bool) -> None:  # noqa: FBT001
+def list_alarms(history: int, connect: str, fleet: str | None, *, everything: bool, as_json: bool) -> None:
     """List the alarms: first those that wait for a user, by priority, each with what to do."""
     from orchestrator.cli.base.alarms import make_alarm_table
 

@@ -34,13 +34,15 @@ class AlarmConditions:
         self.started = False
         """Until the alarms of the last leader are restored, nothing is reported."""
 
-    def restore(self, record: AlarmRecord, *, holds: bool) -> None:
-        """Take over an alarm that the last leader raised. holds: until something reports the contrary."""
+    def restore(self, record: AlarmRecord, *, holds: bool, for_ns: int | None = None) -> None:
+        """Take over an alarm that the last leader raised. holds, for_ns: as in `report`."""
         if record.is_active:
             cause = AlarmCause(
                 record.kind, record.subject, record.text, record.action, record.code, record.priority, record.source
             )
-            self._known[record.id] = _Condition(cause, holds, self._clock.now_ns(), raised=True)
+            now_ns = self._clock.now_ns()
+            until_ns = None if for_ns is None else now_ns + for_ns
+            self._known[record.id] = _Condition(cause, holds, now_ns, until_ns, raised=True)
 
     def find_rule(self, cause: AlarmCause) -> AlarmRule:
         """The rule of the fleet file for a cause."""

@@ -121,6 +121,9 @@ class FleetAlarms:
         else:
             why = f": {latch.reason}" if latch.reason else ""
             self._estops[state.controller] = f"e-stop by {latch.actor}{why}"
+        others = [each for each in self._view.fleet.controllers if each not in self._seen]
+        if not self._estops and not all(map(self._view.is_silent, others)):
+            return  # after a start, one that is not seen yet may be latched
         text = next(iter(self._estops.values()), "")
         action = "find the reason, make the machine safe, then `tutti reset`"
         self._conditions.report(AlarmCause("estop", "fleet", text, action), holds=bool(self._estops))

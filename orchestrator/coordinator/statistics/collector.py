@@ -10,6 +10,7 @@ from itertools import combinations
 
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.listening import keep_apart
 from orchestrator.coordinator.fleet.positions import JournalCalls
 from orchestrator.coordinator.journal.records import EpochOvertaken, JournalError
 from orchestrator.coordinator.journal.statistics_table import WORST, StatisticsRow, StatisticsTable
@@ -20,7 +21,7 @@ from orchestrator.coordinator.statistics.skew_histogram import find_bin
 from orchestrator.model.errors import Refusal
 from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 from orchestrator.model.report import AxisRecording, JobReport, StepRecording, StepReport
-from orchestrator.model.state import ControllerEvent, ControllerState
+from orchestrator.model.state import ControllerEvent
 
 TICK_NS = NS_PER_S
 MOTION_NS = 10 * NS_PER_S  # from a step to the write; a write may delay the decision of a step that is being armed
@@ -44,13 +45,16 @@ class StatisticsCollector:
         self._directions: dict[str, int] = {}
         self._clock = AvailabilityClock(access.view, access.clock, self._count)
         self._due_ns = 0
+        self.take_motion = keep_apart(access.tasks, self._take_motion)
+        self.take_job = keep_apart(access.tasks, self._take_job)
 
     async def start(self) -> None:
         """Listen, and write what was counted."""
         self._due_ns = self._access.clock.now_ns() + AVAILABILITY_NS
-        self._access.view.add_state_listener(self._take_state)
-        self._access.view.add_event_listener(self._take_event)
-        self._access.tasks.spawn(self._run(), vital=True)
+        view, tasks = self._access.view, self._access.tasks
+        view.add_state_listener(keep_apart(tasks, self._clock.take_state))
+        view.add_event_listener(keep_apart(tasks, self._take_event))
+        tasks.spawn(self._run(), vital=False)
 
     async def close(self) -> None:
         """Write what is counted."""
@@ -60,7 +64,7 @@ class StatisticsCollector:
 
     # What is counted
 
-    def take_motion(self, recording: StepRecording, report: StepReport | None) -> None:
+    def _take_motion(self, recording: StepRecording, report: StepReport | None) -> None:
         """Count a motion step that is over. report: None for one that was interrupted."""
         done = report is not None and report.state == "done"
         for name, axis in recording.axes.items():
@@ -68,7 +72,7 @@ class StatisticsCollector:
         if report is not None and done:
             self._count_skews(report)
 
-    def take_job(self, report: JobReport) -> None:
+    def _take_job(self, report: JobReport) -> None:
         """Count the end of a job, and why its steps were not done."""
         self._count("jobs", "", report.state, 1)
         for step in report.steps:
@@ -112,9 +116,6 @@ class StatisticsCollector:
                 self._count("pair", subject, f"bin {find_bin(skew_ns)}", 1)
                 self._count("pair", subject, f"{WORST}_ns", skew_ns)
 
-    def _take_state(self, state: ControllerState) -> None:
-        self._clock.take_state(state)
-
     def _take_event(self, event: ControllerEvent) -> None:
         if event.kind in ("fault", "offline") and event.controller in self._access.view.fleet.controllers:
             code = event.fault.code if event.fault is not None else event.kind
@@ -137,9 +138,10 @@ class StatisticsCollector:
         self._due_ns = min(self._due_ns, self._access.clock.now_ns() + time_ns)
 
     async def _run(self) -> None:
+        tick = keep_apart(self._access.tasks, self._clock.tick)
         while True:
             await sleep_ns(self._access.clock, TICK_NS)
-            self._clock.tick()
+            tick()
             if self._access.clock.now_ns() >= self._due_ns:
                 try:
                     await self._write()
