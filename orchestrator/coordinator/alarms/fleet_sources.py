@@ -105,7 +105,7 @@ class FleetAlarms:
             subject = controller if fault.axis is None else f"{controller}.{fault.axis}"
             action = fault.remedy or "see `tutti status`"
             cause = AlarmCause(
-                "fault", subject[:MAX_SUBJECT], f"{subject}: {fault.text}", action, fault.code[:MAX_CODE]
+                "fault", subject[:MAX_SUBJECT], f"{controller}: {fault.text}", action, fault.code[:MAX_CODE]
             )
             reported.add(cause.id)
             self._conditions.report(cause, holds=True)

@@ -74,9 +74,6 @@ class AlarmRegister:
         """All alarms, also those that are normal."""
         return list(self._records.values())
 
-    def find_record(self, alarm_id: str) -> AlarmRecord | None:
-        return self._records.get(alarm_id)
-
     # Changes by conditions
 
     def raise_alarm(self, cause: AlarmCause) -> None:
