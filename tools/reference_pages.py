@@ -15,6 +15,7 @@ from pydantic import BaseModel
 import tutti
 import tutti.testing
 from orchestrator.cli.main import main as command
+from orchestrator.model.duration import format_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.templates.parameters import ParameterDeclarations
@@ -53,6 +54,8 @@ def default_text(schema: dict[str, Any], *, required: bool) -> str:
     if required:
         return "*required*"
     default = schema.get("default")
+    if isinstance(default, int) and schema.get("type") == "string":
+        return f"`{format_ns(default)}`"  # a duration
     return "" if default in (None, [], {}, "") else f"`{default}`"
 
 

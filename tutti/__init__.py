@@ -36,6 +36,8 @@ from orchestrator.model.job import (
     Step,
     WaitInput,
 )
+from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -53,6 +55,7 @@ from orchestrator.model.templates.template import Template, load_job
 __version__ = _version("tutti")
 
 __all__ = [
+    "AlarmRecord",
     "AxisState",
     "BlockingJob",
     "BlockingManualControl",
@@ -87,6 +90,7 @@ __all__ = [
     "Scan",
     "SetOutput",
     "SetPosition",
+    "StatisticsRead",
     "Step",
     "StepRecording",
     "StepReport",

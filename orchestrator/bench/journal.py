@@ -13,7 +13,7 @@ from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
+from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, run_no_command
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
@@ -102,6 +102,8 @@ def _make_coordinator(fleet: Fleet, clock: VirtualClock, journal: Journal) -> tu
         sink=lambda _: None,
         save_fleet=lambda _: None,
         latches=FileLatchStore(Path("estop.json"), VirtualDisk(clock).access_files()),
+        run_command=run_no_command,
+        find_free=VirtualDisk(clock).find_free,
     )
     return Coordinator(fleet, court), Tutti(net.join_process("client"), fleet.fleet, "bench", make_id)
 

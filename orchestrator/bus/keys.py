@@ -107,6 +107,14 @@ class FleetKeys:
         """The queue of jobs; published by the coordinator."""
         return f"{self.prefix}/queue"
 
+    def alarm(self, alarm: str | None = None) -> str:
+        """An alarm; published and served by the leader."""
+        return f"{self.prefix}/alarm/{_make_chunk(alarm, 'alarm')}"
+
+    def alarm_request(self, role: str | None = None, id: str | None = None) -> str:
+        """What another process wants an alarm to be raised for; published by it."""
+        return f"{self.prefix}/alarm-request/{_make_chunk(role, 'role')}/{_make_chunk(id, 'id')}"
+
     def service(self, verb: str | None = None) -> str:
         """Requests of users; served by the leader."""
         return f"{self.prefix}/svc/{_make_chunk(verb, 'verb')}"

@@ -2,7 +2,7 @@
 
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.model.session import SESSION_TIMEOUT_NS
+from orchestrator.model.queue import SESSION_TIMEOUT_NS
 
 REMEMBERED_NS = 60 * NS_PER_S
 

@@ -6,8 +6,8 @@ from orchestrator.campaign.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
+from orchestrator.model.queue import SESSION_TIMEOUT_NS
 from orchestrator.model.report import JobReport
-from orchestrator.model.session import SESSION_TIMEOUT_NS
 from orchestrator.runtime.virtual import VirtualFleet
 from sim.core.controller import CommandedMotion
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import uuid
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,8 +21,10 @@ if TYPE_CHECKING:
 @json_option
 def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show the current state of every controller and axis."""
+    from orchestrator.cli.base.alarms import print_open_alarms
     from orchestrator.cli.base.names import require_states
     from orchestrator.cli.queue import load_queue, print_queue_stop
+    from orchestrator.model.errors import Refusal
     from orchestrator.monitor.fleet_view import make_state_table, name_missing_permits
 
     async def show_status(tutti: "Tutti") -> None:
@@ -33,6 +36,8 @@ def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
             queue = await load_queue(tutti)
             console.print(make_state_table(states, leases, permits=name_missing_permits(queue)))
             print_queue_stop(queue)
+            with suppress(Refusal):  # without a coordinator
+                print_open_alarms(await tutti.list_alarms())
 
     with_fleet(connect, fleet, show_status)
 

@@ -23,6 +23,8 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "position": ("positions.command", "Named positions: save, list, move to them."),
     "io": ("io", "Inputs and outputs by name."),
     "fleet": ("fleet_file", "Check a fleet file; load it into the running fleet."),
+    "alarm": ("alarms.command", "Alarms: list, acknowledge, shelve."),
+    "stats": ("statistics.command", "Statistics of axes, controllers and jobs."),
     "wiring": ("wiring", "Check the trigger wires between controllers."),
     "clock": ("clock", "Show the estimates of the controllers' clocks."),
     "repair": ("repair", "Repair what needs a person's decision: epochs."),

@@ -14,7 +14,7 @@ from typing import Self
 from orchestrator.bus.base import Priority
 from orchestrator.client.connection import FleetConnection
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.model.session import SIGN_PERIOD_NS
+from orchestrator.model.queue import SIGN_PERIOD_NS
 
 
 class Attendance:

@@ -28,6 +28,8 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import TraceReply
+from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -544,3 +546,31 @@ class BlockingTutti(BlockingObject[Tutti]):
     def read_trace(self, controller: str) -> TraceReply:
         """The last minute of bytes on a controller's link. Raises `Refusal`."""
         return self._run(self._wrapped.read_trace(controller))
+
+    def list_alarms(self, *, normal: bool = False) -> list[AlarmRecord]:
+        """The alarms: those that wait for a user first, by priority. normal: also those that are over and acknowledged.
+        Raises `Refusal`."""
+        return self._run(self._wrapped.list_alarms(normal=normal))
+
+    def list_alarm_history(self, limit: int = 100) -> list[AlarmRecord]:
+        """The last changes of alarms, the newest first: each alarm as it was then. Raises `Refusal`."""
+        return self._run(self._wrapped.list_alarm_history(limit))
+
+    def acknowledge_alarms(self, *alarm_ids: str) -> list[AlarmRecord]:
+        """Acknowledge alarms, for this actor; without ids, all of them. Returns those that have changed. Raises
+        `Refusal`: codes `unknown-alarm`, `journal`."""
+        return self._run(self._wrapped.acknowledge_alarms(*alarm_ids))
+
+    def shelve_alarm(self, alarm_id: str, for_s: float, why: str = "") -> AlarmRecord:
+        """Set an alarm aside for at most a day; it comes back by itself. Raises `Refusal`: codes `unknown-alarm`,
+        `journal`."""
+        return self._run(self._wrapped.shelve_alarm(alarm_id, for_s, why))
+
+    def unshelve_alarm(self, alarm_id: str) -> AlarmRecord:
+        """End the shelving of an alarm. Raises `Refusal`: codes `unknown-alarm`, `journal`."""
+        return self._run(self._wrapped.unshelve_alarm(alarm_id))
+
+    def read_statistics(self, since: str | None = None, *, by_day: bool = False) -> StatisticsRead:
+        """What axes, controllers and jobs have done. since: a UTC day, `2026-01-31`; None: the last week. by_day: also
+        those of each day. Raises `Refusal`: codes `too-much`, `journal`."""
+        return self._run(self._wrapped.read_statistics(since, by_day=by_day))

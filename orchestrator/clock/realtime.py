@@ -64,7 +64,7 @@ def yield_priority(priority: RealtimePriority) -> None:
     asyncio.get_running_loop().call_later(YIELD_S, set_realtime_priority, priority)
 
 
-def reset_priority() -> None:
-    """Return to the normal priority, though the parent has a higher one."""
+def reset_priority(pid: int = 0) -> None:
+    """Return to the normal priority, though the parent has a higher one. pid: of another process; 0: this thread."""
     with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))

@@ -11,6 +11,7 @@ from orchestrator.bus.base import BusDeclaration, BusError, DoubleServer
 from orchestrator.bus.latch import LatchKeeper
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.owner import TaskOwner
+from orchestrator.coordinator.alarms.service import AlarmService
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.manual import ManualLeases
@@ -22,6 +23,7 @@ from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.jobs.steps import PlainSteps
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
@@ -29,6 +31,7 @@ from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.coordinator.motion.publisher import StepPublisher
 from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -63,6 +66,10 @@ class Coordinator:
         publisher = StepPublisher(bus, keys)
         motion = MotionServices(access, self.leadership, environment.journal, self._execute, publisher)
         self._plain_steps = PlainSteps(access, motion.targets)
+        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
+        self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
+        self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
+        motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion))
         services = JobServices(
             bus=bus,
             keys=keys,
@@ -75,12 +82,13 @@ class Coordinator:
             plain_steps=self._plain_steps,
             leases=self._leases,
             positions=self._positions,
+            alarms=self._alarms.register,
+            statistics=self._statistics,
             leadership=self.leadership,
             log=self._log,
         )
         self.scheduler = Scheduler(services)
         self._positions.on_change = self.scheduler.forget_needs
-        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         maintenance = (
             FleetReload(access, self._leases, environment.save_fleet),
             WiringCheck(access, self._leases),
@@ -109,6 +117,8 @@ class Coordinator:
         await self._leases.start()
         await self._manual.start()
         await self._positions.start()
+        await self._alarms.start(self.leadership.epoch)
+        await self._statistics.start()
         await self.scheduler.start()
         self._declared = [
             await bus.serve(keys.service(), self._requests.answer),
@@ -123,6 +133,8 @@ class Coordinator:
         self._declared.clear()
         await self.scheduler.close(reason)
         self._manual.close()
+        await self._alarms.close()
+        await self._statistics.close()
         await self._leases.close()
         await self._view.close()
         await self._latch_keeper.close()
@@ -132,8 +144,12 @@ class Coordinator:
     async def _execute(self, function: Callable[..., T], *values: Any) -> T:
         """Call the journal; refused once another coordinator has taken an epoch from it, even if its heartbeat has
         not arrived."""
-        await self._environment.execute(self._environment.journal.require_latest_epoch, self.leadership.epoch)
-        return await self._environment.execute(function, *values)
+        try:
+            await self._environment.execute(self._environment.journal.require_latest_epoch, self.leadership.epoch)
+            return await self._environment.execute(function, *values)
+        except JournalError as error:
+            self._alarms.note_write(error)
+            raise
 
     # Adoption of every controller that is published and not adopted by this leader yet
 
@@ -194,6 +210,7 @@ class Coordinator:
 
     def _report_contradiction(self, heartbeat: LeaderHeartbeat) -> None:
         """Something sends heartbeats of a coordinator that does not answer: an alarm, once for each."""
+        self._alarms.note_contradiction(heartbeat)
         sender = (heartbeat.epoch, heartbeat.coordinator)
         if sender not in self._contradictions and len(self._contradictions) < MAX_CONTRADICTIONS:
             self._contradictions.add(sender)
@@ -204,6 +221,7 @@ class Coordinator:
 
     def _report_double_answer(self, key: str) -> None:
         """Something else serves a key of an adapter or of this coordinator: an alarm, once for each key."""
+        self._alarms.note_double_answer(key)
         if key not in self._double_answers and len(self._double_answers) < MAX_CONTRADICTIONS:
             self._double_answers.add(key)
             self._log.warning(f"two processes answer on {key}; one of them should not. Find it before anything moves")
@@ -216,6 +234,7 @@ class Coordinator:
             # A process that slept may have lost its router, and closing would wait for it.
             with suppress(TimeoutError):
                 async with asyncio.timeout(LEAVE_S):
+                    await self._alarms.close()
                     for declared in self._declared:
                         await declared.undeclare()
             self._declared.clear()

@@ -8,6 +8,7 @@ bus cannot be reached, 4 another coordinator leads, 5 the journal cannot be used
 import argparse
 import asyncio
 import contextlib
+import shutil
 import signal
 import sys
 import uuid
@@ -25,6 +26,7 @@ from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority, yield_priority
+from orchestrator.coordinator.alarms.command_process import run_command_process
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal, require_journal
 from orchestrator.coordinator.journal.records import JournalError
@@ -94,6 +96,8 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         sink=make_file_sink(options.log),
         save_fleet=lambda taken: save_fleet(options.fleet, taken),
         latches=latches,
+        run_command=run_command_process,
+        find_free=lambda: runs(_find_free_bytes, options.journal.parent),
     )
     coordinator = Coordinator(fleet, court)
     try:
@@ -123,6 +127,14 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
     finally:
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)
+
+
+def _find_free_bytes(folder: Path) -> int | None:
+    """The free bytes on the disk of a folder; None if that is not known."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
 
 
 def _latch_store(journal: Path) -> FileLatchStore:

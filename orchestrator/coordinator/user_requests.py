@@ -22,6 +22,15 @@ from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import RefusalDetails, Reply, Request
+from orchestrator.model.operation.alarms import (
+    AcknowledgeAlarms,
+    AlarmsAcknowledged,
+    AlarmShelved,
+    AlarmsListed,
+    ListAlarms,
+    ShelveAlarm,
+)
+from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 from orchestrator.model.positions.entries import (
     PositionRemoved,
     PositionSaved,
@@ -122,6 +131,10 @@ class UserRequests:
             "positions": Verb(Request, PositionsListed, services.positions.list_positions, cached=False),
             "save-position": Verb(SavePosition, PositionSaved, services.positions.save_position),
             "remove-position": Verb(RemovePosition, PositionRemoved, services.positions.remove_position),
+            "alarms": Verb(ListAlarms, AlarmsListed, services.alarms.list_alarms, cached=False),
+            "acknowledge": Verb(AcknowledgeAlarms, AlarmsAcknowledged, services.alarms.acknowledge_alarms),
+            "shelve": Verb(ShelveAlarm, AlarmShelved, services.alarms.shelve_alarm),
+            "statistics": Verb(ReadStatistics, StatisticsRead, services.statistics.read_statistics, cached=False),
             "names": Verb(Request, FleetNames, self._list_names, cached=False),
         }
 

@@ -19,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from orchestrator.model.alarm_rules import AlarmRules, NotifyCommand
 from orchestrator.model.axis_units import convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
@@ -466,6 +467,8 @@ class Fleet(Model):
         default={}, max_length=MAX_POSITIONS, description="Named positions, for the targets of jobs and commands."
     )
     queue: QueuePolicy = QueuePolicy()
+    alarms: AlarmRules = Field(default_factory=AlarmRules, description="What raises an alarm, by kind of alarm.")
+    notify: NotifyCommand | None = Field(default=None, description="The command that is run for alarms.")
 
     @field_validator("controllers")
     @classmethod

@@ -8,6 +8,10 @@ from pydantic import BeforeValidator, Field
 from orchestrator.model.base import Model
 
 SESSION_PATTERN = r"^[a-z0-9_-]{1,64}$"
+SIGN_PERIOD_NS = 200_000_000
+"""Period of the signs of life of a session, the command that a person waits for."""
+SESSION_TIMEOUT_NS = 1_000_000_000
+"""A session without a sign of life for this long is over: five signs are missing."""
 
 MAX_STEPS = 10_000  # in the report of a job, with all repeats; a scan counts as one
 MAX_FLAT_STEPS = 100_000_000  # of a job: every pass, every point with the steps at it

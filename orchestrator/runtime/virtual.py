@@ -26,11 +26,13 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
+from orchestrator.coordinator.journal.alarm_tables import AlarmTables
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.point_rows import PointRows
 from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
+from orchestrator.coordinator.journal.statistics_table import StatisticsTable
+from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, RunCommand, run_no_command
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import wait_for_vacancy
 from orchestrator.link.base import LinkRefused, OpenLink
@@ -62,6 +64,10 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         Journal.list_named_points,
         Journal.require_latest_epoch,
         PointRows.load_points,
+        AlarmTables.load_alarms,
+        AlarmTables.load_history,
+        AlarmTables.load_notices,
+        StatisticsTable.read_rows,
         PointStore.read_rows,
         Journal.list_reservations,
         Journal.list_positions,
@@ -113,6 +119,8 @@ class VirtualFleet:
         self.coordinators: dict[str, tuple[VirtualProcess, Coordinator]] = {}
         self.coordinator_disk = VirtualDisk(clock)
         self.host_disks = {config.host: VirtualDisk(clock) for config in fleet.controllers.values()}
+        self.run_command: RunCommand = run_no_command
+        """Runs the command of `notify`."""
         self._guardian = guardian
         self.wrap_bus: Callable[[MemoryBus], Bus] = lambda bus: bus
         """Wraps the bus of a coordinator that starts, e.g. to observe it."""
@@ -324,6 +332,8 @@ class VirtualFleet:
             sink=self.lines.append,
             save_fleet=self._save_fleet,
             latches=FileLatchStore(Path("estop.json"), self.coordinator_disk.access_files()),
+            run_command=lambda words, text, variables, timeout_ns: self.run_command(words, text, variables, timeout_ns),
+            find_free=self.coordinator_disk.find_free,
         )
 
     def _make_journal_executor(self) -> Executor:

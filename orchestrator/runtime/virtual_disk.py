@@ -30,6 +30,10 @@ class VirtualDisk:
         """Return what a process reads and replaces its files by."""
         return FileAccess(self._read_file, self._replace_file)
 
+    async def find_free(self) -> int | None:
+        """The free bytes; None: not known."""
+        return 0 if self.full else None
+
     def make_executor(self) -> Executor:
         """Return an executor of one process for calls that wait for the disk."""
         lock = asyncio.Lock()

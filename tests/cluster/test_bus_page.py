@@ -37,11 +37,15 @@ EXAMPLES: dict[str, Any] = {
     "epoch": 1,
     "coordinator": "c1",
     "actor": "reader",
+    "alarm_id": "estop-fleet",
+    "alarm_ids": [],
+    "all": True,
     "after_point": 0,
     "after_step": -1,
     "axes": ["gantry.x"],
     "after": None,
     "before": "none",
+    "by_day": True,
     "begin": None,
     "check": True,
     "client_key": "of mine",
@@ -53,8 +57,10 @@ EXAMPLES: dict[str, Any] = {
     "dry_run": False,
     "event": None,
     "first": 0,
+    "for_s": None,
     "from_point": None,
     "from_step": 0,
+    "history": 5,
     "holder": "manual-reader",
     "i_know": True,
     "job_id": "none",
@@ -79,10 +85,12 @@ EXAMPLES: dict[str, Any] = {
     "values": {},
     "velocities": {"gantry.x": 0.0},
     "what": "reading",
+    "why": "",
 }
 
 
 SILENT = {
+    "alarm/{id}": "there is no alarm",
     "lease/{id}/{axis}": "no make here lets axes of one controller move for different holders",
     "leads/{coordinator}": "only served",
     "kept-estop/{keeper}": "only served",
@@ -151,6 +159,8 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
                 request["job"] = json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())
             if key == "svc/put-points":
                 request |= {"axes": [{"axis": "gantry.x", "unit": "mm"}], "begin": 0}
+            if key == "svc/statistics":
+                request["since"] = "2026-01-01"
             if "configuration" in fields:
                 request["configuration"] = demo_fleet().to_plain()
             assert set(request) == set(fields), f"{key}: no example of {set(fields) - set(request)}"

@@ -10,9 +10,8 @@ from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit, QueuePolicy
-from orchestrator.model.queue import QueueTerms, format_utc, parse_utc
+from orchestrator.model.queue import SESSION_TIMEOUT_NS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import QueueEntry
-from orchestrator.model.session import SESSION_TIMEOUT_NS
 from orchestrator.runtime.virtual import VirtualFleet
 
 GANTRY = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")

@@ -31,6 +31,10 @@ SERVICE: dict[str, dict[str, Any]] = {
     "list": {"limit": 5, "state": "done", "name": "x", "since": "2026-01-01T00:00:00Z"},
     "find": {"reference": "last"},
     "names": {},
+    "alarms": {"all": True, "history": 5},
+    "acknowledge": {"alarm_ids": ["estop-fleet"]},
+    "statistics": {"since": "2026-01-01", "by_day": True},
+    "shelve": {"alarm_id": "estop-fleet", "for_s": 5.0, "why": "w"},
     "positions": {},
     "save-position": {"name": "here", "axes": ["gantry"], "values": {"gantry.x": "1 mm"}, "description": "d"},
     "remove-position": {"name": "here"},
@@ -159,7 +163,7 @@ def test_every_key_of_the_service_is_tried() -> None:
     async def main(fleet: VirtualFleet) -> None:
         coordinator: Coordinator = fleet.coordinators["first"][1]
         assert set(SERVICE) == set(coordinator._requests._verbs)  # pyright: ignore[reportPrivateUsage]
-        with pytest.raises(RequestRefused, match="unknown verb 'nothing'; known verbs: acquire-axes, cancel"):
+        with pytest.raises(RequestRefused, match="unknown verb 'nothing'; known verbs: acknowledge, acquire-axes"):
             await fleet.make_client().bus.request(fleet.keys.service("nothing"), b"{}", timeout_s=1.0)
 
     run_fleet(main)

@@ -28,7 +28,7 @@ def complete_names(choose: "Callable[[FleetNames], Iterable[str]]") -> Complete:
     """Make the completion of an argument: the names that `choose` takes from those of the fleet."""
 
     def complete(context: click.Context, _: click.Parameter, begun: str) -> list[CompletionItem]:
-        names = _ask_fleet(context, lambda tutti: tutti.list_names(ANSWER_S))
+        names = ask_fleet(context, lambda tutti: tutti.list_names(ANSWER_S))
         return [CompletionItem(name) for name in (choose(names) if names else ()) if name.startswith(begun)]
 
     return complete
@@ -45,7 +45,7 @@ complete_outputs = complete_names(lambda names: names.outputs)
 
 def complete_jobs(context: click.Context, _: click.Parameter, begun: str) -> list[CompletionItem]:
     """The newest jobs, by id, with their names where the shell shows help; and `last`."""
-    found = _ask_fleet(context, lambda tutti: tutti.list_jobs(limit=JOBS_OFFERED))
+    found = ask_fleet(context, lambda tutti: tutti.list_jobs(limit=JOBS_OFFERED))
     jobs = [] if found is None else [("last", "the newest job"), *((job.id, job.name) for job in found.jobs)]
     return [CompletionItem(job_id, help=name) for job_id, name in jobs if job_id.startswith(begun)]
 
@@ -55,11 +55,11 @@ def complete_fleets(context: click.Context, _: click.Parameter, begun: str) -> l
     from orchestrator.bus.fleets import find_fleets
 
     # Any name will do: only the bus of the connection is used.
-    found = _ask_fleet(context, lambda tutti: find_fleets(tutti.bus), fleet="any")
+    found = ask_fleet(context, lambda tutti: find_fleets(tutti.bus), fleet="any")
     return [CompletionItem(name) for name in found or () if name.startswith(begun)]
 
 
-def _ask_fleet(
+def ask_fleet(
     context: click.Context, question: "Callable[[Tutti], Awaitable[T]]", fleet: str | None = None
 ) -> T | None:
     """The fleet's answer; None without one in time. A shell waits for it, so that no error is worth a message."""

@@ -29,6 +29,7 @@ _NAME_CODES = {
     "unknown-output",
     "unknown-controller",
     "unknown-job",
+    "unknown-alarm",
     "ambiguous",
     "bad-unit",
     "bad-name",

@@ -81,6 +81,15 @@ class ManualLeases:
             self._guards[request.holder] = self._fleet.permits.watch_losses(axes)
         return AxesAcquired(axes=list(held), may_move=self._leases.may_move(request.holder))
 
+    def find_reserved(self) -> dict[str, str]:
+        """The axes that are reserved for work at the machine, each with the reason in words."""
+        return {
+            axis: f"reserved by {held.actor}: {held.what}"
+            for held in self._leases.all_leases
+            if held.holder in self._reserved
+            for axis in held.axes
+        }
+
     async def _record_reservation(self, request: AcquireAxes, axes: tuple[str, ...]) -> None:
         until = parse_utc(self._fleet.clock.utc()) + timedelta(seconds=request.ttl_s)
         values = (request.holder, request.actor, request.what, axes, format_utc(until))

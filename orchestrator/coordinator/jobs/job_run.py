@@ -10,6 +10,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.alarms.register import AlarmRegister
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.positions import PositionBook
@@ -28,6 +29,7 @@ from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
@@ -74,6 +76,8 @@ class JobServices:
     plain_steps: PlainSteps
     leases: LeaseRegistry
     positions: PositionBook
+    alarms: AlarmRegister
+    statistics: StatisticsCollector
     leadership: Leadership
     log: ProcessLog
 

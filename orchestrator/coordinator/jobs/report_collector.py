@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.coordinator.jobs.skew_histogram import SkewHistogram
 from orchestrator.coordinator.motion.budget import worse_verdict
+from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.job import Scan
 from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
 from orchestrator.model.scans.step_order import StepPlace, count_point_steps

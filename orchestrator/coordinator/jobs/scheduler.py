@@ -423,6 +423,7 @@ class Scheduler:
             update={"state": state, "reason": reason, "ended_utc": transition.utc, "transitions": [*before, transition]}
         )
         await services.execute(services.journal.record_transition, row.id, transition, report)
+        services.statistics.take_job(report)
         self._needs.pop(row.id, None)
         services.log.info(f"job is {state}: {reason}" if reason else f"job is {state}", job=row.id)
         services.bus.put(services.keys.job_report(row.id), report.to_json(), Priority.EVENT)

@@ -15,6 +15,7 @@ from zlib import crc32
 
 from pydantic import ValidationError
 
+from orchestrator.coordinator.journal.alarm_tables import AlarmTables
 from orchestrator.coordinator.journal.point_rows import PointRows
 from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import (
@@ -31,6 +32,7 @@ from orchestrator.coordinator.journal.records import (
 )
 from orchestrator.coordinator.journal.saved_positions import read_positions
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.coordinator.journal.statistics_table import StatisticsTable
 from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.coordinator.journal.values import StoredValues
 from orchestrator.model.base import Model
@@ -107,6 +109,8 @@ class Journal:
             self._identity = self._find_identity()
             self._values = StoredValues(self._db)
             self.point_rows = PointRows(self._db, self._path)
+            self.alarms = AlarmTables(self._db, self._path)
+            self.statistics = StatisticsTable(self._db, self._path)
             self.points = PointStore(self._path if self._path == ":memory:" else f"{self._path}-points")
         except (sqlite3.Error, OSError) as error:
             raise make_unusable_error(self._path, error) from None

@@ -1,6 +1,6 @@
 """The tables of the journal, and the migrations from older versions."""
 
-VERSION = 8
+VERSION = 9
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -83,5 +83,16 @@ CREATE TABLE point_rows (
 """,
     7: """
 CREATE TABLE positions (name TEXT PRIMARY KEY, body TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
+""",
+    8: """
+CREATE TABLE alarms (id TEXT PRIMARY KEY, body TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
+CREATE TABLE alarm_history (number INTEGER PRIMARY KEY AUTOINCREMENT, body TEXT NOT NULL) STRICT;
+CREATE TABLE alarm_notices (
+  change TEXT PRIMARY KEY, body TEXT NOT NULL, crc INTEGER NOT NULL, tries INTEGER NOT NULL DEFAULT 0
+) STRICT;
+CREATE TABLE statistics (
+  day TEXT NOT NULL, kind TEXT NOT NULL, subject TEXT NOT NULL, figure TEXT NOT NULL, value REAL NOT NULL,
+  PRIMARY KEY (day, kind, subject, figure)
+) STRICT, WITHOUT ROWID;
 """,
 }

@@ -1,7 +1,8 @@
 """The environment of a coordinator: live processes and virtual fleets give it different ones."""
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
@@ -13,11 +14,30 @@ from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.fleet import Fleet
 
 
+class CommandResult(NamedTuple):
+    """How a command ended. exit_code: None if it could not be started, or was killed because it took too long.
+    why: what it said, or why it was not started, in words."""
+
+    exit_code: int | None
+    why: str = ""
+
+
+RunCommand = Callable[[Sequence[str], bytes, Mapping[str, str], int], Awaitable[CommandResult]]
+"""Runs a command with its arguments, its standard input, additional variables of its environment, and a timeout in ns.
+Raises nothing."""
+
+
+async def run_no_command(words: Sequence[str], _: bytes, __: Mapping[str, str], ___: int) -> CommandResult:
+    """Run no command, where there are none."""
+    return CommandResult(None, f"{words[0]}: a virtual fleet runs no commands")
+
+
 @dataclass(frozen=True, slots=True)
 class CoordinatorEnvironment:
     """The environment of a coordinator: everything that differs between live and virtual fleets.
 
-    save_fleet: stores a reloaded fleet for the next start. latches: stores the e-stop latch.
+    save_fleet: stores a reloaded fleet for the next start. latches: stores the e-stop latch. run_command: runs the
+    command of `notify`. find_free: returns the free bytes on the disk of the journal, None: not known.
     """
 
     bus: Bus
@@ -29,3 +49,5 @@ class CoordinatorEnvironment:
     sink: LogSink
     save_fleet: Callable[[Fleet], None]
     latches: LatchStore
+    run_command: RunCommand
+    find_free: Callable[[], Awaitable[int | None]]

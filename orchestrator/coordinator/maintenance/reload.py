@@ -60,6 +60,13 @@ class FleetReload:
                 f"controller {different[0]} would be added or removed",
                 "end `tutti up` and start it with the new file",
             )
+        if fresh.notify != old.notify:
+            # Any program on the bus can reload the file; it must not be able to run commands by that.
+            raise Refusal(
+                "other-command",
+                "notify would change: the command that is run for alarms",
+                "end `tutti up` and start it with the new file",
+            )
         controllers: dict[str, Controller] = {}
         for name, config in fresh.controllers.items():
             running = old.controllers[name]

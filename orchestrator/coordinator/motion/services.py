@@ -1,5 +1,6 @@
 """The services that motion steps need."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from orchestrator.clock.executor import Executor
@@ -8,7 +9,11 @@ from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
 from orchestrator.coordinator.motion.publisher import StepPublisher
+from orchestrator.model.report import StepRecording, StepReport
 from orchestrator.plan.step import ExactTargets
+
+MotionListener = Callable[[StepRecording, StepReport | None], None]
+"""Called when a motion step is over, with what was recorded of it and its report; None: it was interrupted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +21,7 @@ class MotionServices:
     """Services and memory that the steps of one coordinator share.
 
     execute: calls the journal. estimator: lead times of earlier steps. targets: exact targets of axes.
-    stop_times_ns: by controller, how long stopping its last step takes at most.
+    stop_times_ns: by controller, how long stopping its last step takes at most. listeners: called after each step.
     """
 
     fleet: FleetAccess
@@ -27,3 +32,4 @@ class MotionServices:
     estimator: LeadTimeEstimator = field(default_factory=LeadTimeEstimator)
     targets: ExactTargets = field(default_factory=ExactTargets)
     stop_times_ns: dict[str, int] = field(default_factory=dict[str, int])
+    listeners: list[MotionListener] = field(default_factory=list[MotionListener])

@@ -153,11 +153,12 @@ class MotionStep:
     async def _watch_motion(self, motion: PlannedMotion, observer: StepObserver, recorder: StepRecorder) -> StepReport:
         """Watch the members, which are released, and store what was recorded meanwhile."""
         services, request, start = self._services, self._request, motion.start
+        done: StepReport | None = None
         try:
             await observer.on_state("running", "")
             observer.on_started(start.state.t0_fleet_ns, motion.agreement.plan.duration_s)
             await motion.watch.run()
-            report = await self._finish(start, motion.watch, motion.agreement)
+            done = report = await self._finish(start, motion.watch, motion.agreement)
         except asyncio.CancelledError:
             # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
             # would wait for T0, and refuse the next job until then.
@@ -166,6 +167,8 @@ class MotionStep:
         finally:
             self._end_motion(motion)
             recording = recorder.finish(request.index, request.move.name or "", start.state.t0_fleet_ns)
+            for listener in services.listeners:
+                listener(recording, done)
         if report.state == "done":
             for axis, (exact, counts) in motion.planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)

@@ -51,7 +51,7 @@ def test_a_wrong_option_is_bad_input_in_both_forms(name: str) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["stattus"], "did you mean 'status'"),
+        (["stattus"], "did you mean one of: 'stats', 'status'"),
         (["axis", "mvoe"], "did you mean 'move'"),
         (["status", "--conect", "x"], "--connect"),
         (["status", "--connect", "garbage"], "'garbage' is not an endpoint"),

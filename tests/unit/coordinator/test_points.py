@@ -17,10 +17,10 @@ from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.jobs.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.sequence import StepSequence
-from orchestrator.coordinator.jobs.skew_histogram import SkewHistogram
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
+from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.errors import Refusal
 from orchestrator.model.files import load_fleet, parse_document
 from orchestrator.model.job import Job, Move, Scan

@@ -7,6 +7,11 @@ _WIDTH = log(1 + RESOLUTION)
 LEAST_NS = 1_000  # smaller values count as this
 
 
+def find_bin(skew_ns: int) -> int:
+    """The number of the bin of a skew, ns."""
+    return floor(log(max(skew_ns, LEAST_NS)) / _WIDTH)
+
+
 class SkewHistogram:
     """Skews in bins whose width grows with the value: some 700 bins from 1 µs to 1 s."""
 
@@ -17,10 +22,13 @@ class SkewHistogram:
 
     def add_skew(self, skew_ns: int) -> None:
         """Count a skew, ns."""
-        self.count += 1
         self.worst_ns = max(self.worst_ns, skew_ns)
-        number = floor(log(max(skew_ns, LEAST_NS)) / _WIDTH)
-        self._bins[number] = self._bins.get(number, 0) + 1
+        self.add_bin(find_bin(skew_ns), 1)
+
+    def add_bin(self, number: int, count: int) -> None:
+        """Count skews by the number of their bin; the worst one is not known by that."""
+        self.count += count
+        self._bins[number] = self._bins.get(number, 0) + count
 
     def find_quantile(self, part: float) -> int | None:
         """The skew that `part` (0 to 1) of all do not exceed, ns; None without any."""

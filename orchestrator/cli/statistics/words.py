@@ -1,0 +1,88 @@
+"""Statistics in a terminal, and as lines of a table."""
+
+from collections.abc import Iterator, Mapping
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from orchestrator.model.duration import format_ns
+from orchestrator.model.operation.statistics import ControllerFigures, PeriodFigures
+from orchestrator.monitor.tables import make_plain_table
+
+Line = tuple[str, str, str, str, float, str]
+"""Day, kind, subject, figure, value, unit."""
+
+
+def make_tables(figures: PeriodFigures, title: str) -> Iterator[RenderableType]:
+    """The tables of a period, each only if it has rows."""
+    yield Text(title, "bold")
+    if not any((figures.axes, figures.controllers, figures.jobs)):
+        yield Text("nothing was counted", "dim")
+    if figures.axes:
+        axes = make_plain_table(["axis", "moves>", "reversals>", "distance>", "moving>"])
+        for each in figures.axes:
+            way = f"{each.distance:,.4g} {each.unit}" if each.distance < 1e4 else f"{each.distance:,.0f} {each.unit}"
+            axes.add_row(each.axis, f"{each.moves:,}", f"{each.reversals:,}", way, format_time_span(each.moving_s))
+        yield from ("", axes)
+    if figures.controllers:
+        table = make_plain_table(["controller", "available>", "online>", "fault>", "offline>", "faults by code"])
+        for each in figures.controllers:
+            part = "-" if each.availability is None else f"{each.availability:.2%}"
+            times = [format_time_span(value) for value in (each.online_s, each.fault_s, each.offline_s)]
+            table.add_row(each.controller, part, *times, describe_counts(each.faults))
+        yield from ("", table)
+    if figures.pairs:
+        pairs = make_plain_table(["start skew", "moves>", "mean>", "p50>", "p99>", "worst>"])
+        for each in figures.pairs:
+            skews = (each.mean_ns, each.p50_ns, each.p99_ns, each.worst_ns)
+            pairs.add_row(" - ".join(each.pair), f"{each.moves:,}", *(format_ns(skew) for skew in skews))
+        yield from ("", pairs)
+    for name, counts in (("jobs", figures.jobs), ("failures", figures.failures)):
+        if counts:
+            yield from ("", f"{name}: {describe_counts(counts)}")
+    yield ""
+
+
+def describe_counts(counts: Mapping[str, int]) -> str:
+    """Counts in words, the largest first: `12 done, 1 failed`."""
+    ordered = sorted(counts.items(), key=lambda each: (-each[1], each[0]))
+    return ", ".join(f"{count:,} {name}" for name, count in ordered)
+
+
+def format_time_span(seconds: float) -> str:
+    """A time in the fitting unit, e.g. `3.5 h`."""
+    for size, unit in ((3600, "h"), (60, "min")):
+        if seconds >= size:
+            return f"{seconds / size:,.1f} {unit}"
+    return f"{seconds:.1f} s"
+
+
+def list_figures(figures: PeriodFigures) -> Iterator[Line]:
+    """All figures of a day, one by one."""
+    day = figures.day or ""
+    for axis in figures.axes:
+        for name, value, unit in (
+            ("moves", axis.moves, ""),
+            ("reversals", axis.reversals, ""),
+            ("distance", axis.distance, axis.unit),
+            ("moving", axis.moving_s, "s"),
+        ):
+            yield day, "axis", axis.axis, name, value, unit
+    for each in figures.controllers:
+        yield from _list_controller(day, each)
+    for pair in figures.pairs:
+        subject = "+".join(pair.pair)
+        yield day, "pair", subject, "moves", pair.moves, ""
+        for name in ("mean", "p50", "p99", "worst"):
+            yield day, "pair", subject, f"start skew {name}", getattr(pair, f"{name}_ns"), "ns"
+    for name, count in figures.jobs.items():
+        yield day, "jobs", "", name, count, ""
+    for name, count in figures.failures.items():
+        yield day, "failures", "", name, count, ""
+
+
+def _list_controller(day: str, each: ControllerFigures) -> Iterator[Line]:
+    for name, value in (("online", each.online_s), ("fault", each.fault_s), ("offline", each.offline_s)):
+        yield day, "controller", each.controller, name, value, "s"
+    for code, count in each.faults.items():
+        yield day, "controller", each.controller, f"faults {code}", count, ""

@@ -1,0 +1,1 @@
+"""Alarms: what raises them, their register, and the notices of them."""

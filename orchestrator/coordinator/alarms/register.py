@@ -1,0 +1,213 @@
+"""The register of all alarms: their states in memory, on the bus, and in the journal.
+
+It only describes: nothing moves or stops because of an alarm.
+"""
+
+import difflib
+from collections.abc import Callable, Iterable
+from datetime import timedelta
+from functools import partial
+
+from orchestrator.bus.base import Bus, BusDeclaration, BusSample, Priority, RequestRefused
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.coordinator.alarms.store import AlarmStore
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.journal.alarm_tables import AlarmChange
+from orchestrator.model.errors import Refusal
+from orchestrator.model.operation.alarms import (
+    AcknowledgeAlarms,
+    AlarmCause,
+    AlarmRecord,
+    AlarmsAcknowledged,
+    AlarmShelved,
+    AlarmsListed,
+    ListAlarms,
+    ShelveAlarm,
+)
+from orchestrator.model.operation.transitions import (
+    acknowledge_alarm,
+    raise_alarm,
+    return_alarm,
+    set_out_of_service,
+    shelve_alarm,
+    unshelve_alarm,
+)
+from orchestrator.model.queue import format_utc, parse_utc
+
+MAX_ALARMS = 1_000  # those that are normal go first
+ORDER = ("high", "medium", "low")
+
+Transition = Callable[[AlarmRecord], AlarmRecord]
+
+
+class AlarmRegister:
+    """All alarms of the fleet."""
+
+    def __init__(self, access: FleetAccess, store: AlarmStore, bus: Bus, keys: FleetKeys) -> None:
+        self._access = access
+        self._store = store
+        self._bus = bus
+        self._keys = keys
+        self._records: dict[str, AlarmRecord] = {}
+        self._served: dict[str, BusDeclaration] = {}
+        self._changes = 0
+        self.epoch = 0
+        self.explain_absence: Callable[[AlarmRecord], str] = lambda _: ""
+        """Returns why an alarm is out of service; empty: it is not."""
+        self.needs_notice: Callable[[AlarmRecord], bool] = lambda _: False
+        """Returns whether a command is to be run for an alarm that a user is to see now."""
+        self.on_notice: Callable[[AlarmRecord], None] = lambda _: None
+        """Called then."""
+
+    def restore(self, records: Iterable[AlarmRecord]) -> None:
+        """Take over what the last leader has left. Called before any other change."""
+        self._records = {each.id: each for each in records}
+
+    async def close(self) -> None:
+        """Serve no alarm any more."""
+        served, self._served = list(self._served.values()), {}
+        for each in served:
+            await each.undeclare()
+
+    @property
+    def records(self) -> list[AlarmRecord]:
+        """All alarms, also those that are normal."""
+        return list(self._records.values())
+
+    # Changes by conditions
+
+    def raise_alarm(self, cause: AlarmCause) -> None:
+        """The condition of an alarm holds."""
+        before = self._records.get(cause.id)
+        if before is None and not self._make_room():
+            self._access.log.warning(f"an alarm is left out, because there are {MAX_ALARMS}: {cause.text}")
+            return
+        after = raise_alarm(before, cause, self._access.clock.utc())
+        self._take(set_out_of_service(after, self.explain_absence(after)), before)
+
+    def return_alarm(self, alarm_id: str) -> None:
+        """The condition of an alarm is over."""
+        self._change(alarm_id, lambda before: return_alarm(before, self._access.clock.utc()))
+
+    def check_service(self) -> None:
+        """Set alarms out of service, and into service again, by `explain_absence`."""
+        for alarm_id, record in list(self._records.items()):
+            self._change(alarm_id, partial(set_out_of_service, why=self.explain_absence(record)))
+
+    def end_shelving(self) -> None:
+        """Unshelve the alarms whose time has come."""
+        now = self._access.clock.utc()
+        for alarm_id, record in list(self._records.items()):
+            if record.shelved_until_utc is not None and record.shelved_until_utc <= now:
+                self._change(alarm_id, unshelve_alarm)
+
+    def _change(self, alarm_id: str, change: Transition) -> None:
+        before = self._records.get(alarm_id)
+        if before is not None:
+            self._take(change(before), before)
+
+    def _take(self, after: AlarmRecord, before: AlarmRecord | None) -> None:
+        """Take a changed record over, and have it written."""
+        if after is not before:
+            change = self._make_change(after, before)
+            self._store.add_change(change)
+            self._show(change, before)
+
+    def _make_change(self, after: AlarmRecord, before: AlarmRecord | None) -> AlarmChange:
+        """The change with a name of its own. It needs a notice if a user is to see it now: the alarm is unacknowledged
+        and not set aside, and was not so before."""
+        self._changes += 1
+        named = after.model_copy(update={"change": f"{self.epoch}-{self._changes}"})
+        was = before is not None and _is_annunciated(before)
+        return AlarmChange(named, _is_annunciated(named) and not was and self.needs_notice(named))
+
+    def _show(self, change: AlarmChange, before: AlarmRecord | None) -> None:
+        record = self._records[change.record.id] = change.record
+        if before is None or before.state != record.state:
+            self._access.log.info(f"alarm {record.id} is {record.state}", priority=record.priority)
+        self._bus.put(self._keys.alarm(record.id), record.to_json(), Priority.EVENT)
+        if change.notify:
+            self.on_notice(record)
+
+    def _make_room(self) -> bool:
+        """Forget the oldest alarm that is normal, if there are too many; False if there is none."""
+        if len(self._records) < MAX_ALARMS:
+            return True
+        normal = [each for each in self._records.values() if each.state == "normal" and not each.is_suppressed]
+        if not normal:
+            return False
+        oldest = min(normal, key=lambda each: each.raised_utc).id
+        del self._records[oldest]
+        self._store.forget_alarm(oldest)
+        return True
+
+    # On the bus
+
+    async def serve_new(self) -> None:
+        """Serve the alarms that are new, so that a late reader finds them, and no longer those that are forgotten."""
+        for alarm_id in [each for each in self._records if each not in self._served]:
+            self._served[alarm_id] = await self._bus.serve(self._keys.alarm(alarm_id), self._reply_alarm)
+        for alarm_id in [each for each in self._served if each not in self._records]:
+            await self._served.pop(alarm_id).undeclare()
+
+    async def _reply_alarm(self, sample: BusSample) -> bytes:
+        record = self._records.get(sample.key.rpartition("/")[2])
+        if record is None:
+            raise RequestRefused("there is no such alarm")
+        return record.to_json()
+
+    # Requests of users
+
+    async def list_alarms(self, request: ListAlarms) -> AlarmsListed:
+        """List alarms: the more urgent ones first, and of one priority the newest. Raises `JournalError`."""
+        shown = [each for each in self._records.values() if request.all or each.state != "normal"]
+        shown.sort(key=lambda each: each.raised_utc, reverse=True)
+        shown.sort(key=lambda each: (not each.is_open, ORDER.index(each.priority)))
+        history = await self._store.load_history(request.history) if request.history else []
+        return AlarmsListed(alarms=shown, history=history)
+
+    async def acknowledge_alarms(self, request: AcknowledgeAlarms) -> AlarmsAcknowledged:
+        """Acknowledge alarms; it is in the journal when this is answered. Raises `Refusal`, `JournalError`."""
+        utc = self._access.clock.utc()
+        ids = request.alarm_ids or list(self._records)
+        for alarm_id in ids:
+            self._require(alarm_id)
+        changed = await self._change_recorded(ids, lambda before: acknowledge_alarm(before, request.actor, utc))
+        return AlarmsAcknowledged(alarms=changed)
+
+    async def shelve_alarm(self, request: ShelveAlarm) -> AlarmShelved:
+        """Set an alarm aside, or no longer; it is in the journal when this is answered. Raises `Refusal`,
+        `JournalError`."""
+        self._require(request.alarm_id)
+        if request.for_s is None:
+            change: Transition = unshelve_alarm
+        else:
+            until = parse_utc(self._access.clock.utc()) + timedelta(seconds=request.for_s)
+            change = partial(shelve_alarm, until_utc=format_utc(until), actor=request.actor, why=request.why)
+        await self._change_recorded([request.alarm_id], change)
+        return AlarmShelved(alarm=self._records[request.alarm_id])
+
+    def _require(self, alarm_id: str) -> None:
+        if alarm_id not in self._records:
+            near = difflib.get_close_matches(alarm_id, self._records, 1)
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise Refusal("unknown-alarm", f"there is no alarm {alarm_id}", f"{hint}see `tutti alarm ls --all`")
+
+    async def _change_recorded(self, ids: Iterable[str], change: Transition) -> list[AlarmRecord]:
+        """Change alarms once it is in the journal; return those that have changed. Raises `JournalError`."""
+        before = {alarm_id: self._records[alarm_id] for alarm_id in ids}
+        after = {alarm_id: change(record) for alarm_id, record in before.items()}
+        changes = [self._make_change(after[each], before[each]) for each in before if after[each] is not before[each]]
+        if changes:
+            await self._store.write_pending(*changes)
+        for each in changes:
+            now = self._records.get(each.record.id)
+            if now is before[each.record.id]:
+                self._show(each, now)
+            elif now is not None:  # its condition has changed while this was written
+                self._take(change(now), now)
+        return [self._records[each.record.id] for each in changes if each.record.id in self._records]
+
+
+def _is_annunciated(record: AlarmRecord) -> bool:
+    return record.state == "unacknowledged" and not record.is_suppressed

@@ -1,0 +1,98 @@
+"""The alarms in the journal: their present states, the history of their changes, and the notices that are pending."""
+
+import sqlite3
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+from zlib import crc32
+
+from pydantic import ValidationError
+
+from orchestrator.coordinator.journal.transaction import Transaction, make_unusable_error
+from orchestrator.model.operation.alarms import MAX_HISTORY, AlarmRecord
+
+
+class AlarmChange(NamedTuple):
+    """A change of an alarm. notify: the command of the fleet file is to be run for it."""
+
+    record: AlarmRecord
+    notify: bool = False
+
+
+class AlarmNotice(NamedTuple):
+    """A notice that is pending: the alarm as it was, and how often its command has failed."""
+
+    record: AlarmRecord
+    tries: int = 0
+
+
+class AlarmTables:
+    """The tables of alarms in one database. Every method raises `JournalError`."""
+
+    def __init__(self, db: sqlite3.Connection, path: str) -> None:
+        self._db = db
+        self._path = path
+
+    def store_changes(self, changes: Sequence[AlarmChange], forgotten: Iterable[str] = ()) -> None:
+        """Store changes in their order, with the notices of them; and delete alarms by id. Of the history, the newest
+        changes are kept."""
+        with Transaction(self._db, self._path):
+            for record, notify in changes:
+                body = record.model_dump_json()
+                crc = crc32(body.encode())
+                self._db.execute("INSERT OR REPLACE INTO alarms VALUES (?, ?, ?)", (record.id, body, crc))
+                self._db.execute("INSERT INTO alarm_history (body) VALUES (?)", (body,))
+                if notify:
+                    values = (record.change, body, crc)
+                    self._db.execute("INSERT OR REPLACE INTO alarm_notices VALUES (?, ?, ?, 0)", values)
+            self._db.executemany("DELETE FROM alarms WHERE id = ?", [(each,) for each in forgotten])
+            newest = "(SELECT max(number) FROM alarm_history)"
+            self._db.execute(f"DELETE FROM alarm_history WHERE number <= {newest} - ?", (MAX_HISTORY,))
+
+    def store_tries(self, change: str, tries: int) -> None:
+        """Record how often the command for a notice has failed."""
+        with Transaction(self._db, self._path):
+            self._db.execute("UPDATE alarm_notices SET tries = ? WHERE change = ?", (tries, change))
+
+    def delete_notice(self, change: str) -> None:
+        """Record that a notice is done with."""
+        with Transaction(self._db, self._path):
+            self._db.execute("DELETE FROM alarm_notices WHERE change = ?", (change,))
+
+    def load_alarms(self) -> tuple[list[AlarmRecord], list[str]]:
+        """The alarms, and the ids of those that are damaged."""
+        found: list[AlarmRecord] = []
+        damaged: list[str] = []
+        for name, body, crc in self._select_rows("SELECT id, body, crc FROM alarms ORDER BY id"):
+            record = _read_record(body, crc)
+            if record is not None and record.id == name:
+                found.append(record)
+            else:
+                damaged.append(name)
+        return found, damaged
+
+    def load_notices(self) -> list[AlarmNotice]:
+        """The pending notices, the oldest first; without damaged ones."""
+        rows = self._select_rows("SELECT body, crc, tries FROM alarm_notices ORDER BY rowid")
+        read = [(_read_record(body, crc), tries) for body, crc, tries in rows]
+        return [AlarmNotice(record, tries) for record, tries in read if record is not None]
+
+    def load_history(self, limit: int) -> list[AlarmRecord]:
+        """The newest changes, the newest first; without damaged ones."""
+        rows = self._select_rows("SELECT body FROM alarm_history ORDER BY number DESC LIMIT ?", (limit,))
+        return [record for (body,) in rows if (record := _read_record(body)) is not None]
+
+    def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
+        try:
+            return self._db.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            raise make_unusable_error(self._path, error) from None
+
+
+def _read_record(body: str, crc: int | None = None) -> AlarmRecord | None:
+    """The alarm of a row; None if it is damaged."""
+    if crc is not None and crc32(body.encode()) != crc:
+        return None
+    try:
+        return AlarmRecord.model_validate_json(body)
+    except ValidationError:
+        return None

@@ -1,0 +1,43 @@
+"""The statistics in the journal: figures by day, kind and subject, to which only increments are added."""
+
+import sqlite3
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from orchestrator.coordinator.journal.transaction import Transaction, make_unusable_error
+
+WORST = "worst"  # at the beginning of a figure's name: the largest value counts, not the sum
+
+
+class StatisticsRow(NamedTuple):
+    """A figure of one UTC day, such as ("2026-01-01", "axis", "gantry.x", "moves", 12)."""
+
+    day: str
+    kind: str
+    subject: str
+    figure: str
+    value: float
+
+
+class StatisticsTable:
+    """The table of statistics in one database. Every method raises `JournalError`."""
+
+    def __init__(self, db: sqlite3.Connection, path: str) -> None:
+        self._db = db
+        self._path = path
+
+    def add_rows(self, rows: Iterable[StatisticsRow]) -> None:
+        """Add the values of rows to the figures."""
+        add = "INSERT INTO statistics VALUES (?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET value = "
+        summed, worst = f"{add} value + excluded.value", f"{add} max(value, excluded.value)"
+        with Transaction(self._db, self._path):
+            for row in rows:
+                self._db.execute(worst if row.figure.startswith(WORST) else summed, row)
+
+    def read_rows(self, since_day: str) -> list[StatisticsRow]:
+        """All figures from a day on, in the order of day, kind, subject and figure."""
+        query = "SELECT * FROM statistics WHERE day >= ? ORDER BY day, kind, subject, figure"
+        try:
+            return [StatisticsRow(*row) for row in self._db.execute(query, (since_day,)).fetchall()]
+        except sqlite3.Error as error:
+            raise make_unusable_error(self._path, error) from None

@@ -1,0 +1,1 @@
+"""What is kept of the operation of a fleet: alarms and statistics."""
