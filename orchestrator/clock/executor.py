@@ -4,11 +4,15 @@ In virtual time a call runs inline. Live it runs in a thread, because one call m
 which the rest of the process must not stop."""
 
 import asyncio
+import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
 T = TypeVar("T")
+
+ThreadLock = threading.Lock
+"""A lock for what is shared with the thread of an executor, or of the bus. In virtual time it is always free."""
 
 
 class Executor(Protocol):

@@ -27,10 +27,14 @@ class RecordedFleet:
         self.path = path
         name, clock = virtual.fleet.fleet, virtual.clock
         self.folder = RecordingFolder(path, name, clock, limits or RecorderLimits(), open_file)
-        self.folder.on_alarm = lambda kind, _, active: self.alarms.append((kind, active))
         self.writer = RecordingWriter(self.folder, name, clock, fleet_file)
         self.bus = virtual.net.join_process("recorder")
         self.recorder = FleetRecorder(self.bus, virtual.keys, clock, self.writer, run_inline)
+        self.folder.on_alarm = self._note_alarm
+
+    def _note_alarm(self, kind: str, text: str, active: bool) -> None:
+        self.alarms.append((kind, active))
+        self.recorder.alarms.note_alarm(kind, text, active=active)
 
     def files(self, kind: str) -> list[Path]:
         """The recordings of jobs (`job`), or of the fleet (`fleet`), by time."""

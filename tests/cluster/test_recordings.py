@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.model.recording import MessagesDropped, StepStart, WallClockStepped
+from orchestrator.model.operation.recording import MessagesDropped, StepStart, WallClockStepped
 from orchestrator.model.report import JobReport, StepRecording
 from orchestrator.model.state import ControllerState
 from orchestrator.monitor.recording.file import create_file
@@ -161,8 +161,12 @@ def test_a_full_disk_ends_nothing_and_what_is_left_out_is_counted(tmp_path: Path
         await asyncio.sleep(3)
         FullDisk.full = True
         await asyncio.sleep(10)
+        (raised,) = [each for each in await tutti.list_alarms() if each.kind == "recording"]
+        assert raised.state == "unacknowledged" and "No space left on device; free space there" in raised.text
         FullDisk.full = False
         await asyncio.sleep(10)
+        (returned,) = [each for each in await tutti.list_alarms() if each.kind == "recording"]
+        assert returned.state == "returned"
 
     recorded = record_run(tmp_path, body, open_file=open_on_full_disk)
     assert recorded.alarms[0] == ("recording", True) and recorded.alarms[-1] == ("recording", False)

@@ -9,7 +9,7 @@ from cluster.recordings import RecordedFleet, read_messages
 from cluster.worlds import EXAMPLES, PREPARE, job, outcome, refusal, run_fleet
 
 from orchestrator.bus.base import BusSample
-from orchestrator.model.recording import StepSamples
+from orchestrator.model.operation.recording import StepSamples
 from orchestrator.model.report import JobReport
 from orchestrator.monitor.export.recorded import load_run
 from orchestrator.monitor.export.samples import make_device_table

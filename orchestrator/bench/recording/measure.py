@@ -16,7 +16,7 @@ from orchestrator.bench.truth import NothingHappened
 from orchestrator.bus.base import BusError, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.zenoh.bus import open_bus
-from orchestrator.model.recording import MessagesDropped
+from orchestrator.model.operation.recording import MessagesDropped
 from orchestrator.monitor.recording.frames import FrameGroup, read_frames
 from orchestrator.monitor.recording.reader import Recording, summarize_recording
 from orchestrator.monitor.recording.repair import repair_recording

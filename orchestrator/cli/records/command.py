@@ -103,7 +103,7 @@ def list_files(folder: Path | None, fleet: str | None, limit: int, *, as_json: b
         return
     _print_table(found[:limit], written=written)
     total = sum(each.size for each in found)
-    from orchestrator.model.sizes import format_size
+    from orchestrator.cli.base.sizes import format_size
 
     more = f", {limit} of them shown" if len(found) > limit else ""
     console.print(f"{len(found)} recordings, {format_size(total)}, in {place}{more}", highlight=False, soft_wrap=True)
@@ -174,7 +174,7 @@ def _format_ns(at_ns: int | None) -> str | None:
 
 
 def _print_table(found: "list[RecordingSummary]", *, written: bool) -> None:
-    from orchestrator.model.sizes import format_size
+    from orchestrator.cli.base.sizes import format_size
     from orchestrator.monitor.tables import PlainTable
     from orchestrator.monitor.times import format_time
 

@@ -34,7 +34,7 @@ from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
-from orchestrator.model.recording import JobBegun
+from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import (
     FeedHold,
     JobProgress,

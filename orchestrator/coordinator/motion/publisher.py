@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from orchestrator.bus.base import Bus, Priority
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.model.recording import StepSamples
+from orchestrator.model.operation.recording import StepSamples
 from orchestrator.model.report import StepRecording
 
 

@@ -7,7 +7,7 @@ from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import BeginSampling, SamplesTaken, SamplingBegun, TakeSamples, raise_first_refusal
-from orchestrator.model.recording import SampledAxis, StepSamples
+from orchestrator.model.operation.recording import SampledAxis, StepSamples
 from orchestrator.model.report import SamplingReport
 
 BEGIN_S = 10.0  # on a slow serial line, setting up takes a second

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from orchestrator.model.recording import StepSamples
+from orchestrator.model.operation.recording import StepSamples
 from orchestrator.model.report import JobReport, StepRecording
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 from orchestrator.monitor.recording.reader import Recording

@@ -3,16 +3,18 @@
 No metric has the id of a job as a label, and none is a position: their number stays that of the controllers.
 """
 
-import threading
-from collections.abc import Callable, Iterator
+from collections import Counter as CountedValues
+from collections.abc import Callable, Iterable, Iterator
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.executor import ThreadLock
 from orchestrator.model.base import Model
 from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.report import FINISHED_STATES, JobReport, QueueState, StepReport
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
@@ -30,10 +32,11 @@ class FleetMetrics(Collector):
         """counts: messages that the recorder has written, left out, and found not valid."""
         self.registry = CollectorRegistry(auto_describe=True)
         self._clock, self._counts = clock, counts
-        self._lock = threading.Lock()
+        self._lock = ThreadLock()
         self._states: dict[str, tuple[int, ControllerState]] = {}
         self._mappings: dict[str, ClockMapping] = {}
         self._links: dict[str, LinkTotals] = {}
+        self._alarms: dict[str, AlarmRecord] = {}
         self._queue: QueueState | None = None
         self._leader: tuple[int, LeaderHeartbeat] | None = None
         make = self.registry
@@ -70,6 +73,8 @@ class FleetMetrics(Collector):
                 self._mappings[message.controller] = message
             elif isinstance(message, LinkTotals):
                 self._links[message.controller] = message
+            elif isinstance(message, AlarmRecord):
+                self._alarms[message.id] = message
             elif isinstance(message, QueueState):
                 self._queue = message
             elif isinstance(message, LeaderHeartbeat):
@@ -89,10 +94,11 @@ class FleetMetrics(Collector):
         with self._lock:
             self._states = {name: each for name, each in self._states.items() if now_ns - each[0] < FORGET_NS}
             states, mappings, links = dict(self._states), dict(self._mappings), dict(self._links)
-            queue, leader = self._queue, self._leader
+            queue, leader, alarms = self._queue, self._leader, list(self._alarms.values())
         yield from _collect_controllers(now_ns, states)
         yield from _collect_clocks(mappings)
         yield _collect_links(links)
+        yield _collect_alarms(alarms)
         yield from _collect_fleet(now_ns, queue, leader)
         written, dropped, invalid = self._counts()
         yield CounterMetricFamily("tutti_recorder_messages", "Messages that were recorded.", value=written)
@@ -163,6 +169,15 @@ def _collect_links(links: dict[str, LinkTotals]) -> CounterMetricFamily:
     for name, totals in links.items():
         found.add_metric([name, "out"], totals.bytes_out)
         found.add_metric([name, "in"], totals.bytes_in)
+    return found
+
+
+def _collect_alarms(alarms: Iterable[AlarmRecord]) -> GaugeMetricFamily:
+    found = GaugeMetricFamily("tutti_alarms", "Alarms that are not normal, by priority.", labels=["priority", "state"])
+    open_alarms = [each for each in alarms if each.state != "normal"]
+    counted = CountedValues((each.priority, each.state) for each in open_alarms)
+    for (priority, state), count in counted.items():
+        found.add_metric([priority, state], count)
     return found
 
 

@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from orchestrator.bus.keys import ROOT
 from orchestrator.model.base import Model
 from orchestrator.model.messages import EstopMessage, EstopReset, LeaderHeartbeat
-from orchestrator.model.recording import JobBegun, MessagesDropped, StepSamples, StepStart, WallClockStepped
+from orchestrator.model.operation.alarms import AlarmRecord, AlarmRequest
+from orchestrator.model.operation.recording import JobBegun, MessagesDropped, StepSamples, StepStart, WallClockStepped
 from orchestrator.model.report import JobProgress, JobReport, LeaseState, QueueState, StepRecording
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
@@ -39,6 +40,10 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
         ("recorder", "dropped"): MessagesDropped,
         ("recorder", "clock-stepped"): WallClockStepped,
     }
+)
+# Of keys that end with an id, the first chunk alone.
+_BY_FIRST: Mapping[str, type[Model]] = MappingProxyType(
+    {"lease": LeaseState, "alarm": AlarmRecord, "alarm-request": AlarmRequest}
 )
 # Signs of life: they repeat several times a second that nothing has changed.
 _NOT_RECORDED = frozenset({"session", "live"})
@@ -68,7 +73,7 @@ def find_channel(key: str) -> Channel:
     """Return the channel of a key. The number of keys of a fleet is small, but for those of jobs."""
     parts = key.split("/")[3:]
     kind = (parts[0], parts[-1]) if parts else ("", "")
-    model = LeaseState if kind[0] == "lease" else _MODELS.get(kind)
+    model = _BY_FIRST.get(kind[0]) or _MODELS.get(kind)
     return Channel(key, model, kind[0] not in _NOT_RECORDED, kind in _REPLACED)
 
 

@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from orchestrator.model.base import Model
-from orchestrator.model.recording import AxisReading, JobBegun, StepStart
+from orchestrator.model.operation.recording import AxisReading, JobBegun, StepStart
 from orchestrator.model.report import FINISHED_STATES, JobProgress, JobReport, LeaseState
 from orchestrator.model.state import ControllerEvent, ControllerState, TimeInterval
 from orchestrator.monitor.recording.channels import Channel

@@ -77,17 +77,25 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
         loop.add_signal_handler(number, end.set)
     left = list_unfinished(options.folder)  # before this recorder begins its own
     folder = RecordingFolder(options.folder, options.fleet, clock, RecorderLimits(quota=options.quota))
-    folder.on_alarm = lambda kind, text, active: log.warning(text) if active else log.info(text)
     writer = RecordingWriter(folder, options.fleet, clock, options.fleet_file)
     metrics = FleetMetrics(clock, lambda: (writer.written, writer.dropped, writer.invalid))
     writer.on_message = lambda channel, message: metrics.take_message(message)
     recorder = FleetRecorder(bus, keys, clock, writer, ThreadExecutor("recordings"))
+
+    def note_alarm(kind: str, text: str, active: bool) -> None:  # noqa: FBT001 - a callback
+        recorder.alarms.note_alarm(kind, text, active=active)
+        (log.warning if active else log.info)(text)
+
+    folder.on_alarm = note_alarm
     await recorder.start()
     prepare_live_process()
     await bus.announce(keys.live("recorder", uuid.uuid4().hex[:8], "1"))
     log.info(f"records fleet {options.fleet} in {options.folder}")
     on_ready(_serve_metrics(metrics, options.metrics_port, log))
-    repairing, running = loop.create_task(repair_left(left, log)), loop.create_task(recorder.run())
+    repairing, running = (
+        loop.create_task(repair_left(left, log, ThreadExecutor("repair"))),
+        loop.create_task(recorder.run()),
+    )
     ended = loop.create_task(end.wait())
     await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
     for task in (ended, repairing, running):

@@ -1,16 +1,18 @@
 """The recorder of a fleet: takes every message from the bus, and has them written. It only listens.
 
+It puts nothing on the bus but its presence and its alarms.
+
 It has ordinary priority, and is the first to drop: when the disk is slower than the bus, values that the next ones
 replace are left out, then everything. What is left out is counted and recorded. Motion does not wait for it.
 """
 
-import threading
 from collections import Counter
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
-from orchestrator.clock.executor import Executor
+from orchestrator.clock.executor import Executor, ThreadLock
+from orchestrator.monitor.recording.alarms import RecorderAlarms
 from orchestrator.monitor.recording.channels import find_channel
 from orchestrator.monitor.recording.writer import ReceivedMessage, RecordingWriter
 
@@ -25,9 +27,10 @@ class FleetRecorder:
     """Records what one fleet publishes. Call `run` in a task until the recorder is to end, then `close`."""
 
     def __init__(self, bus: Bus, keys: FleetKeys, clock: Clock, writer: RecordingWriter, execute: Executor) -> None:
+        self.alarms = RecorderAlarms(bus, keys, clock)
         self._bus, self._keys, self._clock = bus, keys, clock
         self._writer, self._execute = writer, execute
-        self._lock = threading.Lock()
+        self._lock = ThreadLock()
         self._queued: list[ReceivedMessage] = []
         self._bytes = 0
         self._dropped: Counter[str] = Counter()
@@ -43,6 +46,7 @@ class FleetRecorder:
         while True:
             await sleep_ns(self._clock, WRITE_NS)
             await self._write_queued()
+            self.alarms.publish_due()
             if self._clock.now_ns() >= house_ns:
                 await self._execute(self._writer.keep_house)
                 house_ns = self._clock.now_ns() + HOUSE_NS

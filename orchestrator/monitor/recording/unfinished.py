@@ -1,10 +1,10 @@
 """Recordings that a recorder has left without an index, because it was killed or the disk refused."""
 
-import asyncio
 from collections.abc import Iterable
 from pathlib import Path
 
 from orchestrator.bus.log import ProcessLog
+from orchestrator.clock.executor import Executor
 from orchestrator.monitor.recording.file import SUFFIX
 from orchestrator.monitor.recording.frames import is_complete
 from orchestrator.monitor.recording.repair import RepairFailed, repair_recording
@@ -23,11 +23,11 @@ def list_unfinished(path: Path) -> list[Path]:
     return found
 
 
-async def repair_left(paths: Iterable[Path], log: ProcessLog) -> None:
+async def repair_left(paths: Iterable[Path], log: ProcessLog, execute: Executor) -> None:
     """Repair what an earlier recorder has left."""
     for each in paths:
         try:
-            result = await asyncio.to_thread(repair_recording, each)
+            result = await execute(repair_recording, each)
             log.info(f"repaired {each.name}: {result.messages} messages; {result.reason}")
         except (RepairFailed, OSError) as error:
             log.warning(f"{each} cannot be repaired: {error}")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.base import Model
 from orchestrator.model.messages import LeaderHeartbeat
-from orchestrator.model.recording import JobBegun, MessagesDropped, WallClockStepped
+from orchestrator.model.operation.recording import JobBegun, MessagesDropped, WallClockStepped
 from orchestrator.model.report import JobReport
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState
 from orchestrator.monitor.recording.channels import Channel, find_channel, own_key, parse_message
