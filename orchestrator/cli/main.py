@@ -26,6 +26,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "wiring": ("wiring", "Check the trigger wires between controllers."),
     "clock": ("clock", "Show the estimates of the controllers' clocks."),
     "repair": ("repair", "Repair what needs a person's decision: epochs."),
+    "log": ("looking.log", "Show the logs of all processes, by fleet time."),
     "raw": ("controller", "Send a command in a controller's own language."),
     "trace": ("controller", "Show the last bytes on a controller's link."),
     "completion": ("completion", "Print the completion script of a shell."),
