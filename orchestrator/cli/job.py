@@ -8,7 +8,7 @@ import click
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
-from orchestrator.cli.base.jobs import job_argument, name_jobs
+from orchestrator.cli.base.jobs import job_argument, load_report, name_jobs
 from orchestrator.cli.job_check import check
 from orchestrator.cli.job_history import list_jobs, prune
 from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
@@ -20,6 +20,7 @@ from orchestrator.cli.job_terms import (
     resolve_after,
     terms_options,
 )
+from orchestrator.cli.looking.timeline import timeline
 from orchestrator.cli.points.command import points, show_points
 from orchestrator.cli.templates.command import parameters
 from orchestrator.cli.templates.options import read_settings, set_options
@@ -113,7 +114,7 @@ def submit(
 
 
 job.add_command(submit)
-for command in (check, parameters, list_jobs, points, prune, hold, release, reorder, pause, resume, retry):
+for command in (timeline, check, parameters, list_jobs, points, prune, hold, release, reorder, pause, resume, retry):
     job.add_command(command)
 
 
@@ -189,11 +190,7 @@ def report(job: str, connect: str, fleet: str | None, *, verbose: bool, as_json:
     from orchestrator.monitor.report_table import make_report_tables
 
     async def show_report(tutti: Tutti) -> None:
-        entry = await tutti.find_job(job)
-        found = (await tutti.show_job(entry.id)).report
-        if found is None:
-            remedy = f"see `tutti job show {entry.id}`"
-            exit_with_error(f"{name_jobs(entry)} has not ended", FAILED, remedy, code="not-ended")
+        found = await load_report(tutti, job)
         print_json(found.to_plain()) if as_json else console.print(make_report_tables(found, detailed=verbose))
 
     with_fleet(connect, fleet, show_report)

@@ -290,6 +290,7 @@ class ArmedReply(Reply):
     terms: list[BudgetTerm] = Field(default=[])
     edge: list[BudgetTerm] = Field(default=[])
     mapping: ClockMapping | None = None
+    began_fleet_ns: Int53 | None = Field(default=None, description="When the adapter began.")
     took_ns: Int53 = 0
     stages_ns: dict[str, Int53] = Field(default={}, description="Duration of each stage of arming.")
 
