@@ -10,6 +10,7 @@ from matplotlib.container import ErrorbarContainer
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.report import JobReport, StepRecording, StepReport
+from orchestrator.monitor.job_plot import plot_recordings
 from orchestrator.monitor.timeline.picture import draw_step
 from orchestrator.monitor.timeline.stages import StepTimeline, TimelineStage, make_timeline
 from orchestrator.runtime.virtual import VirtualFleet
@@ -133,3 +134,40 @@ def test_a_picture_has_each_stage_and_each_start_as_an_interval(run: LookedAt) -
         assert (left, right) == pytest.approx((start.earliest_ns / NS_PER_MS, start.latest_ns / NS_PER_MS))
         assert low < left < right < high
     assert main.get_legend() is None and figure.legends
+
+
+def test_a_plot_of_a_job_has_all_steps_on_one_scale_of_time(run: LookedAt) -> None:
+    figure = plot_recordings(list(run.recordings.values()), "job", None, run.report.steps)
+    grid = [figure.axes[row * 3 : row * 3 + 3] for row in range(3)]
+    assert [row[0].get_ylabel() for row in grid] == ["gantry.x, mm", "stage.u, mm", "gantry.y, mm"]
+    first_ns = run.recordings[0].t0_fleet_ns
+    seen = [line.get_xydata() for line in grid[0][0].lines if line.get_marker() == "."]
+    assert len(seen) == 3
+    for points, (_, recording) in zip(seen, run.recordings.items(), strict=True):
+        axis = recording.axes["gantry.x"]
+        wanted = [((at_ns - first_ns) / 1e9, counts / axis.counts_per_unit) for at_ns, counts in axis.sampled]
+        assert [tuple(each) for each in points] == [pytest.approx(each) for each in wanted]
+    planned = [line.get_xydata() for line in grid[0][0].lines if line.get_marker() != "."]
+    assert [float(line[-1][1]) for line in planned if len(line) > 2] == pytest.approx([20, 0, 10], abs=0.01)
+    low, high = grid[0][0].get_xlim()
+    assert all(low <= line[0][0] and line[-1][0] <= high for line in planned)
+
+
+def test_a_plot_has_starts_and_ends_as_intervals(run: LookedAt) -> None:
+    figure = plot_recordings(list(run.recordings.values()), "job", None, run.report.steps)
+    timing = figure.axes[2]
+    starts, ends = (each for each in timing.containers if isinstance(each, ErrorbarContainer))
+    assert (starts.get_label(), ends.get_label()) == ("start", "end")
+    steps = [run.report.steps[index] for index in run.recordings]
+    wanted: list[tuple[float, float]] = []
+    for step in steps:
+        start = step.members["gantry"].evidence["x"].start_for_verdict
+        wanted.append(tuple((each - (step.t0_fleet_ns or 0)) / 1e6 for each in (start.earliest_ns, start.latest_ns)))  # type: ignore[arg-type]
+    assert [tuple(each[:, 1]) for each in starts.lines[2][0].get_segments()] == [pytest.approx(each) for each in wanted]
+    # A simulated controller keeps to its plan.
+    for low, high in (each[:, 1] for each in ends.lines[2][0].get_segments()):
+        assert -10 < low < high < 10 and low < 1 and high > -1
+
+
+def test_a_plot_without_reports_has_no_column_of_starts(run: LookedAt) -> None:
+    assert len(plot_recordings([run.recordings[0]], "step").axes) == 4
