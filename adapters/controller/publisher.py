@@ -1,5 +1,6 @@
 """A controller as it is published on the bus: its state, its events, its information, its clock."""
 
+from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,7 +19,9 @@ from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRefused
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.link.trace import TraceEntry
 from orchestrator.model.fleet import DigitalInput, DigitalOutput
+from orchestrator.model.messages import TracedBytes, TracePart, TraceRequest
 from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
@@ -33,6 +36,7 @@ from orchestrator.model.state import (
     Mode,
 )
 
+MAX_TRACE_PART_BYTES = 100_000  # of bytes in one answer
 STATES_PER_CLOCK = 10  # states between two publications of the mapping, which drifts slowly
 _NONE = Fraction(0)
 
@@ -86,6 +90,7 @@ class StatePublisher:
             await bus.serve(keys.event(self._controller), self._answer_events),
             await bus.serve(keys.info(self._controller), self._answer_info),
             await bus.serve(keys.clock(self._controller), self._answer_clock),
+            await bus.serve(keys.trace(self._controller), self._answer_trace),
         ]
 
     async def _answer_clock(self, _: BusSample) -> bytes:
@@ -260,6 +265,27 @@ class StatePublisher:
             raise RequestRefused(first_error_text(error)) from None
         return self._events.events_after(request.after).to_json()
 
+    async def _answer_trace(self, sample: BusSample) -> bytes:
+        try:
+            request = TraceRequest.model_validate_json(sample.payload)
+        except ValidationError as error:
+            raise RequestRefused(first_error_text(error)) from None
+        ring, now_ns = self._context.trace, self._clock.now_ns()
+        first = request.after + 1
+        if request.last_ns is not None:
+            first = max(first, ring.first_since(now_ns - request.last_ns))
+        begin = max(first, ring.oldest)
+        return TracePart(
+            make=self._context.make.name,
+            options=self._config.options,
+            entries=_encode_entries(ring.entries_from(begin, request.limit), begin),
+            newest=ring.newest,
+            lost=begin - first if request.after else 0,
+            utc=self._clock.utc(),
+            host_ns=now_ns,
+            fleet_ns=self._in_fleet_time(now_ns),
+        ).to_json()
+
     async def _answer_info(self, _: BusSample) -> bytes:
         identity, capabilities = self._status.identity, self._driver.capabilities
         return ControllerInfo(
@@ -283,6 +309,18 @@ class StatePublisher:
 def _options_schema(options: type[BaseModel]) -> dict[str, Any]:
     """Return the JSON Schema of a make's options, which takes pydantic some milliseconds each time."""
     return options.model_json_schema()
+
+
+def _encode_entries(entries: Sequence[TraceEntry], begin: int) -> list[TracedBytes]:
+    """The entries, numbered from `begin`, up to a size that is answered without delaying polls; at least one."""
+    found: list[TracedBytes] = []
+    size = 0
+    for number, (at_ns, direction, data) in enumerate(entries, start=begin):
+        size += len(data)
+        if found and size > MAX_TRACE_PART_BYTES:
+            break
+        found.append(TracedBytes(number=number, at_ns=at_ns, direction=direction, data=b64encode(data).decode()))
+    return found
 
 
 def _named_points(

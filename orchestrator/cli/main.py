@@ -28,7 +28,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "repair": ("repair", "Repair what needs a person's decision: epochs."),
     "log": ("looking.log", "Show the logs of all processes, by fleet time."),
     "raw": ("controller", "Send a command in a controller's own language."),
-    "trace": ("controller", "Show the last bytes on a controller's link."),
+    "trace": ("looking.trace", "Show the last frames on a controller's link."),
     "completion": ("completion", "Print the completion script of a shell."),
     "schema": ("schema", "Print the JSON Schema of a fleet or job file."),
     "demo": ("demo", "Run a job on a simulated fleet and show the report."),

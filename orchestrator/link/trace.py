@@ -1,6 +1,7 @@
 """The last minute of bytes on a link, for `tutti trace` and for every fault."""
 
 from collections import deque
+from itertools import islice
 from typing import Literal
 
 from orchestrator.link.base import Link, ReceivedBytes
@@ -13,28 +14,48 @@ TraceEntry = tuple[int, TraceDirection, bytes]
 
 
 class TraceRing:
-    """Entries of the last 60 s: (host ns, direction, bytes). received_ns: host time of the last received bytes."""
+    """Entries of the last 60 s: (host ns, direction, bytes). received_ns: host time of the last received bytes.
+
+    Entries are numbered from 1 in the order in which they were recorded. Bytes that another process writes are recorded
+    afterwards, so that this is not quite the order of their instants.
+    """
 
     def __init__(self) -> None:
         self.received_ns = 0
+        self.newest = 0
+        """Number of the last entry."""
         self._entries: deque[TraceEntry] = deque(maxlen=MAX_TRACE_ENTRIES)
 
     def add_entry(self, at_ns: int, direction: TraceDirection, data: bytes) -> None:
-        late = self._entries and at_ns < self._entries[-1][0]
         self._entries.append((at_ns, direction, data))
+        self.newest += 1
         if direction == "in":
             self.received_ns = at_ns
-        if late:  # bytes written by another process are recorded afterwards
-            self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=MAX_TRACE_ENTRIES)
         while self._entries[0][0] < at_ns - TRACE_NS:
             self._entries.popleft()
 
+    @property
+    def oldest(self) -> int:
+        """Number of the first entry that is kept; beyond `newest` if there is none."""
+        return self.newest - len(self._entries) + 1
+
+    def entries_from(self, number: int, count: int) -> list[TraceEntry]:
+        """At most `count` entries from this number on, in the order of their numbers."""
+        start = max(0, number - self.oldest)
+        return list(islice(self._entries, start, start + count))
+
+    def first_since(self, at_ns: int) -> int:
+        """Number of the first entry since an instant; beyond `newest` if there is none."""
+        older = next((k for k, entry in enumerate(reversed(self._entries)) if entry[0] < at_ns), len(self._entries))
+        return self.newest - older + 1
+
     def recent_entries(self) -> list[TraceEntry]:
-        return list(self._entries)
+        """All entries in the order of their instants."""
+        return sorted(self._entries, key=lambda entry: entry[0])
 
     def tail_text(self, count: int = 200) -> list[str]:
         """The last `count` entries as readable lines, for a log."""
-        return [f"{at_ns} {direction} {data!r}" for at_ns, direction, data in list(self._entries)[-count:]]
+        return [f"{at_ns} {direction} {data!r}" for at_ns, direction, data in self.recent_entries()[-count:]]
 
 
 class TracedLink:
