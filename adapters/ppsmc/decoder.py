@@ -29,6 +29,7 @@ _WORDS = {
     "cerr": "clear errors",
     "conf": "set type",
     "dec": "set deceleration",
+    "echo": "switch messages",
     "eref": "search encoder index",
     "fast": "jog fast",
     "ffast": "set top rate",
@@ -39,9 +40,11 @@ _WORDS = {
     "org": "search reference",
     "out": "set outputs",
     "pos": "set position",
+    "pqrf": "units in positions",
     "q": "stop by ramp",
     "quit": "stop by ramp",
     "ref": "search reference",
+    "remote": "switch to remote",
     "run": "jog slowly",
     "set": "set outputs",
     "spin": "move continuously",
@@ -49,6 +52,7 @@ _WORDS = {
     "tbc": "clear target buffer",
     "tbg": "go to buffered targets",
     "tbs": "set target in buffer",
+    "txdel": "end of replies",
     "unblock": "unblock",
     "us": "set user status",
     "zero": "set zero",
@@ -90,7 +94,7 @@ class PpSmcDecoder(TextDecoder):
                 name = self._asked[0] if form.many else self._asked.popleft()
                 return DecodedFrame(line, _describe_states(line) if name == r.ASK_STATUS.text else words)
             self._asked.popleft()
-        return DecodedFrame(line)
+        return DecodedFrame(line, "version" if r.VERSION.matches_text(line) else "message")
 
 
 def _describe_states(line: str) -> str:

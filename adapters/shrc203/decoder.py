@@ -43,6 +43,7 @@ _WORDS = {
     "?:W": "ask settling time",
     "?:WI": "ask input wait",
     "?:WT": "ask timer",
+    "HRT:": "return to origin",
     "I:": "ask inputs",
     "A:": "set absolute target",
     "AP:": "set absolute target, prebuffer",
@@ -106,4 +107,4 @@ class Shrc203Decoder(TextDecoder):
         if STATUS.matches_line(plain):
             axes = parse_status(plain, (1, 2, 3)[: (plain.count(",") + 1) // 3])
             return DecodedFrame(line, ", ".join(f"{n} at {s.counts} {_STATES[s.state]}" for n, s in axes.items()))
-        return DecodedFrame(line, f"answer to {command}" if command else "")
+        return DecodedFrame(line, f"answer to {command}" if command else "answer")

@@ -47,6 +47,8 @@ _WORDS = {
     "W": "wait until input is off",
     "X": "recall from memory",
     "Z": "stop by ramp",
+    "?": "end a half-typed line",
+    "con=": "set conversion factor",
     "+": "move forward by",
     "-": "move backward by",
     "f": "set position counter",
@@ -96,5 +98,7 @@ class Smc30Decoder:
     def _describe_reply(self, text: str | None, command: str) -> str:
         if text is None:
             return "garbled: parity or checksum"
-        words = _ERRORS.get(text[:2]) or _REPLIES.get(text, "")
-        return f"{words}, to {command}" if words and command else words or (f"answer to {command}" if command else "")
+        words = _ERRORS.get(text[:2]) or _REPLIES.get(text)
+        if words:
+            return f"{words}, to {command}" if command else words
+        return f"answer to {command}" if command else "answer"

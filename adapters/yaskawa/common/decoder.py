@@ -27,11 +27,14 @@ _WORDS = {
     "CB": "clear output",
     "CD": "contour data",
     "CE": "configure encoder",
+    "CF": "route of unsolicited output",
     "CM": "contour mode",
     "CW": "mark unsolicited output",
+    "DA": "deallocate array",
     "DC": "deceleration",
     "DE": "define auxiliary position",
     "DL": "download program",
+    "DM": "dimension array",
     "DP": "define position",
     "DT": "contour time",
     "DV": "dual loop",
@@ -91,16 +94,25 @@ _WORDS = {
     "TT": "tell torque",
     "TV": "tell velocity",
     "TW": "in-position time",
+    "UL": "upload program",
     "VF": "variable format",
     "WH": "which handle",
     "WT": "wait",
     "XQ": "execute program",
 }
-_SPECIAL = {"\\x12\\x15": "ask firmware revision", "\\x12\\x13": "master reset", "\\\\": "flush the line"}
+_SPECIAL = {
+    "\\x12\\x15": "ask firmware revision",
+    "\\x12\\x16": "ask firmware revision",
+    "\\x12\\x13": "master reset",
+    "\\\\": "flush the line",
+}
 _ADDRESS = re.compile(r"%([0-9A-F])")
 _SETS = re.compile(r"[A-Za-z]\w*(\[[^\]]*\])?=")
 _ENDS = ("\\x1a", "\\\\")  # of a download, as printable text
+_MARKER = re.compile(r"<\w+>")
 _MARK = 0x80  # CW 1: program output has bit 7
+MAX_REPLY_LINES = 4  # that are shown: of a listing, the first ones
+MAX_COMMAND = 24  # characters of a command in the meaning of its answer
 _RECORD_BYTES = range(8, 1001)
 
 
@@ -158,7 +170,7 @@ class YaskawaDecoder:
         self._loads = line.startswith(("DL", "QD"))
         commands = [each.strip() for each in split_commands(line)]
         for each in commands:
-            if each and each not in _SPECIAL:
+            if each:
                 self._pending.note_sent(each)
         words = dict.fromkeys(_describe_command(each) for each in commands)
         return DecodedFrame(line, ", ".join(each for each in words if each), self._address)
@@ -179,11 +191,21 @@ class YaskawaDecoder:
             text, self._buffer = self._buffer, b""
             return DecodedFrame(printable_text(text), "no reply", self._address)
         self._buffer = self._buffer[reply.used :]
+        command = self._take_command(reply.lines)
+        text = " / ".join(printable_text(each.encode("latin-1")) for each in reply.lines[:MAX_REPLY_LINES])
+        if len(reply.lines) > MAX_REPLY_LINES:
+            text += f" … {len(reply.lines)} lines"
+        meaning = _describe_reply(reply.lines, command, refused=reply.refused)
+        return DecodedFrame(text or ":?"[reply.refused], meaning, self._address)
+
+    def _take_command(self, lines: Sequence[str]) -> str:
+        """The command that is answered. A session's marker, which is printed back, shows which one that is, although
+        replies before it were missing or superfluous."""
         command = self._pending.take_answered()
-        text = " / ".join(printable_text(each.encode("latin-1")) for each in reply.lines)
-        return DecodedFrame(
-            text or (":?"[reply.refused]), _describe_reply(reply.lines, command, refused=reply.refused), self._address
-        )
+        marker = _MARKER.match(lines[-1]) if lines else None
+        while marker is not None and command and marker[0] not in command:
+            command = self._pending.take_answered()
+        return command
 
     def _record_size(self) -> int | None:
         """The size by the header of a data record; None for anything else (L8697: blocks, bit 15 set; size)."""
@@ -213,7 +235,9 @@ def _describe_command(command: str) -> str:
 
 
 def _describe_reply(lines: Sequence[str], command: str, *, refused: bool) -> str:
-    what = f" {command[:24]}" if command else ""
+    what = f" {command[:MAX_COMMAND]}" if command else ""
     if refused:
-        return f"refused{what and ':'}{what}"
-    return f"{'answer to' if lines else 'accepted:'}{what}" if what else ("" if lines else "accepted")
+        return f"refused{':' if what else ''}{what}"
+    if not lines:
+        return f"accepted{':' if what else ''}{what}"
+    return f"answer to{what}" if what else "answer"
