@@ -71,8 +71,8 @@ class Cia402Decoder:
         if frame.extended or frame.rtr:
             return DecodedFrame(text, "no frame of CANopen's predefined connection set")
         if frame.id == 0 and len(frame.data) >= 2:
-            whom = f"node {frame.data[1]}" if frame.data[1] else "all nodes"
-            return DecodedFrame(text, f"NMT {_NMT.get(frame.data[0], f'command {frame.data[0]}')}: {whom}")
+            nodes = f"node {frame.data[1]}" if frame.data[1] else "all nodes"
+            return DecodedFrame(text, f"NMT {_NMT.get(frame.data[0], f'command {frame.data[0]}')}: {nodes}")
         if frame.id == bus.SYNC.id:
             return DecodedFrame(text, "SYNC")
         return DecodedFrame(text, self._describe_service(frame.id & ~_NODE, frame.data), f"node {node}")

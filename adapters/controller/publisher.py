@@ -271,7 +271,7 @@ class StatePublisher:
         except ValidationError as error:
             raise RequestRefused(first_error_text(error)) from None
         ring, now_ns = self._context.trace, self._clock.now_ns()
-        first = request.after + 1
+        first = request.after_entry + 1
         if request.last_ns is not None:
             first = max(first, ring.first_since(now_ns - request.last_ns))
         begin = max(first, ring.oldest)
@@ -280,7 +280,7 @@ class StatePublisher:
             options=self._config.options,
             entries=_encode_entries(ring.entries_from(begin, request.limit), begin),
             newest=ring.newest,
-            lost=begin - first if request.after else 0,
+            lost=begin - first if request.after_entry else 0,
             utc=self._clock.utc(),
             host_ns=now_ns,
             fleet_ns=self._in_fleet_time(now_ns),

@@ -7,9 +7,9 @@ from pydantic import BaseModel
 
 from adapters.contract import DriverSetup, ExamplePlace, require_no_problems
 from adapters.shrc203 import fleetaxes
-from adapters.shrc203.decoder import Shrc203Decoder
 from adapters.shrc203.driver import ShrcDriver
 from adapters.shrc203.options import ShrcOptions
+from adapters.shrc203.wire.decoder import Shrc203Decoder
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
 

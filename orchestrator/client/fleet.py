@@ -194,6 +194,6 @@ class FleetRequests(FleetConnection):
         )
 
     async def _read_trace_part(self, controller: str, after: int, last_ns: int | None) -> TracePart:
-        request = TraceRequest(**self.request_fields(), after=after, last_ns=last_ns)
+        request = TraceRequest(**self.request_fields(), after_entry=after, last_ns=last_ns)
         key = self.keys.trace(controller)
         return await self._request(key, request, TracePart, ANSWER_S, absence_refusal(controller))

@@ -480,10 +480,10 @@ MAX_TRACE_PART = 500  # entries of one answer: some milliseconds of the adapter'
 
 
 class TraceRequest(Request):
-    """Query an adapter for bytes of the last minute on its link: those after entry `after`, and of the last `last_ns`
-    (None: all that it has)."""
+    """Query an adapter for bytes of the last minute on its link: those after entry number `after_entry`, and of the
+    last `last_ns` (None: all that it has)."""
 
-    after: Int53 = 0
+    after_entry: Int53 = 0
     last_ns: Int53 | None = Field(default=None, ge=0)
     limit: int = Field(default=MAX_TRACE_PART, ge=1, le=MAX_TRACE_PART)
 
@@ -504,7 +504,7 @@ class TracePart(Model):
     """Some entries of the trace, in the order of their numbers.
 
     make, options: of the controller, for decoding. newest: number of the last entry that there is. lost: entries after
-    `after` that are not kept any more. host_ns, utc, fleet_ns: now.
+    that one that are not kept any more. host_ns, utc, fleet_ns: now.
     """
 
     make: str

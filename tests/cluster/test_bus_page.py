@@ -37,6 +37,8 @@ EXAMPLES: dict[str, Any] = {
     "epoch": 1,
     "coordinator": "c1",
     "actor": "reader",
+    "after_entry": 0,
+    "last_ns": None,
     "after_point": 0,
     "after_step": -1,
     "axes": ["gantry.x"],

@@ -53,7 +53,7 @@ def run() -> TracedRun:
         await asyncio.sleep(1)
         later = await client.read_trace("shrc203", after=first.newest)
         last = await client.read_trace("shrc203", last_s=2)
-        key, request = fleet.keys.trace("shrc203"), b'{"request_id": "1", "actor": "me", "after": 7, "limit": 5}'
+        key, request = fleet.keys.trace("shrc203"), b'{"request_id": "1", "actor": "me", "after_entry": 7, "limit": 5}'
         part = TracePart.model_validate_json(await client.bus.request(key, request, 1.0))
         try:
             await client.bus.request(key, request.replace(b": 5", b": 5000"), 1.0)

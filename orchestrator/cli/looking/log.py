@@ -12,9 +12,9 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, UNREACHABLE
 from orchestrator.cli.base.common import actor_name, check_fleet_option, console, json_option, utc_option
 from orchestrator.cli.base.completion import complete_controllers
+from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import errors, exit_with_error, refusal_exit_code
 from orchestrator.cli.base.jobs import JobReferenceType
-from orchestrator.cli.job_terms import DurationType
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,7 +10,7 @@ import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.completion import complete_controllers
-from orchestrator.cli.job_terms import DurationType
+from orchestrator.cli.base.durations import DurationType
 
 if TYPE_CHECKING:
     from rich.text import Text

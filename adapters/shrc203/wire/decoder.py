@@ -1,6 +1,6 @@
 """The frames of an SHRC-203 in words (commands: L300-L5477)."""
 
-from adapters.shrc203.replies import REFUSALS, STATUS, parse_status
+from adapters.shrc203.wire.replies import REFUSALS, STATUS, parse_status
 from adapters.toolkit.frames import DecodedFrame, PendingCommands, TextDecoder, find_words
 
 # By the beginning of a command; of a query, what is asked.
