@@ -7,6 +7,7 @@ from typing import Literal
 from orchestrator.link.base import Link, ReceivedBytes
 
 TRACE_NS = 60_000_000_000
+TAIL_CHARACTERS = 3_500  # of the last entries in a log, whose lines have at most 8,000 with all escape sequences
 MAX_TRACE_ENTRIES = 20_000  # bounds the memory of a link that is always busy
 
 TraceDirection = Literal["out", "in"]
@@ -53,9 +54,17 @@ class TraceRing:
         """All entries in the order of their instants."""
         return sorted(self._entries, key=lambda entry: entry[0])
 
-    def tail_text(self, count: int = 200) -> list[str]:
-        """The last `count` entries as readable lines, for a log."""
-        return [f"{at_ns} {direction} {data!r}" for at_ns, direction, data in self.recent_entries()[-count:]]
+    def tail_text(self) -> list[str]:
+        """The last entries as readable lines, as many as a line of a log can hold; at least the beginning of one."""
+        lines: list[str] = []
+        left = TAIL_CHARACTERS
+        for at_ns, direction, data in reversed(self.recent_entries()):
+            line = f"{at_ns} {direction} {data!r}"
+            if lines and len(line) > left:
+                break
+            lines.append(line[:TAIL_CHARACTERS])
+            left -= len(line)
+        return lines[::-1]
 
 
 class TracedLink:
