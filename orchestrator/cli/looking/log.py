@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from orchestrator.monitor.logs.words import LineLayout
 
 FOLLOW_S = 0.25  # between two readings of the files
+PRINTED_AT_ONCE = 200  # lines
 _NAME_FOLDER = "name the folder, if the fleet was started with --state: `tutti log --state FOLDER`"
 
 
@@ -159,11 +160,12 @@ def _print_lines(lines: "Sequence[PlacedLine]", layout: "LineLayout | None") -> 
     """Print them for people; without a layout for programs, one JSON object a line."""
     from orchestrator.monitor.logs.words import make_plain_line
 
-    for each in lines:
+    for at in range(0, len(lines), PRINTED_AT_ONCE):
+        part = lines[at : at + PRINTED_AT_ONCE]
         if layout is None:
-            console.out(json.dumps(make_plain_line(each)), highlight=False)
+            console.out("\n".join(json.dumps(make_plain_line(each)) for each in part), highlight=False)
         else:
-            console.print(layout.format_line(each), soft_wrap=True)
+            console.print(*map(layout.format_line, part), sep="\n", soft_wrap=True)
 
 
 def _report_damage(lines: "Sequence[PlacedLine]") -> None:
