@@ -1,6 +1,5 @@
 """A controller as it is published on the bus: its state, its events, its information, its clock."""
 
-from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -17,11 +16,11 @@ from adapters.controller.events import EventRing
 from adapters.controller.fencing import EpochFence
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
+from adapters.controller.tracing import read_trace_part
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRefused
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.link.trace import TraceEntry
 from orchestrator.model.fleet import DigitalInput, DigitalOutput
-from orchestrator.model.messages import TracedBytes, TracePart, TraceRequest
+from orchestrator.model.messages import TraceRequest
 from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
@@ -36,7 +35,6 @@ from orchestrator.model.state import (
     Mode,
 )
 
-MAX_TRACE_PART_BYTES = 100_000  # of bytes in one answer
 STATES_PER_CLOCK = 10  # states between two publications of the mapping, which drifts slowly
 _NONE = Fraction(0)
 
@@ -270,21 +268,7 @@ class StatePublisher:
             request = TraceRequest.model_validate_json(sample.payload)
         except ValidationError as error:
             raise RequestRefused(first_error_text(error)) from None
-        ring, now_ns = self._context.trace, self._clock.now_ns()
-        first = request.after_entry + 1
-        if request.last_ns is not None:
-            first = max(first, ring.first_since(now_ns - request.last_ns))
-        begin = max(first, ring.oldest)
-        return TracePart(
-            make=self._context.make.name,
-            options=self._config.options,
-            entries=_encode_entries(ring.entries_from(begin, request.limit), begin),
-            newest=ring.newest,
-            lost=begin - first if request.after_entry else 0,
-            utc=self._clock.utc(),
-            host_ns=now_ns,
-            fleet_ns=self._in_fleet_time(now_ns),
-        ).to_json()
+        return read_trace_part(self._context, request).to_json()
 
     async def _answer_info(self, _: BusSample) -> bytes:
         identity, capabilities = self._status.identity, self._driver.capabilities
@@ -309,18 +293,6 @@ class StatePublisher:
 def _options_schema(options: type[BaseModel]) -> dict[str, Any]:
     """Return the JSON Schema of a make's options, which takes pydantic some milliseconds each time."""
     return options.model_json_schema()
-
-
-def _encode_entries(entries: Sequence[TraceEntry], begin: int) -> list[TracedBytes]:
-    """The entries, numbered from `begin`, up to a size that is answered without delaying polls; at least one."""
-    found: list[TracedBytes] = []
-    size = 0
-    for number, (at_ns, direction, data) in enumerate(entries, start=begin):
-        size += len(data)
-        if found and size > MAX_TRACE_PART_BYTES:
-            break
-        found.append(TracedBytes(number=number, at_ns=at_ns, direction=direction, data=b64encode(data).decode()))
-    return found
 
 
 def _named_points(

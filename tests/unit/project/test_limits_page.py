@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.controller.publisher import MAX_TRACE_PART_BYTES
+from adapters.controller.tracing import MAX_TRACE_PART_BYTES
 from orchestrator.bus import answers, limits, log, logfile
 from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
 from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES
