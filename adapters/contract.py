@@ -622,7 +622,11 @@ class ExamplePlace:
 
 
 class Make(Protocol):
-    """One make and model that can be driven: the object that an entry point of group `tutti.adapters` names."""
+    """One make and model that can be driven: the object that an entry point of group `tutti.adapters` names.
+
+    Optional: `make_decoder(options)` returns an `adapters.toolkit.frames.FrameDecoder` for `tutti trace`, made for a
+    controller with these options; without it the trace shows text.
+    """
 
     @property
     def name(self) -> str: ...

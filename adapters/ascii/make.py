@@ -5,9 +5,11 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
+from adapters.ascii.decoder import DescribedDecoder
 from adapters.ascii.description import Description, DescriptionError, load_description, packaged_names
 from adapters.ascii.dialect import DescribedDialect
 from adapters.contract import ConfigError, DriverSetup, ExamplePlace, require_no_problems, validate_options
+from adapters.toolkit.frames import FrameDecoder
 from adapters.toolkit.lines.driver import LineDriver
 from adapters.toolkit.lines.lowering import CountScale
 from adapters.toolkit.lines.options import LineOptions
@@ -96,6 +98,9 @@ class AsciiMake:
         description = load_description(options.description)
         scales = {name: _make_scale(description, options, setup.config, name) for name in setup.config.axes}
         return LineDriver(setup, options, DescribedDialect(description, setup.config), scales)
+
+    def make_decoder(self, options: Mapping[str, Any]) -> FrameDecoder:
+        return DescribedDecoder(load_description(AsciiOptions.model_validate(options).description))
 
     def stop_bytes(self, config: Controller) -> bytes:
         options = AsciiOptions.model_validate(config.options)

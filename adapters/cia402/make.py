@@ -7,11 +7,13 @@ from pydantic import BaseModel
 
 from adapters.cia402 import eds, fleetaxes, states
 from adapters.cia402.bus import RPDO
+from adapters.cia402.decoder import Cia402Decoder
 from adapters.cia402.driver import Cia402Driver
 from adapters.cia402.objects import CONTROLWORD, OUTPUTS
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import quick_stop_by_sdo
 from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
+from adapters.toolkit.frames import FrameDecoder
 from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.fleet import Controller
 
@@ -59,6 +61,9 @@ class Cia402Make:
         options = setup.options
         assert isinstance(options, Cia402Options)
         return Cia402Driver(setup, options)
+
+    def make_decoder(self, options: Mapping[str, Any]) -> FrameDecoder:
+        return Cia402Decoder(Cia402Options.model_validate(options))
 
     def stop_bytes(self, config: Controller) -> bytes:
         """Return a quick stop, by SDO because the mapping of its PDOs is unknown; before it, a frame overwrites the

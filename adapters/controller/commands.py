@@ -24,7 +24,6 @@ from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.link.trace import TraceDirection
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import (
@@ -63,7 +62,6 @@ from orchestrator.model.messages import (
     SetPositionRequest,
     StopRequest,
     TakeSamples,
-    TraceReply,
 )
 from orchestrator.model.state import FaultReport
 from orchestrator.model.units import UnitError, parse_quantity
@@ -144,7 +142,6 @@ class ControllerCommands:
             "raw": (RawRequest, RawReply, self._handle_raw),
             "accept-epoch": (AcceptEpoch, Reply, self._handle_accept_epoch),
             "forget": (ForgetRequest, Reply, self._handle_forget),
-            "trace": (Request, TraceReply, self._handle_trace),
         }
 
     async def answer_command(self, sample: BusSample) -> bytes:
@@ -360,13 +357,6 @@ class ControllerCommands:
         self._driver.forget_starts()
         self._publisher.emit_event("setting", f"learned bounds of its starts are forgotten, by {request.actor}")
         return Reply()
-
-    async def _handle_trace(self, _: Request) -> TraceReply:
-        entries: list[tuple[int, TraceDirection, str]] = [
-            (at_ns, direction, data.decode("latin-1"))
-            for at_ns, direction, data in self._context.trace.recent_entries()
-        ]
-        return TraceReply(entries=entries, utc=self._context.clock.utc(), host_ns=self._context.clock.now_ns())
 
     @contextmanager
     def _ordering(self) -> Generator[None]:

@@ -247,6 +247,7 @@ class StepParticipant:
             terms=list(lowered.terms),
             edge=list(lowered.edge),
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, move.began_ns),
+            began_fleet_ns=move.armed_step.scale.to_fleet_ns(move.began_ns),
             took_ns=self._clock.now_ns() - move.began_ns,
             stages_ns=dict(stages),
         )

@@ -16,9 +16,11 @@ from adapters.controller.events import EventRing
 from adapters.controller.fencing import EpochFence
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
+from adapters.controller.tracing import read_trace_part
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRefused
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import DigitalInput, DigitalOutput
+from orchestrator.model.messages import TraceRequest
 from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
@@ -87,6 +89,7 @@ class StatePublisher:
             await bus.serve(keys.event(self._controller), self._answer_events),
             await bus.serve(keys.info(self._controller), self._answer_info),
             await bus.serve(keys.clock(self._controller), self._answer_clock),
+            await bus.serve(keys.trace(self._controller), self._answer_trace),
         ]
 
     async def _answer_clock(self, _: BusSample) -> bytes:
@@ -267,6 +270,13 @@ class StatePublisher:
         except ValidationError as error:
             raise RequestRefused(first_error_text(error)) from None
         return self._events.events_after(request.after).to_json()
+
+    async def _answer_trace(self, sample: BusSample) -> bytes:
+        try:
+            request = TraceRequest.model_validate_json(sample.payload)
+        except ValidationError as error:
+            raise RequestRefused(first_error_text(error)) from None
+        return read_trace_part(self._context, request).to_json()
 
     async def _answer_info(self, _: BusSample) -> bytes:
         identity, capabilities = self._status.identity, self._driver.capabilities

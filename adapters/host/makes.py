@@ -3,10 +3,11 @@
 import re
 from collections.abc import Mapping
 from functools import cache
-from typing import cast
+from typing import Any, cast
 
 from adapters.contract import ConfigError, Make, validate_options
 from adapters.host.unusable import UnusableMake
+from adapters.toolkit.frames import FrameDecoder, TextDecoder
 from orchestrator.model.fleet import Controller, Fleet, SerialLink
 from orchestrator.model.plugins import PluginError, PluginListing, list_plugins, load_plugin, plugin_names
 from orchestrator.model.problems import Problem
@@ -49,6 +50,16 @@ def find_make_or_substitute(name: str) -> Make:
         return find_make(name)
     except PluginError as error:
         return UnusableMake(name, error)
+
+
+def find_decoder(name: str, options: Mapping[str, Any]) -> FrameDecoder:
+    """Return the decoder of a make for a controller with these options; one for text lines where it has none, or is not
+    installed here."""
+    try:
+        maker = getattr(find_make(name), "make_decoder", None)
+        return TextDecoder() if maker is None else cast(FrameDecoder, maker(options))
+    except ValueError:
+        return TextDecoder()
 
 
 def apply_make_defaults(fleet: Fleet) -> Fleet:

@@ -7,9 +7,11 @@ from pydantic import BaseModel
 
 from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from adapters.ppsmc import fleetaxes
+from adapters.ppsmc.decoder import PpSmcDecoder
 from adapters.ppsmc.driver import PpSmcDriver
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.session import EOL, SPOILER
+from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
 
 _EXAMPLE = """\
@@ -57,6 +59,10 @@ class PpSmcMake:
         options = setup.options
         assert isinstance(options, PpSmcOptions)
         return PpSmcDriver(setup, options)
+
+    def make_decoder(self, options: Mapping[str, Any]) -> FrameDecoder:
+        del options
+        return PpSmcDecoder()
 
     def stop_bytes(self, config: Controller) -> bytes:
         """Return `q` for all axes, which no other client's commands can block (L2542). Twice: noise may spoil the

@@ -13,7 +13,11 @@ from dataclasses import dataclass
 from math import ceil
 
 from adapters.shrc203.fleetaxes import axis_bounds, motor_number
-from adapters.shrc203.replies import (
+from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcLine
+from adapters.shrc203.status import ERRORS, stop_reason
+from adapters.shrc203.trapezoid import ShrcTrapezoid
+from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import (
     COMMAND,
     DONE,
     READY,
@@ -25,10 +29,6 @@ from adapters.shrc203.replies import (
     parse_status,
     pulse_list,
 )
-from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcLine
-from adapters.shrc203.status import ERRORS, stop_reason
-from adapters.shrc203.trapezoid import ShrcTrapezoid
-from adapters.shrc203.unitstate import ShrcState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
-from adapters.shrc203.replies import STATUS, axis_argument, parse_status
 from adapters.shrc203.status import ERRORS, stop_reason
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import STATUS, axis_argument, parse_status
 from orchestrator.model.errors import Refusal
 
 

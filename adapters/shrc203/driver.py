@@ -22,11 +22,11 @@ from adapters.shrc203.lowering import ConnectionTraits, ShrcLowered, lower_step
 from adapters.shrc203.moves import ShrcMover
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.polling import PositionKind, ShrcPoller, read_registered
-from adapters.shrc203.replies import BITS, axis_argument, flag_list
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.watch import ShrcWatch
+from adapters.shrc203.wire.replies import BITS, axis_argument, flag_list
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
 from adapters.toolkit.refusals import log_refusals

@@ -6,12 +6,12 @@ from adapters.contract import MoveOutcome
 from adapters.shrc203.ending import ShrcEndTimes
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
-from adapters.shrc203.replies import STATUS, parse_status
 from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcSession
 from adapters.shrc203.status import ERRORS, UNSETTLED, stop_reason
 from adapters.shrc203.timing import ShrcTiming
 from adapters.shrc203.timing import make_timing as timing_of
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import STATUS, parse_status
 from adapters.toolkit.host_start import MoverTools, moved_outcome, resting_intervals
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.errors import ControllerFault, Refusal

@@ -5,9 +5,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from adapters.shrc203 import fleetaxes
-from adapters.shrc203.replies import STATUS, STOPS, parse_limit_stops, parse_status
 from adapters.shrc203.status import ERRORS, MECHANICAL_RETURN, stop_reason
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import STATUS, STOPS, parse_limit_stops, parse_status
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from adapters.contract import HostInterval, TimedWrite
 from adapters.shrc203.lowering import ShrcLowered
 from adapters.shrc203.output import ShrcOutput
-from adapters.shrc203.replies import AxisStatus
 from adapters.shrc203.session import ShrcPending
+from adapters.shrc203.wire.replies import AxisStatus
 from adapters.toolkit.driven_output import DrivenOutput
 
 

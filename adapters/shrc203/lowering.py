@@ -12,8 +12,8 @@ from adapters.shrc203.fleetaxes import axis_bounds, motor_number
 from adapters.shrc203.interpolation import SteadyAxis, StraightPath, fit_straight_path
 from adapters.shrc203.options import LOWEST_POINT, ShrcOptions, edge_terms
 from adapters.shrc203.pair import TwoPartMove, find_two_part_moves
-from adapters.shrc203.replies import axis_argument
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
+from adapters.shrc203.wire.replies import axis_argument
 from adapters.toolkit.firing import learned_terms
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import (

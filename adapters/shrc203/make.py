@@ -9,6 +9,8 @@ from adapters.contract import DriverSetup, ExamplePlace, require_no_problems
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.driver import ShrcDriver
 from adapters.shrc203.options import ShrcOptions
+from adapters.shrc203.wire.decoder import Shrc203Decoder
+from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
 
 _EXAMPLE = """\
@@ -63,6 +65,10 @@ class Shrc203Make:
         options = setup.options
         assert isinstance(options, ShrcOptions)
         return ShrcDriver(setup, options)
+
+    def make_decoder(self, options: Mapping[str, Any]) -> FrameDecoder:
+        del options
+        return Shrc203Decoder()
 
     def stop_bytes(self, config: Controller) -> bytes:
         """Return bytes that end a half-typed command and stop all axes, then each axis, because the first is refused

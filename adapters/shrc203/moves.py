@@ -10,11 +10,11 @@ from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.lowering import ShrcLowered
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.output import ShrcOutput
-from adapters.shrc203.replies import axis_argument
 from adapters.shrc203.session import EOL, ShrcSession
 from adapters.shrc203.standby import InputWait
 from adapters.shrc203.starting import ShrcStarts
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import axis_argument
 from adapters.toolkit.driven_output import DrivenOutput
 from adapters.toolkit.firing import missed_write_fault
 from adapters.toolkit.host_start import MoverTools, moving_intervals, require_time_left, unmoved_outcome, wait_for_write

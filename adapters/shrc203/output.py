@@ -2,9 +2,9 @@
 
 import asyncio
 
-from adapters.shrc203.replies import BITS, REFUSALS
 from adapters.shrc203.session import ShrcPending
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import BITS, REFUSALS
 from adapters.toolkit.wired_points import WiredOutput
 from orchestrator.model.errors import ControllerFault, Refusal
 

@@ -9,10 +9,10 @@ from typing import Literal
 from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flag_list, parse_status, pulse_list
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.status import ERRORS, is_position_lost, status_faults
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import BITS, STATUS, AxisStatus, flag_list, parse_status, pulse_list
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 from adapters.contract import NULL_LOG
-from adapters.shrc203.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, ShrcReplyFormat, refusal_of
+from adapters.shrc203.wire.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, ShrcReplyFormat, refusal_of
 from adapters.toolkit.pending_reply import PendingReply
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed

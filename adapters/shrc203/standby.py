@@ -4,10 +4,10 @@ The controller compares all six inputs at once (L2674), so the levels of the oth
 the pattern. Ending a wait starts the move queued after it (L219): that move is overwritten, and verified, first.
 """
 
-from adapters.shrc203.replies import BITS, STATUS, axis_argument, parse_status
 from adapters.shrc203.session import COMPLETION_LATE_NS
 from adapters.shrc203.status import ERRORS
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import BITS, STATUS, axis_argument, parse_status
 from adapters.toolkit.wired_points import WiredInput
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.errors import ControllerFault, Refusal

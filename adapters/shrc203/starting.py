@@ -5,9 +5,9 @@ from collections.abc import Callable
 from adapters.contract import HostInterval, WriteResult
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.replies import REFUSALS, STATUS, parse_entries, parse_status, pulse_list
 from adapters.shrc203.session import EOL, ShrcPending, ShrcSession
 from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import REFUSALS, STATUS, parse_entries, parse_status, pulse_list
 from adapters.toolkit.wired_points import WiredInput
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
 from orchestrator.model.errors import ControllerFault

@@ -1,6 +1,6 @@
 """The status word as texts, with remedies (L519-L567)."""
 
-from adapters.shrc203.replies import AxisStatus
+from adapters.shrc203.wire.replies import AxisStatus
 from orchestrator.model.state import FaultReport
 
 SCALE_ERROR = 1 << 2

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 
 from adapters.contract import HostInterval
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
-from adapters.shrc203.replies import READY, AxisStatus
 from adapters.shrc203.session import EOL, ShrcLine, ShrcSession
 from adapters.shrc203.trapezoid import ShrcTrapezoid
+from adapters.shrc203.wire.replies import READY, AxisStatus
 from orchestrator.clock.timed import TimedMove
 
 _GRAIN = 1.0  # pulses: the manual does not state whether the counter rounds

@@ -5,9 +5,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from adapters.shrc203.buffers import PrebufferControl
-from adapters.shrc203.replies import speed_list
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.timing import ShrcTiming
+from adapters.shrc203.wire.replies import speed_list
 from adapters.toolkit.stop_counter import StopCounter, send_or_brake
 
 

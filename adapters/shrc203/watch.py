@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adapters.contract import SettingDifference
-from adapters.shrc203.replies import (
+from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.wire.replies import (
     CONTROLLABLE,
     SETTLING,
     ShrcReplyFormat,
@@ -19,7 +20,6 @@ from adapters.shrc203.replies import (
     size_list,
     speed_list,
 )
-from adapters.shrc203.unitstate import ShrcState
 from orchestrator.model.errors import Refusal
 
 

@@ -7,9 +7,11 @@ from pydantic import BaseModel
 
 from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from adapters.smc30 import unitaxis
+from adapters.smc30.decoder import Smc30Decoder
 from adapters.smc30.driver import Smc30Driver
 from adapters.smc30.frames import CR, frame_line, line_checksum
 from adapters.smc30.options import Smc30DriverOptions
+from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
 
 _EXAMPLE = """\
@@ -54,6 +56,9 @@ class Smc30Make:
         options = setup.options
         assert isinstance(options, Smc30DriverOptions)
         return Smc30Driver(setup, options)
+
+    def make_decoder(self, options: Mapping[str, Any]) -> FrameDecoder:
+        return Smc30Decoder(with_checksum=Smc30DriverOptions.model_validate(options).checksum)
 
     def stop_bytes(self, config: Controller) -> bytes:
         """Return bytes that spoil a half-typed command, and stop all controllers of the line.

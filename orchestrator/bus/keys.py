@@ -59,6 +59,10 @@ class FleetKeys:
         """Bytes on a controller's link; published by its adapter."""
         return self._controller_key(ctl, "link")
 
+    def trace(self, ctl: str | None = None) -> str:
+        """The last minute of bytes on a controller's link; served by its adapter."""
+        return self._controller_key(ctl, "trace")
+
     def command(self, ctl: str | None = None, verb: str | None = None) -> str:
         """A command to a controller; served by its adapter."""
         return f"{self._controller_key(ctl, 'cmd')}/{_make_chunk(verb, 'verb')}"

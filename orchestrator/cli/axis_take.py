@@ -8,8 +8,8 @@ import click
 
 from orchestrator.cli.base.common import actor_name, console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.completion import complete_axes
+from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import exit_with_error
-from orchestrator.cli.job_terms import DurationType
 
 MAX_REASON = 80  # characters
 

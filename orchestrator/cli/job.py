@@ -7,8 +7,7 @@ import click
 
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
-from orchestrator.cli.base.errors import exit_with_error
-from orchestrator.cli.base.jobs import job_argument, name_jobs
+from orchestrator.cli.base.jobs import job_argument, load_report, name_jobs
 from orchestrator.cli.job_check import check
 from orchestrator.cli.job_history import list_jobs, prune
 from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
@@ -20,13 +19,14 @@ from orchestrator.cli.job_terms import (
     resolve_after,
     terms_options,
 )
+from orchestrator.cli.looking.plot import plot
+from orchestrator.cli.looking.timeline import timeline
 from orchestrator.cli.points.command import points, show_points
 from orchestrator.cli.templates.command import parameters
 from orchestrator.cli.templates.options import read_settings, set_options
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
-    from orchestrator.model.service import JobShown
     from orchestrator.model.templates.template import FilledJob
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
@@ -113,7 +113,21 @@ def submit(
 
 
 job.add_command(submit)
-for command in (check, parameters, list_jobs, points, prune, hold, release, reorder, pause, resume, retry):
+for command in (
+    plot,
+    timeline,
+    check,
+    parameters,
+    list_jobs,
+    points,
+    prune,
+    hold,
+    release,
+    reorder,
+    pause,
+    resume,
+    retry,
+):
     job.add_command(command)
 
 
@@ -189,71 +203,10 @@ def report(job: str, connect: str, fleet: str | None, *, verbose: bool, as_json:
     from orchestrator.monitor.report_table import make_report_tables
 
     async def show_report(tutti: Tutti) -> None:
-        entry = await tutti.find_job(job)
-        found = (await tutti.show_job(entry.id)).report
-        if found is None:
-            remedy = f"see `tutti job show {entry.id}`"
-            exit_with_error(f"{name_jobs(entry)} has not ended", FAILED, remedy, code="not-ended")
+        found = await load_report(tutti, job)
         print_json(found.to_plain()) if as_json else console.print(make_report_tables(found, detailed=verbose))
 
     with_fleet(connect, fleet, show_report)
-
-
-@job.command(epilog="Example: tutti job plot 3f2a91c0 --out move.png")
-@job_argument
-@click.option("--step", type=click.IntRange(0), default=None, help="One motion step only.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Output file; default: JOB_ID-STEP.png.")
-@fleet_options
-@json_option
-def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Plot planned against polled positions of the motion steps of JOB, and planned against measured points of its
-    scans, a PNG each.
-
-    Recordings are kept for the newest jobs only. With --out and several steps, the step number is inserted before
-    the suffix.
-    """
-    from orchestrator.cli.points.command import plot_scans
-    from orchestrator.client import Tutti
-    from orchestrator.monitor.job_plot import plot_recordings
-
-    async def plot_job(tutti: Tutti) -> None:
-        job_id = (await tutti.find_job(job)).id
-        shown = await tutti.show_job(job_id)
-        assert shown.entry is not None
-        scans = await plot_scans(tutti, shown.entry, step, out)
-        # The first step of a scan is its first point too; the scan is meant.
-        wanted = [each for each in ([step] if step is not None else _list_moves(shown)) if each not in scans]
-        found = [each for index in wanted if (each := await tutti.load_recording(shown.entry.id, index)) is not None]
-        if not found and not scans:
-            text = f"{name_jobs(shown.entry)} has no recording" + ("" if step is None else f" of step {step}")
-            exit_with_error(text, FAILED, "recordings are kept for the newest jobs only")
-        files = {str(number): str(path) for number, path in scans.items()}
-        for each in found:
-            path = out or Path(f"{job_id}.png")
-            if out is None or len(found) + len(scans) > 1:
-                path = path.with_stem(f"{path.stem}-{each.step}")
-            title = f"job {job_id} {shown.entry.name!r}, step {each.step} {each.name}".rstrip()
-            try:
-                plot_recordings([each], title, path)
-            except (OSError, ValueError) as error:
-                exit_with_error(f"{path} cannot be written: {error}", FAILED)
-            files[str(each.step)] = str(path)
-        print_result(files, "\n".join(f"step {number}: {path}" for number, path in files.items()), as_json=as_json)
-
-    with_fleet(connect, fleet, plot_job)
-
-
-def _list_moves(shown: "JobShown") -> list[int]:
-    """The numbers of the steps of a job that may have a recording, but for the points of scans."""
-    from orchestrator.model.queue import MAX_STEPS
-    from orchestrator.model.scans.step_order import StepOrder
-
-    if shown.report is not None:
-        return [step.index for step in shown.report.steps if step.do == "move"]
-    if shown.job is None or shown.entry is None:
-        return []
-    order = StepOrder(shown.job.steps, shown.entry.terms.repeat)
-    return [index for index in range(min(len(order), MAX_STEPS)) if order.locate(index).point is None]
 
 
 async def _show_dry_run(tutti: "Tutti", filled: "FilledJob", *, as_json: bool) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
-from orchestrator.cli.job_terms import DurationType, InstantType
+from orchestrator.cli.base.durations import DurationType
+from orchestrator.cli.job_terms import InstantType
 from orchestrator.cli.queue import print_queue_stop
 
 if TYPE_CHECKING:

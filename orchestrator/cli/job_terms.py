@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from orchestrator.cli.base.common import console
+from orchestrator.cli.base.durations import DURATION, DurationType
 from orchestrator.cli.base.jobs import JobReferenceType, name_jobs
 
 if TYPE_CHECKING:
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_DURATION = re.compile(r"^\s*(\d+(?:\.\d*)?)\s*(s|min|h|d|w)\s*$")
-_SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86_400, "w": 7 * 86_400}
 _CLOCK = re.compile(r"^\d{1,2}:\d{2}(:\d{2})?$")
 
 
@@ -35,31 +34,6 @@ class TermsOptions(TypedDict):
     expires: float | None
 
 
-class DurationType(click.ParamType[float]):
-    """A duration such as `90d`, `2h`, `1.5min`: seconds. at_most: the longest one that is allowed, in its own words."""
-
-    name = "duration"
-
-    def __init__(self, at_most: str = "36600d") -> None:
-        self._at_most = at_most
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        if isinstance(value, float):
-            return value
-        found = _DURATION.match(str(value))
-        if not found:
-            self.fail(f"{value!r}: write a number and s, min, h, d or w, e.g. 90d", param, ctx)
-        seconds, most = _to_seconds(found), _DURATION.match(self._at_most)
-        assert most is not None
-        if seconds > _to_seconds(most):
-            self.fail(f"{value} is too long: at most {self._at_most}", param, ctx)
-        return seconds
-
-
-def _to_seconds(found: re.Match[str]) -> float:
-    return float(found[1]) * _SECONDS[found[2]]
-
-
 class InstantType(click.ParamType[datetime]):
     """An RFC 3339 time; without an offset it is local, and `22:30` is the next such time. Aware, in local time."""
 
@@ -72,7 +46,7 @@ class InstantType(click.ParamType[datetime]):
         if isinstance(value, datetime):
             return value
         text, now = str(value), datetime.now().astimezone()
-        if self._past and _DURATION.match(text):
+        if self._past and DURATION.match(text):
             return now - timedelta(seconds=DurationType().convert(text, param, ctx))
         try:
             if _CLOCK.match(text):

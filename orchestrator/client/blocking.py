@@ -543,9 +543,13 @@ class BlockingTutti(BlockingObject[Tutti]):
         """The configuration of `controller.axis`, as its adapter has it. Raises `Refusal`."""
         return self._run(self._wrapped.axis_config(axis))
 
-    def read_trace(self, controller: str) -> TraceReply:
-        """The last minute of bytes on a controller's link. Raises `Refusal`."""
-        return self._run(self._wrapped.read_trace(controller))
+    def read_trace(self, controller: str, *, after: int = 0, last_s: float | None = None) -> TraceReply:
+        """The last minute of bytes on a controller's link, in the order of their instants.
+
+        after: only what was recorded after the entry with this number, `newest` of an earlier answer. last_s: only that
+        of so many seconds. Raises `Refusal`.
+        """
+        return self._run(self._wrapped.read_trace(controller, after=after, last_s=last_s))
 
     def list_alarms(self, *, normal: bool = False) -> list[AlarmRecord]:
         """The alarms: those that wait for a user first, by priority. normal: also those that are over and acknowledged.

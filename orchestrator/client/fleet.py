@@ -1,6 +1,7 @@
 """Requests about the whole fleet and its controllers: status, stops, reset, information."""
 
 import asyncio
+from base64 import b64decode
 from contextlib import suppress
 from typing import Any
 
@@ -10,9 +11,19 @@ from orchestrator.bus.base import Priority
 from orchestrator.bus.estop import put_estop
 from orchestrator.client.connection import ANSWER_S, FleetConnection, absence_refusal
 from orchestrator.client.results import FleetStates
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import EstopReset, Reply, Request, ResetRequest, StopRequest, TraceReply
+from orchestrator.model.messages import (
+    EstopReset,
+    Reply,
+    Request,
+    ResetRequest,
+    StopRequest,
+    TracePart,
+    TraceReply,
+    TraceRequest,
+)
 from orchestrator.model.service import (
     EpochRepaired,
     FleetNames,
@@ -156,6 +167,33 @@ class FleetRequests(FleetConnection):
             raise Refusal("unknown-axis", text, "see `tutti axis ls`")
         return info.axes[name]
 
-    async def read_trace(self, controller: str) -> TraceReply:
-        """The last minute of bytes on a controller's link. Raises `Refusal`."""
-        return await self.request_controller(controller, "trace", Request(**self.request_fields()), TraceReply)
+    async def read_trace(self, controller: str, *, after: int = 0, last_s: float | None = None) -> TraceReply:
+        """The last minute of bytes on a controller's link, in the order of their instants.
+
+        after: only what was recorded after the entry with this number, `newest` of an earlier answer. last_s: only that
+        of so many seconds. Raises `Refusal`.
+        """
+        first = await self._read_trace_part(controller, after, None if last_s is None else round(last_s * NS_PER_S))
+        if first.newest < after:  # the adapter was started again, and counts anew
+            first = await self._read_trace_part(controller, 0, None)
+        part, entries = first, list(first.entries)
+        # What comes meanwhile is left to the next call: a busy link would never end.
+        while entries and part.entries and entries[-1].number < first.newest:
+            part = await self._read_trace_part(controller, entries[-1].number, None)
+            entries += part.entries
+        entries.sort(key=lambda entry: entry.at_ns)
+        return TraceReply(
+            entries=[(each.at_ns, each.direction, b64decode(each.data).decode("latin-1")) for each in entries],
+            newest=max((each.number for each in entries), default=first.newest),
+            lost=first.lost,
+            make=part.make,
+            options=part.options,
+            utc=part.utc,
+            host_ns=part.host_ns,
+            fleet_ns=part.fleet_ns,
+        )
+
+    async def _read_trace_part(self, controller: str, after: int, last_ns: int | None) -> TracePart:
+        request = TraceRequest(**self.request_fields(), after_entry=after, last_ns=last_ns)
+        key = self.keys.trace(controller)
+        return await self._request(key, request, TracePart, ANSWER_S, absence_refusal(controller))

@@ -99,8 +99,8 @@ class JobResult(JobReport):
         return make_report_tables(self)
 
     def plot(self, path: Path | str | None = None) -> "Figure":
-        """Plot the planned and the polled positions of its axes over time, and their difference; of a job with scans,
-        the planned and measured points of the first one. A notebook shows it.
+        """Plot the planned and the polled positions of its axes over time, their difference, and starts and ends as
+        intervals; of a job with scans, the planned and measured points of the first one. A notebook shows it.
 
         path: also write it there, as PNG or SVG by its ending. Raises `Refusal`, code `no-recording`, if nothing was
         recorded: a job without a move, or an old one.
@@ -116,7 +116,7 @@ class JobResult(JobReport):
         if not self.recordings:
             raise Refusal("no-recording", f"job {self.name!r} has no recording of a move", "plot a job that moves axes")
         title = f"{self.name} {self.job_id}: planned and polled positions"
-        return plot_recordings(self.recordings, title, None if path is None else Path(path))
+        return plot_recordings(self.recordings, title, None if path is None else Path(path), self.steps)
 
 
 def _render_text(table: "RenderableType") -> str:

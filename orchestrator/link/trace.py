@@ -1,11 +1,13 @@
 """The last minute of bytes on a link, for `tutti trace` and for every fault."""
 
 from collections import deque
+from itertools import islice
 from typing import Literal
 
 from orchestrator.link.base import Link, ReceivedBytes
 
 TRACE_NS = 60_000_000_000
+TAIL_CHARACTERS = 3_500  # of the last entries in a log, whose lines have at most 8,000 with all escape sequences
 MAX_TRACE_ENTRIES = 20_000  # bounds the memory of a link that is always busy
 
 TraceDirection = Literal["out", "in"]
@@ -14,33 +16,62 @@ TraceEntry = tuple[int, TraceDirection, bytes]
 
 class TraceRing:
     """Entries of the last 60 s: (host ns, direction, bytes). received_ns: host time of the last received bytes.
-    bytes_out, bytes_in: on the link since the ring was made."""
+
+    Entries are numbered from 1 in the order in which they were recorded. Bytes that another process writes are recorded
+    afterwards, so that this is not quite the order of their instants.
+
+    bytes_out, bytes_in: on the link since the ring was made.
+    """
 
     def __init__(self) -> None:
         self.received_ns = 0
         self.bytes_out = 0
         self.bytes_in = 0
+        self.newest = 0
+        """Number of the last entry."""
         self._entries: deque[TraceEntry] = deque(maxlen=MAX_TRACE_ENTRIES)
 
     def add_entry(self, at_ns: int, direction: TraceDirection, data: bytes) -> None:
-        late = self._entries and at_ns < self._entries[-1][0]
         self._entries.append((at_ns, direction, data))
+        self.newest += 1
         if direction == "in":
             self.received_ns = at_ns
             self.bytes_in += len(data)
         else:
             self.bytes_out += len(data)
-        if late:  # bytes written by another process are recorded afterwards
-            self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=MAX_TRACE_ENTRIES)
         while self._entries[0][0] < at_ns - TRACE_NS:
             self._entries.popleft()
 
-    def recent_entries(self) -> list[TraceEntry]:
-        return list(self._entries)
+    @property
+    def oldest(self) -> int:
+        """Number of the first entry that is kept; beyond `newest` if there is none."""
+        return self.newest - len(self._entries) + 1
 
-    def tail_text(self, count: int = 200) -> list[str]:
-        """The last `count` entries as readable lines, for a log."""
-        return [f"{at_ns} {direction} {data!r}" for at_ns, direction, data in list(self._entries)[-count:]]
+    def entries_from(self, number: int, count: int) -> list[TraceEntry]:
+        """At most `count` entries from this number on, in the order of their numbers."""
+        start = max(0, number - self.oldest)
+        return list(islice(self._entries, start, start + count))
+
+    def first_since(self, at_ns: int) -> int:
+        """Number of the first entry since an instant; beyond `newest` if there is none."""
+        older = next((k for k, entry in enumerate(reversed(self._entries)) if entry[0] < at_ns), len(self._entries))
+        return self.newest - older + 1
+
+    def recent_entries(self) -> list[TraceEntry]:
+        """All entries in the order of their instants."""
+        return sorted(self._entries, key=lambda entry: entry[0])
+
+    def tail_text(self) -> list[str]:
+        """The last entries as readable lines, as many as a line of a log can hold; at least the beginning of one."""
+        lines: list[str] = []
+        left = TAIL_CHARACTERS
+        for at_ns, direction, data in reversed(self.recent_entries()):
+            line = f"{at_ns} {direction} {data!r}"
+            if lines and len(line) > left:
+                break
+            lines.append(line[:TAIL_CHARACTERS])
+            left -= len(line)
+        return lines[::-1]
 
 
 class TracedLink:

@@ -290,6 +290,7 @@ class ArmedReply(Reply):
     terms: list[BudgetTerm] = Field(default=[])
     edge: list[BudgetTerm] = Field(default=[])
     mapping: ClockMapping | None = None
+    began_fleet_ns: Int53 | None = Field(default=None, description="When the adapter began.")
     took_ns: Int53 = 0
     stages_ns: dict[str, Int53] = Field(default={}, description="Duration of each stage of arming.")
 
@@ -510,9 +511,59 @@ class ResetRequest(Request):
     check: bool = False
 
 
-class TraceReply(Reply):
-    """The last bytes on a controller's link, oldest first: (host ns, direction, bytes as latin-1 text)."""
+MAX_TRACE_PART = 500  # entries of one answer: some milliseconds of the adapter's time
+
+
+class TraceRequest(Request):
+    """Query an adapter for bytes of the last minute on its link: those after entry number `after_entry`, and of the
+    last `last_ns` (None: all that it has)."""
+
+    after_entry: Int53 = 0
+    last_ns: Int53 | None = Field(default=None, ge=0)
+    limit: int = Field(default=MAX_TRACE_PART, ge=1, le=MAX_TRACE_PART)
+
+
+class TracedBytes(Model):
+    """Bytes that were written or read at once. number: from 1, in the order in which they were recorded. data: base64.
+
+    at_ns: host time; bytes that another process has written are recorded afterwards, so it may be smaller than before.
+    """
+
+    number: Int53
+    at_ns: HostNs
+    direction: Literal["out", "in"]
+    data: str
+
+
+class TracePart(Model):
+    """Some entries of the trace, in the order of their numbers.
+
+    make, options: of the controller, for decoding. newest: number of the last entry that there is. lost: entries after
+    that one that are not kept any more. host_ns, utc, fleet_ns: now.
+    """
+
+    make: str
+    options: dict[str, Any]
+    entries: list[TracedBytes]
+    newest: Int53
+    lost: Int53
+    utc: str
+    host_ns: HostNs
+    fleet_ns: Int53 | None
+
+
+class TraceReply(Model):
+    """Bytes on a controller's link, the oldest first: (host ns, direction, bytes as latin-1 text).
+
+    newest: number of the last entry, to continue after it. lost: entries that were not kept long enough. make, options:
+    of the controller, for decoding. utc, host_ns, fleet_ns: the same instant, just after the last entry.
+    """
 
     entries: list[tuple[HostNs, Literal["out", "in"], str]] = Field(default=[])
+    newest: Int53 = 0
+    lost: Int53 = 0
+    make: str = ""
+    options: dict[str, Any] = Field(default={})
     utc: str = ""
     host_ns: HostNs = 0
+    fleet_ns: Int53 | None = None

@@ -137,10 +137,12 @@ class SyncBudget(Model):
 
 
 class MemberReport(Model):
-    """One member's part in a step."""
+    """One member's part in a step. arming_fleet_ns: when its adapter began to arm it; armed_in_ns: how long that took;
+    stages_ns: the last parts of it, in their order."""
 
     start_class: StartClass
     axes: list[str]
+    arming_fleet_ns: Int53 | None = None
     armed_in_ns: Int53 = 0
     stages_ns: dict[str, Int53] = Field(default={})
     mapping: ClockMapping | None = None

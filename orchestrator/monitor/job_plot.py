@@ -1,78 +1,177 @@
-"""A plot of planned and sampled positions: of one step, or of all moves of a job."""
+"""A plot of planned and polled positions, with starts and ends: of one step, or of all moves of a job."""
 
 # Matplotlib types its keyword arguments only in part.
 # pyright: reportUnknownMemberType=false
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import matplotlib as mpl
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from orchestrator.model.report import AxisRecording, StepRecording
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.report import AxisRecording, StepRecording, StepReport
 
 MARGIN_SHARE = 0.3  # of one move's duration, shown before and after it
 JOB_MARGIN_SHARE = 0.03  # of a job's duration
-PLAN_POINTS = 1000
-WIDTH, HEIGHT, DPI = 9.0, 2.6, 120
+PLAN_POINTS, MIN_PLAN_POINTS = 3000, 60  # of all moves of an axis together, and of each
+WIDTH, DPI = 9.0, 120
+TIMING_WIDTH = 3.0  # of the column of starts and ends
+ROW, LOW_ROW, MANY_AXES = 2.6, 1.7, 4  # heights of the rows of few axes, and of more
+FEW_STEPS = 3
+MAX_NUMBERED = 24  # steps that are marked, with their number above the plot
 COLOUR_PLAN, COLOUR_SEEN = "#7a8ca5", "#c2410c"
+COLOURS_TIMING = {"start": "#1d4ed8", "end": "#15803d"}
 
 
-def plot_recordings(recordings: Sequence[StepRecording], title: str, path: Path | None = None) -> Figure:
-    """Plot all axes of one or more moves: planned and polled positions on the left, their difference on the right.
+class TimingInterval(NamedTuple):
+    """A start after T0, or an end after the planned one, by evidence. at_s: when, after the first T0."""
+
+    at_s: float
+    earliest_ms: float
+    latest_ms: float
+
+
+def plot_recordings(
+    recordings: Sequence[StepRecording], title: str, path: Path | None = None, steps: Sequence[StepReport] = ()
+) -> Figure:
+    """Plot all axes of one or more moves: planned and polled positions on the left, then their difference, and with
+    the reports of the steps how far starts and ends were off the plan, as intervals.
 
     recordings: at least one. path: also write the plot there. The difference contains the following error, and the
     motion within one poll: a poll does not report the instant at which the controller sampled the position.
     """
     mpl.rcParams["font.size"] = 9
     names = list(dict.fromkeys(chain.from_iterable(each.axes for each in recordings)))
-    first_ns = recordings[0].t0_fleet_ns
-    figure = Figure(figsize=(WIDTH, 0.7 + HEIGHT * len(names)), dpi=DPI, layout="constrained")
+    timings = {name: list(_find_timings(name, recordings, steps)) for name in names}
+    timed = any(timings.values())
+    height = ROW if len(names) < MANY_AXES else LOW_ROW
+    size = (WIDTH + TIMING_WIDTH * timed, 0.9 + height * len(names))
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
-    rows = figure.subplots(len(names), 2, squeeze=False, sharex=True, width_ratios=(3, 2))
-    for name, (above, difference) in zip(names, rows, strict=True):
-        unit = next(each.axes[name].unit for each in recordings if name in each.axes)
-        rest: tuple[float, float] | None = None
-        difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
-        for number, recording in enumerate(each for each in recordings if name in each.axes):
-            axis, offset_s = recording.axes[name], (recording.t0_fleet_ns - first_ns) * 1e-9
-            planned_s, planned = _planned_curve(axis, offset_s)
-            seen_s, seen, off = _polled_points(recording, axis, offset_s)
-            if rest:  # between two moves
-                above.plot([rest[0], planned_s[0]], [rest[1], planned[0]], color=COLOUR_PLAN, linewidth=1, zorder=1)
-            rest = planned_s[-1], planned[-1]
-            labels = ("planned", "polled") if number == 0 else (None, None)
-            above.plot(planned_s, planned, color=COLOUR_PLAN, linewidth=2.5, label=labels[0], zorder=1)
-            above.plot(seen_s, seen, ".", color=COLOUR_SEEN, markersize=5, label=labels[1], zorder=2)
-            difference.plot(seen_s, off, ".-", color=COLOUR_SEEN, markersize=4, linewidth=0.8)
-        above.set_ylabel(f"{name}, {unit}")
-        difference.set_ylabel(f"polled - planned, {unit}")
-        for each in (above, difference):
+    columns = (3, 2, 2)[: 2 + timed]
+    grid = figure.subplots(len(names), len(columns), squeeze=False, sharex=True, width_ratios=columns)
+    rows: list[list[Axes]] = [list(row) for row in grid]
+    for name, row in zip(names, rows, strict=True):
+        mine = [each for each in recordings if name in each.axes]
+        _draw_positions(row[0], row[1], name, mine, recordings[0].t0_fleet_ns)
+        if timed:
+            _draw_timings(row[2], timings[name])
+        for each in row:
             each.grid(alpha=0.3)
-    # Above the plot: inside, there is no place that every move leaves free.
-    rows[0][0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-    # A long arming phase would leave no room for the move.
-    end_s = max((each.t0_fleet_ns - first_ns) * 1e-9 + _longest_s(each) for each in recordings)
-    margin_s = MARGIN_SHARE * end_s if len(recordings) == 1 else JOB_MARGIN_SHARE * end_s
-    for column in rows[-1]:
-        column.set_xlabel("s after T0" if len(recordings) == 1 else "s after the first T0")
-        column.set_xlim(-margin_s, end_s + margin_s)
+    if timed:
+        _align_timings([row[2] for row in rows])
+    _finish_plot(rows, recordings)
+    figure.align_ylabels()
     if path is not None:
         figure.savefig(path)
     return figure
+
+
+def _draw_positions(
+    above: Axes, difference: Axes, name: str, recordings: Sequence[StepRecording], first_ns: int
+) -> None:
+    unit = recordings[0].axes[name].unit
+    points = max(MIN_PLAN_POINTS, PLAN_POINTS // (2 + len(recordings)))
+    rest: tuple[float, float] | None = None
+    difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
+    # Dots that touch would hide the plan.
+    size = 5 if len(recordings) <= FEW_STEPS else 2.5 if len(recordings) <= MAX_NUMBERED else 1.8
+    for number, recording in enumerate(recordings):
+        axis, offset_s = recording.axes[name], (recording.t0_fleet_ns - first_ns) / NS_PER_S
+        planned_s, planned = _planned_curve(axis, offset_s, points)
+        seen_s, seen, off = _polled_points(recording, axis, offset_s)
+        if rest:  # between two moves
+            above.plot([rest[0], planned_s[0]], [rest[1], planned[0]], color=COLOUR_PLAN, linewidth=1, zorder=1)
+        rest = planned_s[-1], planned[-1]
+        labels = ("planned", "polled") if number == 0 else (None, None)
+        above.plot(planned_s, planned, color=COLOUR_PLAN, linewidth=size / 2, label=labels[0], zorder=1)
+        above.plot(seen_s, seen, ".", color=COLOUR_SEEN, markersize=size, label=labels[1], zorder=2)
+        difference.plot(seen_s, off, ".-", color=COLOUR_SEEN, markersize=size - 1, linewidth=size / 6)
+    above.set_ylabel(f"{name}, {unit}")
+    difference.set_ylabel(f"off plan, {unit}")
+
+
+def _draw_timings(axes: Axes, timings: Sequence[tuple[Literal["start", "end"], TimingInterval]]) -> None:
+    axes.axhline(0, color=COLOUR_PLAN, linewidth=1)
+    for kind, colour in COLOURS_TIMING.items():
+        found = [each for its_kind, each in timings if its_kind == kind]
+        if not found:
+            continue
+        middles = [(each.earliest_ms + each.latest_ms) / 2 for each in found]
+        halves = [(each.latest_ms - each.earliest_ms) / 2 for each in found]
+        times = [each.at_s for each in found]
+        axes.errorbar(times, middles, yerr=halves, fmt="none", ecolor=colour, elinewidth=1.2, capsize=2.5, label=kind)
+    axes.set_ylabel("off plan, ms")
+
+
+def _align_timings(column: Sequence[Axes]) -> None:
+    """One scale for all, so that controllers can be compared."""
+    limits = [each.get_ylim() for each in column if each.containers]
+    for each in column:
+        each.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
+
+
+def _finish_plot(rows: Sequence[Sequence[Axes]], recordings: Sequence[StepRecording]) -> None:
+    """Titles, legends, numbers of the steps, and the times that are shown."""
+    first_ns, one = recordings[0].t0_fleet_ns, len(recordings) == 1
+    # Above the plot: inside, there is no place that every move leaves free.
+    for column in (0, 2)[: len(rows[0]) - 1]:
+        rows[0][column].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=1.2)
+    for column, words in zip(rows[0], ("", "polled - planned", "starts, ends"), strict=False):
+        column.set_title(words, loc="left", fontsize=9)
+    begins_s = [(each.t0_fleet_ns - first_ns) / NS_PER_S for each in recordings]
+    if 1 < len(recordings) <= MAX_NUMBERED:
+        for begin_s, recording in zip(begins_s, recordings, strict=True):
+            for row in rows:
+                row[0].axvline(begin_s, color=COLOUR_PLAN, linewidth=0.5, alpha=0.5, zorder=0)
+            top = rows[0][0].get_xaxis_transform()
+            rows[0][0].text(begin_s, 1.01, str(recording.step), transform=top, fontsize=7)
+    # A long arming phase would leave no room for the move.
+    end_s = max(begin_s + _longest_s(each) for begin_s, each in zip(begins_s, recordings, strict=True))
+    margin_s = (MARGIN_SHARE if one else JOB_MARGIN_SHARE) * end_s
+    for column in rows[-1]:
+        column.set_xlabel("s after T0" if one else "s after the first T0")
+        column.set_xlim(-margin_s, end_s + margin_s)
+
+
+def _find_timings(
+    name: str, recordings: Sequence[StepRecording], steps: Sequence[StepReport]
+) -> Iterator[tuple[Literal["start", "end"], TimingInterval]]:
+    """Starts and ends of an axis by the evidence in the reports."""
+    controller, _, axis = name.partition(".")
+    first_ns = recordings[0].t0_fleet_ns
+    moved = {each.step: each.axes[name] for each in recordings if name in each.axes}
+    for step in steps:
+        member = step.members.get(controller)
+        evidence = None if member is None else member.evidence.get(axis)
+        if evidence is None or step.t0_fleet_ns is None or step.index not in moved:
+            continue
+        start, end, t0_ns = evidence.start_for_verdict, evidence.end, step.t0_fleet_ns
+        yield "start", _off_plan(start.earliest_ns, start.latest_ns, t0_ns, first_ns)
+        if end is not None and step.state == "done":
+            planned_ns = t0_ns + round(moved[step.index].profile.duration_s * NS_PER_S)
+            yield "end", _off_plan(end.earliest_ns, end.latest_ns, planned_ns, first_ns)
+
+
+def _off_plan(earliest_ns: int, latest_ns: int, planned_ns: int, first_ns: int) -> TimingInterval:
+    at_s = (planned_ns - first_ns) / NS_PER_S
+    return TimingInterval(at_s, (earliest_ns - planned_ns) / NS_PER_MS, (latest_ns - planned_ns) / NS_PER_MS)
 
 
 def _longest_s(recording: StepRecording) -> float:
     return max(axis.profile.duration_s for axis in recording.axes.values())
 
 
-def _planned_curve(axis: AxisRecording, offset_s: float) -> tuple[list[float], list[float]]:
+def _planned_curve(axis: AxisRecording, offset_s: float, points: int) -> tuple[list[float], list[float]]:
     """Return the plan in the axis's unit (motor position), over its whole time."""
     at, end_s = axis.profile.make_evaluator(), axis.profile.duration_s
-    times = [end_s * k / PLAN_POINTS for k in range(PLAN_POINTS + 1)]
+    times = [end_s * k / points for k in range(points + 1)]
     positions = [(axis.profile.start_counts + at(t).position) / axis.counts_per_unit for t in times]
     return [offset_s + t for t in times], positions
 

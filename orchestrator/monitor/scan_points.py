@@ -11,11 +11,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import RenderableType
 
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.report import PointRecord
-from orchestrator.monitor.job_plot import COLOUR_PLAN, COLOUR_SEEN, DPI
+from orchestrator.monitor.job_plot import COLOUR_PLAN, COLOUR_SEEN, COLOURS_TIMING, DPI
 from orchestrator.monitor.tables import make_plain_table
 
 WIDTH, HEIGHT = 9.0, 4.6
+MAX_JOINED = 300  # points with lines between their differences
 MAX_MARKED = 2000  # points with a circle for each planned position
 
 
@@ -38,16 +40,18 @@ def make_point_table(records: Sequence[PointRecord]) -> RenderableType:
 
 def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = None) -> Figure:
     """Plot planned and measured points: of the first two axes of a scan against each other, of a single axis over the
-    points; and on the right the differences of all axes. records: of one scan, at least one. path: also write it there.
+    points; and on the right the differences of all axes, and the start skew of each point as an interval.
+
+    records: of one scan, at least one. path: also write the plot there.
     """
     mpl.rcParams["font.size"] = 9
     axes = list(records[0].target)
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
-    left, *differences = figure.subplot_mosaic(
-        [["map", f"{k}"] for k in range(len(axes))], width_ratios=(3, 2)
-    ).values()
+    skews = [(float(each.point), each.start_skew) for each in records if each.start_skew is not None]
+    parts = [*axes, "start skew"] if skews else axes
+    left, *differences = figure.subplot_mosaic([["map", part] for part in parts], width_ratios=(3, 2)).values()
     planned = {axis: [each.target[axis] for each in records] for axis in axes}
     measured = {axis: [_or_nan(each.measured.get(axis)) for each in records] for axis in axes}
     numbers = [float(each.point) for each in records]
@@ -65,13 +69,24 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
     left.set_ylabel(up)
     left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     left.grid(alpha=0.3)
-    for axis, difference in zip(axes, differences, strict=True):
+    # Lines between many points would hide them.
+    line = ".-" if len(records) <= MAX_JOINED else "."
+    for axis, difference in zip(axes, differences, strict=False):
         off = [seen - meant for seen, meant in zip(measured[axis], planned[axis], strict=True)]
         difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
-        difference.plot(numbers, off, ".-", color=COLOUR_SEEN, markersize=4, linewidth=0.6)
+        difference.plot(numbers, off, line, color=COLOUR_SEEN, markersize=4, linewidth=0.6)
         difference.set_ylabel(f"{axis}: off plan")
         difference.grid(alpha=0.3)
+    if skews:
+        least = [skew.at_least_ns / NS_PER_MS for _, skew in skews]
+        most = [skew.at_most_ns / NS_PER_MS for _, skew in skews]
+        at, colour = [number for number, _ in skews], COLOURS_TIMING["start"]
+        differences[-1].vlines(at, least, most, color=colour, linewidth=0.8, alpha=0.3)
+        differences[-1].plot(at, most, ".", color=colour, markersize=3)
+        differences[-1].set_ylabel("start skew, ms")
+        differences[-1].grid(alpha=0.3)
     differences[-1].set_xlabel("point")
+    figure.align_ylabels(differences)
     if path is not None:
         figure.savefig(path)
     return figure

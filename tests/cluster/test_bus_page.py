@@ -40,6 +40,8 @@ EXAMPLES: dict[str, Any] = {
     "alarm_id": "estop-fleet",
     "alarm_ids": [],
     "all": True,
+    "after_entry": 0,
+    "last_ns": None,
     "after_point": 0,
     "after_step": -1,
     "axes": ["gantry.x"],

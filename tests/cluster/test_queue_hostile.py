@@ -82,7 +82,6 @@ COMMANDS: dict[str, dict[str, Any]] = {
     "configure": {"configuration": {}, "check": True},
     "reset": {"event": None, "check": True},
     "raw": {"holder": "h", "command": "MG TIME", "i_know": False},
-    "trace": {},
     "forget": {},
 }
 NASTY: tuple[Any, ...] = (
@@ -177,7 +176,7 @@ def test_no_payload_ends_an_adapter(controller: str) -> None:
         for verb, more in COMMANDS.items():
             draw = Random(verb)
             good = HEAD | more
-            if verb not in ("stop", "jog", "reset", "raw", "trace", "forget"):
+            if verb not in ("stop", "jog", "reset", "raw", "forget"):
                 # As if it were the coordinator itself that has lost its mind.
                 good |= {"epoch": throne.epoch, "coordinator": throne.coordinator}
             for payload in [*RAW, *(mutated(draw, good) for _ in range(20))]:

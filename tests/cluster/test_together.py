@@ -16,12 +16,12 @@ from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.requests import MemberRequests
-from orchestrator.model.messages import BatchReply, CommitRequest, CommittedReply, EnableRequest, Reply, TraceReply
+from orchestrator.model.messages import BatchReply, CommitRequest, CommittedReply, EnableRequest, Reply
 from orchestrator.model.messages import Request as Asked
 from orchestrator.runtime.virtual import VirtualFleet
 
 BOTH = job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]", max_start_skew="20 ms")
-TRACE = {**HEAD, "request_id": "t"}
+FORGET = {**HEAD, "request_id": "t"}
 
 
 async def together(fleet: VirtualFleet, verb: str, requests: dict[str, Any], within_ms: int = 1000) -> BatchReply:
@@ -73,7 +73,7 @@ def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     answer = ControllerCommands.answer_command
 
     async def broken(commands: ControllerCommands, sample: BusSample) -> bytes:
-        defect = json.dumps(TRACE).encode() == sample.payload
+        defect = json.dumps(FORGET).encode() == sample.payload
         if defect and commands._context.controller == "stage":  # pyright: ignore[reportPrivateUsage]
             raise KeyError("a defect")
         return await answer(commands, sample)
@@ -84,15 +84,15 @@ def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
         faults: list[dict[str, Any]] = []
         # In virtual time it would end the run.
         monkeypatch.setattr(asyncio.get_running_loop(), "call_exception_handler", faults.append)
-        said = await together(fleet, "trace", {"gantry": TRACE, "stage": TRACE, "nobody": TRACE})
-        assert set(said.replies) == {"gantry"} and TraceReply.model_validate_json(said.replies["gantry"]).entries
-        assert "KeyError while answering trace for stage" in said.errors["stage"] and len(faults) == 1
+        said = await together(fleet, "forget", {"gantry": FORGET, "stage": FORGET, "nobody": FORGET})
+        assert set(said.replies) == {"gantry"} and Reply.model_validate_json(said.replies["gantry"]).refused is None
+        assert "KeyError while answering forget for stage" in said.errors["stage"] and len(faults) == 1
         assert set(said.took_ns) == {"gantry", "stage"}
-        said = await together(fleet, "trace", {"gantry": "{", "stage": {**HEAD, "more": 1}})
-        assert not said.replies and "trace: payload" in said.errors["gantry"] and "more" in said.errors["stage"]
+        said = await together(fleet, "forget", {"gantry": "{", "stage": {**HEAD, "more": 1}})
+        assert not said.replies and "forget: payload" in said.errors["gantry"] and "more" in said.errors["stage"]
         with pytest.raises(RequestRefused, match="requests"):
-            await together(fleet, "trace", {})
-        said = await together(fleet, "nothing", {"gantry": TRACE})
+            await together(fleet, "forget", {})
+        said = await together(fleet, "nothing", {"gantry": FORGET})
         assert "unknown verb 'nothing'" in said.errors["gantry"]
 
     run_fleet(main)
@@ -101,19 +101,19 @@ def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_slow_host_is_left_out_and_its_answer_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
 
-    async def slow(commands: ControllerCommands, _: Asked) -> TraceReply:
+    async def slow(commands: ControllerCommands, _: Asked) -> Reply:
         made.append(commands._context.controller)  # pyright: ignore[reportPrivateUsage]
         if made[-1] == "stage":
             await sleep_ns(commands._context.clock, 300 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
-        return TraceReply(entries=[], utc="", host_ns=0)
+        return Reply()
 
-    monkeypatch.setattr(ControllerCommands, "_handle_trace", slow)
+    monkeypatch.setattr(ControllerCommands, "_handle_forget", slow)
 
     async def main(fleet: VirtualFleet) -> None:
-        asked = {"gantry": TRACE, "stage": TRACE}
-        said = await together(fleet, "trace", asked, within_ms=100)
+        asked = {"gantry": FORGET, "stage": FORGET}
+        said = await together(fleet, "forget", asked, within_ms=100)
         assert set(said.replies) == {"gantry"} == set(said.took_ns) and not said.errors
-        said = await together(fleet, "trace", asked)
+        said = await together(fleet, "forget", asked)
         assert set(said.replies) == {"gantry", "stage"} and sorted(made) == ["gantry", "stage"]
         # An answered request is not repeated, and the slow controller had been working for a tenth of a second already.
         assert said.took_ns["gantry"] < 10 * NS_PER_MS < said.took_ns["stage"] < 250 * NS_PER_MS

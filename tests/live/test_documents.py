@@ -28,6 +28,7 @@ PAGES = (
     "how-to/work-with-the-queue.md",
     "how-to/record-and-export.md",
     "how-to/handle-alarms.md",
+    "how-to/look-at-a-run.md",
     "how-to/use-python.md",
     "how-to/test-your-jobs.md",
 )
@@ -69,8 +70,14 @@ def test_every_page_with_commands_is_run() -> None:
 def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
     script = "\n".join(["set -eu", *commands(ROOT / "docs" / page), *programs(ROOT / "docs" / page)])
     script = script.replace("tcp/127.0.0.1:7447", fleet.endpoint)
+    # The fleet is where `tutti up` without --state would have put it.
+    state_home = fleet.folder / "state-home"
+    place = state_home / "tutti" / "demo"
+    if not place.exists():
+        place.parent.mkdir(parents=True)
+        place.symlink_to(fleet.state)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "TUTTI_CONNECT": fleet.endpoint}
+    environment = os.environ | {"PATH": path, "TUTTI_CONNECT": fleet.endpoint, "XDG_STATE_HOME": str(state_home)}
     done = subprocess.run(
         ["bash", "-x", "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PAGE_S
     )

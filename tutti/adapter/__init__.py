@@ -34,6 +34,7 @@ from adapters.contract import (
 )
 from adapters.toolkit.connection import ConnectedDriver, MoverDriver, StepMover
 from adapters.toolkit.firing import FiringOptions, learned_terms, missed_write_fault
+from adapters.toolkit.frames import DecodedFrame, FrameDecoder, FrameDirection, TextDecoder
 from adapters.toolkit.host_start import (
     MoverTools,
     moved_outcome,
@@ -78,6 +79,7 @@ __all__ = [
     "ControllerReading",
     "ControllerRestarted",
     "CrystalRate",
+    "DecodedFrame",
     "Driver",
     "DriverCapabilities",
     "DriverLog",
@@ -85,6 +87,8 @@ __all__ = [
     "ExamplePlace",
     "FaultReport",
     "FiringOptions",
+    "FrameDecoder",
+    "FrameDirection",
     "HostInterval",
     "InferredClock",
     "JogMove",
@@ -109,6 +113,7 @@ __all__ = [
     "StepCosts",
     "StepMover",
     "StopCounter",
+    "TextDecoder",
     "TickMapping",
     "TimedWrite",
     "TimedWriter",

@@ -32,7 +32,7 @@ async def send_raw(line: str, query_all: Callable[[str], Awaitable[list[str]]], 
     text = line.strip()
     if not text.isascii() or not text.isprintable() or len(text) > MAX_LINE:
         raise Refusal("bad-line", f"a command line has at most {MAX_LINE} printable ASCII characters", "shorten it")
-    parts = _split_commands(text)
+    parts = split_commands(text)
     if any(part.strip().startswith(tuple(not_exchanges)) for part in parts):
         raise Refusal("not-by-raw", f"{text[:2]} is not answered by a single line", "use a terminal for this command")
     try:
@@ -42,7 +42,7 @@ async def send_raw(line: str, query_all: Callable[[str], Awaitable[list[str]]], 
     return "\n".join(each for lines in replies for each in lines)
 
 
-def _split_commands(line: str) -> list[str]:
+def split_commands(line: str) -> list[str]:
     """Split a command line at semicolons outside quotes."""
     parts, quoted = [""], False
     for character in line:

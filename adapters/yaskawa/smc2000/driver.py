@@ -18,9 +18,11 @@ from adapters.contract import (
     require_no_problems,
     validate_options,
 )
+from adapters.toolkit.frames import FrameDecoder
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
+from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import (
@@ -41,6 +43,7 @@ from adapters.yaskawa.smc2000.device import LineAddress, PolledPoints, SerialDev
 from adapters.yaskawa.smc2000.line import SHARED, SharedSerialLine
 from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
 from adapters.yaskawa.smc2000.program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
+from adapters.yaskawa.smc2000.replies import parse_serial_reply
 from adapters.yaskawa.smc2000.start import SerialStart
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
@@ -299,6 +302,10 @@ class SMC2000Make:
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return SMC2000Driver(setup)
+
+    def make_decoder(self, options: Mapping[str, Any]) -> FrameDecoder:
+        del options
+        return YaskawaDecoder(parse_serial_reply, marked=True)
 
     def stop_bytes(self, config: Controller) -> bytes:
         """Return bytes that end a half-typed command or a download and stop everything; on a chain `!` reaches all

@@ -16,8 +16,10 @@ from adapters.contract import (
     require_no_problems,
     validate_options,
 )
+from adapters.toolkit.frames import FrameDecoder
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
+from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
@@ -33,7 +35,7 @@ from adapters.yaskawa.common.record import (
     AxisRecord,
 )
 from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
-from adapters.yaskawa.common.session import pack_operands
+from adapters.yaskawa.common.session import pack_operands, parse_reply
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
@@ -242,6 +244,10 @@ class SMC4000Make:
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return SMC4000Driver(setup)
+
+    def make_decoder(self, options: Mapping[str, Any]) -> FrameDecoder:
+        del options
+        return YaskawaDecoder(parse_reply)
 
     def stop_bytes(self, config: Controller) -> bytes:
         # A fresh connection has its own line buffer; on the serial port a half-typed command may precede.

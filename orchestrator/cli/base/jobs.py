@@ -6,8 +6,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.errors import exit_with_error
+
 if TYPE_CHECKING:
-    from orchestrator.model.report import QueuedJob
+    from orchestrator.client import Tutti
+    from orchestrator.model.report import JobReport, QueuedJob
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -44,3 +48,14 @@ def jobs_argument(*, required: bool) -> Callable[[F], F]:
 def name_jobs(*jobs: "QueuedJob") -> str:
     """Jobs in words: their names, each with its id."""
     return ", ".join(f"job {each.name!r} {each.id}" for each in jobs)
+
+
+async def load_report(tutti: "Tutti", reference: str) -> "JobReport":
+    """The report of a finished job; one that has not ended ends the command. Raises `Refusal`."""
+    entry = await tutti.find_job(reference)
+    found = (await tutti.show_job(entry.id)).report
+    if found is None:
+        exit_with_error(
+            f"{name_jobs(entry)} has not ended", FAILED, f"see `tutti job show {entry.id}`", code="not-ended"
+        )
+    return found

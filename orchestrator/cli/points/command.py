@@ -15,11 +15,8 @@ from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
 
 if TYPE_CHECKING:
-    from orchestrator.client import Tutti
     from orchestrator.client.points import OnPoints, PointProgress
     from orchestrator.model.report import PointRecord, QueueEntry
-
-MAX_PLOTTED = 100_000  # points of a scan in one picture
 
 
 @click.command(epilog="Example: tutti job points raster --csv raster.csv")
@@ -112,28 +109,6 @@ async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path) -> int:
     except OSError as error:
         exit_with_error(f"{path} cannot be written: {error.strerror}", FAILED)
     return number
-
-
-async def plot_scans(tutti: "Tutti", entry: "QueueEntry", step: int | None, out: Path | None) -> dict[int, Path]:
-    """Plot the points of each scan of a job; return the files by the first step of the scan."""
-    from orchestrator.monitor.scan_points import plot_points
-
-    scans: dict[int, list[PointRecord]] = {}
-    async for each in tutti.iterate_points(entry.id, step):
-        known = scans.setdefault(each.step, [])
-        if len(known) < MAX_PLOTTED:
-            known.append(each)
-    files: dict[int, Path] = {}
-    for number, records in scans.items():
-        path = out if out is not None and len(scans) == 1 else (out or Path(f"{entry.id}.png"))
-        if out is None or len(scans) > 1:
-            path = path.with_stem(f"{path.stem}-{number}")
-        try:
-            plot_points(records, f"job {entry.id} {entry.name!r}, step {number}: {len(records)} points", path)
-        except (OSError, ValueError) as error:
-            exit_with_error(f"{path} cannot be written: {error}", FAILED)
-        files[number] = path
-    return files
 
 
 @contextmanager

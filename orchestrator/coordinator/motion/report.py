@@ -35,6 +35,7 @@ def make_member_report(agreement: StartAgreement, armed: ArmedReply, member: str
     return MemberReport(
         start_class=agreement.proposals[member].start_class,
         axes=list(profiles),
+        arming_fleet_ns=armed.began_fleet_ns,
         armed_in_ns=armed.took_ns,
         stages_ns=armed.stages_ns,
         mapping=armed.mapping,

@@ -35,6 +35,16 @@ def test_a_raster_is_submitted_shown_written_plotted_and_run_again(world: Comman
     picture = tmp_path / "raster.png"
     assert "step 2: " in world.done("job", "plot", "last", "--out", str(picture), "--step", "2")
     assert picture.stat().st_size > 10_000
+    parts = json.loads(world.done("job", "plot", "last", "--out", str(tmp_path / "all.svg"), "--json"))
+    assert parts == {"job": str(tmp_path / "all.svg"), "2": str(tmp_path / "all-2.svg")}
+    assert all("<svg" in Path(each).read_text(encoding="utf-8") for each in parts.values())
+    drawn = world.done("job", "timeline", "last", "-o", str(tmp_path / "stages.png"))
+    assert drawn == f"step 200: {tmp_path / 'stages.png'}" and (tmp_path / "stages.png").stat().st_size > 10_000
+    assert "coordinator" in world.done("job", "timeline", "last") and "start x" in world.done("job", "timeline", "last")
+    assert json.loads(world.done("job", "timeline", "last", "--json"))["schema"] == "tutti.timeline/1"
+    assert "it has: 200" in world.refused(2, "job", "timeline", "last", "--step", "7")
+    assert "ends in .png or .svg" in world.refused(2, "job", "plot", "last", "-o", "x.jpg")
+    assert "cannot be written" in world.refused(1, "job", "plot", "last", "-o", str(tmp_path / "none" / "x.png"))
     assert "no scan" in world.refused(1, "job", "retry", "last", "--from-step", "1", "--from-point", "3", "--yes")
     again = world.run("job", "retry", "last", "--from-step", "2", "--from-point", "64", "--yes")
     assert again.exit_code == 0 and "191 scan" in again.output

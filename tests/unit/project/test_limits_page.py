@@ -4,14 +4,17 @@ from pathlib import Path
 
 import pytest
 
+from adapters.controller.tracing import MAX_TRACE_PART_BYTES
 from orchestrator.bus import answers, limits, log, logfile
 from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
 from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES
 from orchestrator.coordinator.journal.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
 from orchestrator.coordinator.journal.point_store import QUOTA_BYTES
 from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
+from orchestrator.link.trace import MAX_TRACE_ENTRIES
 from orchestrator.model.base import MAX_RATIONAL_LENGTH
 from orchestrator.model.job import MAX_AT_EACH, MAX_REPEAT_DEPTH, MAX_REPEATED
+from orchestrator.model.messages import MAX_TRACE_PART
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS
 from orchestrator.model.scan import MAX_LISTED, MAX_POINTS, MAX_SCAN_AXES
 from orchestrator.model.yaml_reader import MAX_BYTES
@@ -38,6 +41,7 @@ ROWS = {
     "jobs in the published queue": [MAX_PUBLISHED_JOBS],
     "samples of an axis": [MAX_SAMPLES, MAX_RECORDED_STEPS, MAX_RECORDED_JOBS],
     "lines of one source": [log.MAX_LINES_PER_S, log.MAX_LINE_CHARS],
+    "bytes on a link": [MAX_TRACE_ENTRIES, MAX_TRACE_PART, MAX_TRACE_PART_BYTES],
     "warnings of one source": [log.MAX_PUBLISHED_PER_S],
     "log file": [logfile.MAX_LOG_BYTES, logfile.KEPT_LOGS],
 }

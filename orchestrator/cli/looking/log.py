@@ -1,0 +1,175 @@
+"""`tutti log`: the log lines of all processes of a fleet."""
+
+import json
+import re
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from orchestrator.cli.base.codes import BAD_INPUT, UNREACHABLE
+from orchestrator.cli.base.common import actor_name, check_fleet_option, console, json_option, utc_option
+from orchestrator.cli.base.completion import complete_controllers
+from orchestrator.cli.base.durations import DurationType
+from orchestrator.cli.base.errors import errors, exit_with_error, refusal_exit_code
+from orchestrator.cli.base.jobs import JobReferenceType
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from orchestrator.monitor.logs.placing import PlacedLine
+    from orchestrator.monitor.logs.words import LineLayout
+
+FOLLOW_S = 0.25  # between two readings of the files
+PRINTED_AT_ONCE = 200  # lines
+_NAME_FOLDER = "name the folder, if the fleet was started with --state: `tutti log --state FOLDER`"
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  tutti log --level warning --since 10min
+  tutti log --job last
+  tutti log --controller gantry --follow"""
+)
+@click.option(
+    "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
+)
+@click.option(
+    "--fleet",
+    envvar="TUTTI_FLEET",
+    show_envvar=True,
+    default=None,
+    callback=check_fleet_option,
+    help="The fleet, if there are several; it need not run.",
+)
+@click.option("--job", type=JobReferenceType(), default=None, help="Only lines of this job.")
+@click.option("--controller", default=None, shell_complete=complete_controllers, help="Only lines of this controller.")
+@click.option(
+    "--level",
+    type=click.Choice(["info", "warning"]),
+    default="info",
+    show_default=True,
+    help="This level and above; faults, losses and e-stops are warnings.",
+)
+@click.option("--since", type=DurationType(), default=None, help="Only lines of this last time, e.g. 10min.")
+@click.option("--last", type=click.IntRange(1), default=None, help="Only that many, the newest.")
+@click.option("--follow", is_flag=True, help="Continue with new lines until Ctrl-C.")
+@utc_option
+@json_option
+def log(
+    state: Path | None,
+    fleet: str | None,
+    job: str | None,
+    controller: str | None,
+    level: Literal["info", "warning"],
+    since: float | None,
+    last: int | None,
+    *,
+    follow: bool,
+    as_json: bool,
+) -> None:
+    """Show the log lines of all processes of a fleet on this computer, in order of fleet time.
+
+    Reads the files in the state folder: the fleet need not run. JOB: the beginning of its id; its name, or `last`, if
+    the fleet runs. Lines of standard error have no time: they stand at the time when their file was written last.
+    """
+    from orchestrator.monitor.logs.files import LogFolder
+    from orchestrator.monitor.logs.filter import LogFilter
+    from orchestrator.monitor.logs.words import LineLayout
+
+    folder = _choose_state(state, fleet)
+    since_ns = None if since is None else time.time_ns() - round(since * 1e9)
+    wanted = LogFilter(None if job is None else _resolve_job(folder, job), controller, level, since_ns)
+    with closing(LogFolder(folder / "log")) as files:
+        found = _read(files.read_all)
+        shown = [each for each in found if wanted.accepts(each)]
+        shown = shown if last is None else shown[-last:]
+        layout = None if as_json else LineLayout(shown)
+        _print_lines(shown, layout)
+        _report_damage(found)
+        while follow:
+            time.sleep(FOLLOW_S)
+            added = _read(files.read_added)
+            _print_lines([each for each in added if wanted.accepts(each)], layout)
+            _report_damage(added)
+
+
+def _read(read: "Callable[[], list[PlacedLine]]") -> "list[PlacedLine]":
+    try:
+        return read()
+    except OSError as error:
+        text = f"{error.filename or 'the log'} cannot be read: {error.strerror}"
+        exit_with_error(text, BAD_INPUT, "choose another folder with --state, or run this as the user of the fleet")
+
+
+def _choose_state(state: Path | None, fleet: str | None) -> Path:
+    """The state folder; a choice that is not unique ends the command."""
+    from orchestrator.runtime.state_folder import default_state, find_running_fleets
+
+    base = default_state("any").parent
+    if state is None and fleet is None:
+        running = [each.folder for each in find_running_fleets()]
+        there = running or [path.parent for path in sorted(base.glob("*/log"))]
+        if len(there) > 1:
+            names = ", ".join(each.name for each in there)
+            text = f"several fleets {'run' if running else 'have logs'}: {names}"
+            exit_with_error(text, BAD_INPUT, "choose one with --fleet or --state", code="which-fleet")
+        if not there:
+            exit_with_error(f"no fleet has logs below {base}", BAD_INPUT, _NAME_FOLDER)
+        state = there[0]
+    folder = state or default_state(fleet or "")
+    if not (folder / "log").is_dir():
+        exit_with_error(f"{folder} has no logs", BAD_INPUT, _NAME_FOLDER)
+    return folder
+
+
+def _resolve_job(folder: Path, reference: str) -> str:
+    """The id of a job, asked of the fleet if it answers; otherwise the reference is the beginning of the id."""
+    import asyncio
+
+    from orchestrator.bus.base import BusError
+    from orchestrator.bus.zenoh.sessions import RouterUnreachable
+    from orchestrator.client import Tutti
+    from orchestrator.model.errors import Refusal
+    from orchestrator.runtime.state_folder import find_running_fleet
+
+    running = find_running_fleet(folder)
+
+    async def find_job(connect: str, name: str) -> str:
+        async with Tutti(connect, name, actor=actor_name()) as tutti:
+            return (await tutti.find_job(reference)).id
+
+    if running is not None:
+        try:
+            return asyncio.run(find_job(running.connect, running.fleet))
+        except (BusError, RouterUnreachable):
+            pass
+        except Refusal as error:
+            if refusal_exit_code(error.code) != UNREACHABLE:
+                raise
+    if re.fullmatch("[0-9a-f]+", reference) is None:
+        text = f"job {reference!r} cannot be looked up: no fleet answers"
+        exit_with_error(text, UNREACHABLE, "write the beginning of its id", code="no-answer")
+    return reference
+
+
+def _print_lines(lines: "Sequence[PlacedLine]", layout: "LineLayout | None") -> None:
+    """Print them for people; without a layout for programs, one JSON object a line."""
+    from orchestrator.monitor.logs.words import make_plain_line
+
+    for at in range(0, len(lines), PRINTED_AT_ONCE):
+        part = lines[at : at + PRINTED_AT_ONCE]
+        if layout is None:
+            console.out("\n".join(json.dumps(make_plain_line(each)) for each in part), highlight=False)
+        else:
+            console.print(*map(layout.format_line, part), sep="\n", soft_wrap=True)
+
+
+def _report_damage(lines: "Sequence[PlacedLine]") -> None:
+    """Say on standard error how many lines could not be read, of which files."""
+    damaged = [each.line.file for each in lines if each.line.damaged]
+    for name in dict.fromkeys(damaged):
+        errors.print(f"{damaged.count(name)} damaged lines in {name}, shown as they are", highlight=False, style="dim")
