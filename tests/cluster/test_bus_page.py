@@ -12,6 +12,8 @@ import pytest
 from cluster.worlds import demo_fleet, demo_job, job, run_fleet
 
 import orchestrator.model.messages
+import orchestrator.model.operation.alarms
+import orchestrator.model.operation.recording
 import orchestrator.model.report
 import orchestrator.model.service
 import orchestrator.model.state
@@ -23,9 +25,11 @@ from orchestrator.runtime.virtual import VirtualFleet
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "bus.md").read_text(encoding="utf-8")
 MODELS = {
-    module.__name__.rpartition(".")[2]: module
+    module.__name__.removeprefix("orchestrator.model."): module
     for module in (
         orchestrator.model.messages,
+        orchestrator.model.operation.alarms,
+        orchestrator.model.operation.recording,
         orchestrator.model.report,
         orchestrator.model.service,
         orchestrator.model.state,
@@ -132,7 +136,7 @@ def requests() -> list[tuple[str, list[str], list[str]]]:
 
 
 def models_of(cell: str) -> list[type[Model]]:
-    named = re.findall(r"`(state|report|messages|service)\.(\w+)`", cell)
+    named = re.findall(r"`((?:operation\.)?\w+)\.([A-Z]\w+)`", cell)
     return [getattr(MODELS[module], name) for module, name in named]
 
 
@@ -189,7 +193,9 @@ def test_every_key_of_the_page_is_published_while_a_job_runs_and_contains_what_i
             expression = re.sub(r"\{\w+\}", "*", f"{client.keys.prefix}/{key}")
             await client.bus.subscribe(expression, heard[key].append)
         run: Job = demo_job()
+        sampled = job("[{do: move, by: {gantry.x: 5}, record: {axes: [gantry.x], period: 5 ms}}]")
         assert (await client.wait_for_job(await client.submit(run))).state == "done"
+        assert (await client.wait_for_job(await client.submit(sampled))).state == "done"
         # One that ends badly is warned of.
         assert (
             await client.wait_for_job(await client.submit(job("[{do: wait, input: gantry.door, timeout: 100 ms}]")))

@@ -169,3 +169,15 @@ def test_record_repair_says_what_it_has_kept(whole: Path, tmp_path: Path) -> Non
 def test_a_quota_that_is_no_size_is_refused(tmp_path: Path, words: str, text: str) -> None:
     code, shown = run("record", "start", "--fleet", "lab", "--folder", str(tmp_path), "--quota", words)
     assert code == 2 and text in shown
+
+
+def test_a_folder_that_cannot_be_used_is_named_with_the_reason(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("not a folder")
+    code, shown = run("record", "start", "--fleet", "lab", "--folder", str(file), "--connect", "tcp/127.0.0.1:1")
+    assert code == 2 and str(file) in shown and "Not a directory" in shown
+    link = tmp_path / "link"
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / ".lock").symlink_to(file)
+    code, shown = run("record", "start", "--fleet", "lab", "--folder", str(link.parent / "folder"))
+    assert code == 2 and "is a symbolic link" in shown
