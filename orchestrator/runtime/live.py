@@ -125,6 +125,7 @@ class LiveFleet:
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
     _rotation: "asyncio.Task[None] | None" = None
+    _recording: "asyncio.Task[None] | None" = None
 
     async def start(self) -> None:
         """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
@@ -135,7 +136,7 @@ class LiveFleet:
             await self._start_router()
             self._lock.describe_fleet(self.fleet.fleet, self.connect)
             file = self.state / FLEET_FILE
-            recording = asyncio.create_task(self._start_recorder(file))
+            self._recording = asyncio.create_task(self._start_recorder(file))
             if self.simulated:
                 await self._start_simulators()
             replace_private_file(file, self.fleet.to_json())
@@ -148,7 +149,7 @@ class LiveFleet:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
-            await recording
+            await self._recording
         except BaseException:
             await self.close()
             raise
@@ -174,6 +175,10 @@ class LiveFleet:
 
     async def close(self) -> None:
         """End all children, the coordinator first and the router last."""
+        if self._recording is not None:
+            # Not while it starts: it would come into being behind this.
+            self._recording.cancel()
+            await asyncio.wait([self._recording])
         # Both coordinators at once: the standby must not take over from the other.
         both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end_child(child) for child in both))

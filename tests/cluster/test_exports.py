@@ -92,7 +92,7 @@ def test_the_grid_has_the_readings_at_their_instants_and_the_plans(run: Run) -> 
                 continue  # the grid's instant before it has no position
             around = [grid[f"{axis}.position"][row], grid[f"{axis}.position"][min(row + 1, len(grid["step"]) - 1)]]
             # Between the grid's two neighbours, as far as a millisecond of motion goes.
-            assert min(around) - 0.3 <= reading.axis.position <= max(around) + 0.3
+            assert min(around) - 0.3 <= reading.position <= max(around) + 0.3
     for plan in recorded.plans:
         for axis, planned in plan.axes.items():
             at = planned.profile.make_evaluator()

@@ -276,3 +276,29 @@ def test_a_recorder_that_starts_within_a_job_records_the_rest_of_it(tmp_path: Pa
     (path,) = recorded.files("job")
     states = read_messages(path, lambda key: key.startswith("ctl/") and key.endswith("/state"))
     assert {each.key.split("/")[1] for each in states} == {"gantry", "stage"}
+
+
+def test_the_recording_of_a_job_whose_end_was_not_seen_is_completed(tmp_path: Path) -> None:
+    """Its coordinator was killed, and the next one has published the end before the recorder was there."""
+
+    async def main(virtual: VirtualFleet) -> RecordedFleet:
+        tutti = virtual.make_client("anna")
+        await run_jobs(tutti, PREPARE)
+        recorded = RecordedFleet(virtual, tmp_path)
+        await recorded.recorder.start()
+        running = asyncio.ensure_future(recorded.recorder.run())
+        lost = await tutti.submit(MOVE)
+        await asyncio.sleep(3)
+        original = recorded.writer.write_messages
+        # From here on nothing of this job arrives.
+        recorded.writer.write_messages = lambda messages: original([m for m in messages if lost not in m.key])
+        await tutti.wait_for_job(lost)
+        await tutti.wait_for_job(await tutti.submit(job("[{do: dwell, duration: 1 s}]")))
+        await asyncio.sleep(5)
+        assert lost not in recorded.folder.open
+        running.cancel()
+        await recorded.recorder.close()
+        return recorded
+
+    recorded = run_fleet(main)
+    assert all(summarize_recording(each).is_complete for each in recorded.files("job"))

@@ -8,17 +8,26 @@ from pydantic import ValidationError
 
 from orchestrator.model.operation.recording import StepSamples
 from orchestrator.model.report import JobReport, StepRecording
-from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
+from orchestrator.model.state import ControllerEvent, ControllerState
 from orchestrator.monitor.recording.reader import Recording
 
 
 class RecordedReading(NamedTuple):
-    """One reading of an axis. fleet_ns: when the answer to the poll had arrived; utc_ns: the same instant."""
+    """One reading of an axis. fleet_ns: when the answer to the poll had arrived; utc_ns: the same instant.
+
+    The others as in `state.AxisState`, with the mode of its controller.
+    """
 
     fleet_ns: int
     utc_ns: int
+    position: float
+    commanded: float
+    velocity: float
+    motor_position: float
+    raw_counts: float
+    unit: str
+    moving: bool
     mode: str
-    axis: AxisState
 
 
 @dataclass(slots=True)
@@ -69,4 +78,7 @@ def _add_state(run: RecordedRun, state: ControllerState, utc_ns: int) -> None:
         readings = run.readings[f"{state.controller}.{name}"]
         # A state is also published without a new reading.
         if not readings or readings[-1].fleet_ns < state.read_fleet_ns:
-            readings.append(RecordedReading(state.read_fleet_ns, utc_ns, state.mode, axis))
+            positions = axis.position, axis.commanded, axis.velocity, axis.motor_position, axis.raw_counts
+            readings.append(
+                RecordedReading(state.read_fleet_ns, utc_ns, *positions, axis.unit, axis.moving, state.mode)
+            )

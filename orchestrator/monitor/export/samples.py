@@ -48,9 +48,7 @@ class ExportTooLarge(TuttiError):
 def make_samples_table(run: RecordedRun) -> DataTable:
     """Every reading of every axis as it came, in order of time: one row each. Positions in the unit of their row."""
     rows = [
-        (each.fleet_ns, each.utc_ns, name, *_axis_values(each))
-        for name, readings in run.readings.items()
-        for each in readings
+        (each.fleet_ns, each.utc_ns, name, *each[2:]) for name, readings in run.readings.items() for each in readings
     ]
     rows.sort(key=lambda row: (row[0], row[2]))
     columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_SAMPLE_COLUMNS)}
@@ -72,20 +70,6 @@ def make_device_table(run: RecordedRun) -> DataTable:
     rows.sort(key=lambda row: (row[0], row[5]))
     columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_DEVICE_COLUMNS)}
     return DataTable("device", columns, dict.fromkeys(_DEVICE_COLUMNS[:4], "ns"), _describe(run))
-
-
-def _axis_values(reading: RecordedReading) -> tuple[Any, ...]:
-    axis = reading.axis
-    return (
-        axis.position,
-        axis.commanded,
-        axis.velocity,
-        axis.motor_position,
-        axis.raw_counts,
-        axis.unit,
-        axis.moving,
-        reading.mode,
-    )
 
 
 def make_grid_table(run: RecordedRun, period_ns: int | None = None) -> DataTable:
@@ -112,11 +96,11 @@ def make_grid_table(run: RecordedRun, period_ns: int | None = None) -> DataTable
     columns["step"] = _mark_steps(run.plans, grid)
     units = {"fleet_ns": "ns", "utc_ns": "ns"}
     for name, each in readings.items():
-        unit = each[-1].axis.unit
+        unit = each[-1].unit
         found = {
-            f"{name}.position": _interpolate(grid, each, [one.axis.position for one in each]),
-            f"{name}.commanded": _interpolate(grid, each, [one.axis.commanded for one in each]),
-            f"{name}.velocity": _interpolate(grid, each, [one.axis.velocity for one in each]),
+            f"{name}.position": _interpolate(grid, each, [one.position for one in each]),
+            f"{name}.commanded": _interpolate(grid, each, [one.commanded for one in each]),
+            f"{name}.velocity": _interpolate(grid, each, [one.velocity for one in each]),
         }
         planned = _sample_plans(run.plans, name, grid)
         if planned is not None:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from types import MappingProxyType
 
 from pydantic import ValidationError
@@ -18,6 +18,7 @@ from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerSt
 
 JSON = "json"
 BYTES = ""  # of payloads that are not valid for their key
+MAX_KEYS_KEPT = 10_000  # of channels that are looked up: each job has some
 INVALID = "#invalid"  # ends the topic of their channel
 
 # What a key without ids is, below the fleet's prefix: its first chunk and its last one.
@@ -68,9 +69,9 @@ class Channel:
         return self.key.split("/")[3:]
 
 
-@cache
+@lru_cache(maxsize=MAX_KEYS_KEPT)
 def find_channel(key: str) -> Channel:
-    """Return the channel of a key. The number of keys of a fleet is small, but for those of jobs."""
+    """Return the channel of a key."""
     parts = key.split("/")[3:]
     kind = (parts[0], parts[-1]) if parts else ("", "")
     model = _BY_FIRST.get(kind[0]) or _MODELS.get(kind)

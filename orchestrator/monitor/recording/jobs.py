@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from orchestrator.model.base import Model
 from orchestrator.model.operation.recording import AxisReading, JobBegun, StepStart
-from orchestrator.model.report import FINISHED_STATES, JobProgress, JobReport, LeaseState
+from orchestrator.model.report import FINISHED_STATES, JobProgress, JobReport, LeaseState, QueueState
 from orchestrator.model.state import ControllerEvent, ControllerState, TimeInterval
 from orchestrator.monitor.recording.channels import Channel
 
@@ -20,7 +20,7 @@ class TrackedJob:
     """A job that is executed, as far as the messages show it.
 
     step: its present step. begun_steps: those whose start positions are recorded already. ended: its report has come,
-    or a final state.
+    or a final state. missing: it is no longer among the jobs of the queue: its end was not seen.
     """
 
     job_id: str
@@ -29,6 +29,12 @@ class TrackedJob:
     step: int | None = None
     begun_steps: set[int] = field(default_factory=set[int])
     ended: bool = False
+    missing: bool = False
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended, as far as is known."""
+        return self.ended or self.missing
 
 
 class JobTracker:
@@ -55,6 +61,10 @@ class JobTracker:
                 return self._complete_step(job)
         elif isinstance(message, LeaseState):
             self._take_lease(message)
+        elif isinstance(message, QueueState):
+            listed = {each.id for each in message.jobs}
+            for job in self.running.values():
+                job.missing = job.job_id not in listed
         elif isinstance(message, ControllerEvent) and message.kind == "started" and message.job in self.running:
             return self._begin_step(self.running[message.job], message)
         return []
@@ -127,6 +137,7 @@ class JobTracker:
                 job.ended = True
             return []
         job = self._find_job(progress.job_id, progress.name)
+        job.missing = False
         starts = self._complete_step(job) if job.step is not None and job.step != progress.step else []
         job.step = progress.step
         return starts

@@ -213,8 +213,12 @@ class RecordingWriter:
     def _end_finished_jobs(self) -> None:
         """End the recordings of jobs a while after their ends: what still comes belongs to them."""
         now_ns = self._clock.now_ns()
-        for job in [each for each in self._jobs.running.values() if each.ended]:
+        for job in list(self._jobs.running.values()):
             recording = self._folder.open.get(job.job_id)
+            if not job.is_over:
+                if recording is not None:
+                    recording.ended_ns = None
+                continue
             if recording is not None and recording.ended_ns is None:
                 recording.ended_ns = now_ns
             elif recording is None or now_ns - (recording.ended_ns or 0) >= LINGER_NS:
