@@ -123,8 +123,10 @@ class EpochFence:
         latch = self.estop_latch
         if latch is None:
             return False
-        await self._remembered.store_values(estop=None)
+        # Before it is stored, which takes a while: processes that keep it receive the reset later, and the leader's
+        # heartbeat names it until then.
         self._reset_event = latch.event
+        await self._remembered.store_values(estop=None)
         return True
 
     def misses_estop(self, event: str) -> bool:

@@ -1,7 +1,7 @@
 """An adapter host: the controller supervisors of one machine, and the messages for all of them (leadership, e-stop)."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -184,11 +184,11 @@ class AdapterHost:
     # The e-stop
 
     def _handle_estop(self, sample: BusSample) -> None:
-        self._apply_estop(read_estop(sample.payload, self._environment.clock.utc()))
+        self._apply_estop(read_estop(sample.payload, self._environment.clock.utc()), self.supervisors.values())
 
-    def _apply_estop(self, latch: EstopLatch) -> None:
+    def _apply_estop(self, latch: EstopLatch, units: Iterable[ControllerSupervisor]) -> None:
         # Moving controllers first: a controller at rest can wait the millisecond that the stops of 16 others take.
-        for unit in sorted(self.supervisors.values(), key=lambda unit: not unit.is_moving):
+        for unit in sorted(units, key=lambda unit: not unit.is_moving):
             self._spawn_task(unit.apply_estop(latch))
 
     # Leadership
@@ -206,7 +206,7 @@ class AdapterHost:
 
     async def _fetch_estop(self, event: str) -> None:
         """The coordinator keeps an e-stop that did not arrive here, because the bus was partly broken: fetch it, and
-        apply it. Without an answer the next heartbeat begins anew."""
+        apply it where it is still missing. Without an answer the next heartbeat begins anew."""
         keys = self._environment.keys
         try:
             kept = await self._environment.bus.request_all(keys.kept_estop(), b"", timeout_s=1.0)
@@ -216,7 +216,7 @@ class AdapterHost:
             with suppress(ValidationError):
                 latch = KeptEstop.model_validate_json(kept[key]).estop
                 if latch is not None and latch.event == event:
-                    self._apply_estop(latch)
+                    self._apply_estop(latch, [unit for unit in self.supervisors.values() if unit.misses_estop(event)])
                     return
 
     def _follow_leader(self, controller: str, leader: LeaderHeartbeat) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, UNREACHABLE
-from orchestrator.cli.base.common import actor_name, check_fleet_option, json_option, print_result
+from orchestrator.cli.base.common import actor_name, fleet_option, json_option, print_result, state_option
 from orchestrator.cli.base.errors import exit_with_error, run_main
 
 if TYPE_CHECKING:
@@ -22,17 +22,8 @@ POLL_S = 0.1
 
 
 @click.command(epilog="Example: tutti down --fleet demo")
-@click.option(
-    "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
-)
-@click.option(
-    "--fleet",
-    envvar="TUTTI_FLEET",
-    show_envvar=True,
-    default=None,
-    callback=check_fleet_option,
-    help="The fleet, if several run.",
-)
+@state_option
+@fleet_option("The fleet, if several run.")
 @json_option
 def down(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
     """End a fleet that `tutti up` runs on this machine: first its axes come to rest, then its processes end in order.

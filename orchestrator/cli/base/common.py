@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -60,27 +61,37 @@ def _complete_fleets(context: click.Context, option: click.Parameter, begun: str
     return complete_fleets(context, option, begun)
 
 
-def fleet_options(command: F) -> F:
-    """Add the options `--connect`, `--fleet` and `--utc`."""
-    connect = click.option(
-        "--connect",
-        envvar="TUTTI_CONNECT",
-        default=DEFAULT_ENDPOINT,
-        show_default=True,
-        show_envvar=True,
-        callback=check_endpoint_option,
-        help="The router, as `tcp/HOST:PORT`.",
-    )
-    fleet = click.option(
+connect_option = click.option(
+    "--connect",
+    envvar="TUTTI_CONNECT",
+    default=DEFAULT_ENDPOINT,
+    show_default=True,
+    show_envvar=True,
+    callback=check_endpoint_option,
+    help="The router, as `tcp/HOST:PORT`.",
+)
+state_option = click.option(
+    "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
+)
+
+
+def fleet_option(text: str, *, required: bool = False) -> Callable[[F], F]:
+    """The option `--fleet`, with its help."""
+    return click.option(
         "--fleet",
         envvar="TUTTI_FLEET",
         show_envvar=True,
         default=None,
+        required=required,
         callback=check_fleet_option,
         shell_complete=_complete_fleets,
-        help="The fleet, if there are several.",
+        help=text,
     )
-    return connect(fleet(utc_option(command)))
+
+
+def fleet_options(command: F) -> F:
+    """Add the options `--connect`, `--fleet` and `--utc`."""
+    return connect_option(fleet_option("The fleet, if there are several.")(utc_option(command)))
 
 
 def _note_utc(_: click.Context, __: click.Parameter, value: bool) -> None:  # noqa: FBT001

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, UNREACHABLE
-from orchestrator.cli.base.common import actor_name, check_fleet_option, console, json_option, utc_option
+from orchestrator.cli.base.common import actor_name, console, fleet_option, json_option, state_option, utc_option
 from orchestrator.cli.base.completion import complete_controllers
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import errors, exit_with_error, refusal_exit_code
@@ -34,17 +34,8 @@ Examples:
   tutti log --job last
   tutti log --controller gantry --follow"""
 )
-@click.option(
-    "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
-)
-@click.option(
-    "--fleet",
-    envvar="TUTTI_FLEET",
-    show_envvar=True,
-    default=None,
-    callback=check_fleet_option,
-    help="The fleet, if there are several; it need not run.",
-)
+@state_option
+@fleet_option("The fleet, if there are several; it need not run.")
 @click.option("--job", type=JobReferenceType(), default=None, help="Only lines of this job.")
 @click.option("--controller", default=None, shell_complete=complete_controllers, help="Only lines of this controller.")
 @click.option(

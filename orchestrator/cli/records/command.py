@@ -6,19 +6,24 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, UNREACHABLE
 from orchestrator.cli.base.common import (
-    check_endpoint_option,
-    check_fleet_option,
+    connect_option,
     console,
+    fleet_option,
     json_option,
     print_json,
     utc_option,
 )
 from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.base.sizes import SizeType
-from orchestrator.cli.records.folder import find_folder, fleet_option, folder_option, metrics_option, require_extra
+from orchestrator.cli.records.folder import (
+    find_folder,
+    folder_option,
+    metrics_option,
+    recorded_fleet_option,
+    require_extra,
+)
 
 if TYPE_CHECKING:
     from orchestrator.monitor.recording.reader import RecordingSummary
@@ -33,18 +38,8 @@ def record() -> None:
 
 
 @record.command(epilog="Example: tutti record start --fleet lab --connect tcp/192.168.1.5:7447 --folder /data/lab")
-@click.option(
-    "--connect",
-    envvar="TUTTI_CONNECT",
-    default=DEFAULT_ENDPOINT,
-    show_default=True,
-    show_envvar=True,
-    callback=check_endpoint_option,
-    help="The router, as `tcp/HOST:PORT`.",
-)
-@click.option(
-    "--fleet", envvar="TUTTI_FLEET", show_envvar=True, required=True, callback=check_fleet_option, help="The fleet."
-)
+@connect_option
+@fleet_option("The fleet.", required=True)
 @click.option("--folder", type=click.Path(path_type=Path), required=True, help="Where the recordings go.")
 @click.option("--quota", default="2GB", show_default=True, type=SizeType(), help="Space for all recordings there.")
 @click.option(
@@ -85,7 +80,7 @@ def start(
 
 @record.command("ls", epilog="Example: tutti record ls --limit 5")
 @folder_option
-@fleet_option
+@recorded_fleet_option
 @click.option("--limit", default=20, show_default=True, type=click.IntRange(1, 100_000), help="The newest ones.")
 @utc_option
 @json_option

@@ -8,7 +8,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, json_option, print_json
 from orchestrator.cli.base.errors import errors, exit_with_error
-from orchestrator.cli.records.folder import find_recording, fleet_option, folder_option, require_extra
+from orchestrator.cli.records.folder import find_recording, folder_option, recorded_fleet_option, require_extra
 
 if TYPE_CHECKING:
     from orchestrator.monitor.export.files import TableFormat
@@ -26,7 +26,7 @@ _FORMATS = ("parquet", "csv", "hdf5")
     "--period", default=None, metavar="DURATION", help="Of the common grid, e.g. 10ms. Default: that of the readings."
 )
 @folder_option
-@fleet_option
+@recorded_fleet_option
 @json_option
 def export(
     recording: str,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT
-from orchestrator.cli.base.common import check_fleet_option
+from orchestrator.cli.base.common import fleet_option
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.extras import find_missing
 
@@ -19,14 +19,7 @@ folder_option = click.option(
     default=None,
     help="The folder of the recordings. Else that of the fleet's state folder.",
 )
-fleet_option = click.option(
-    "--fleet",
-    envvar="TUTTI_FLEET",
-    show_envvar=True,
-    default=None,
-    callback=check_fleet_option,
-    help="The fleet, if several have run here.",
-)
+recorded_fleet_option = fleet_option("The fleet, if several have run here.")
 metrics_option = click.option(
     "--metrics-port",
     type=click.IntRange(0, 65_535),
