@@ -6,6 +6,7 @@ The figures are to see by: a name is good when a reader knows without its file w
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
 from statistics import median
 
@@ -38,6 +39,12 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 def product_files() -> list[Path]:
     """All Python files of the product."""
     return sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+
+@cache
+def parse_file(path: Path) -> ast.Module:
+    """The syntax tree of a file; each one is read once."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def module_name(path: Path) -> str:
@@ -96,7 +103,7 @@ def find_circles(graph: dict[str, set[str]]) -> list[list[str]]:
 
 def import_graph() -> dict[str, set[str]]:
     """Which modules each module of the product imports, type-checking imports included."""
-    trees = {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in product_files()}
+    trees = {module_name(path): parse_file(path) for path in product_files()}
     modules = set(trees)
     graph: dict[str, set[str]] = {}
     for name, tree in trees.items():
@@ -135,7 +142,7 @@ def exceptions_outside_tree() -> list[str]:
     """Exception classes that do not derive from `TuttiError`."""
     bases: dict[str, list[str]] = {}
     for path in product_files():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parse_file(path)):
             if isinstance(node, ast.ClassDef):
                 bases[node.name] = [ast.unparse(base).rpartition(".")[2] for base in node.bases]
 

@@ -161,7 +161,7 @@ def test_what_cannot_be_sampled_is_refused_and_nothing_moves(record: str, code: 
 
 def test_too_many_samples_are_refused_with_a_period_that_fits() -> None:
     async def main(virtual: VirtualFleet) -> None:
-        slow = "{do: move, to: {gantry.x: 400, gantry.y: 200}, speed: 0.02, record: {axes: [gantry], period: 2 ms}}"
+        slow = "{do: move, to: {gantry.x: 400, gantry.y: 200}, speed: 0.08, record: {axes: [gantry], period: 2 ms}}"
         refused = await refusal(virtual, PREPARE, job(f"[{slow}]"))
         assert refused.code == "sampling-space" and "there is room for" in refused.text
         least_ms = float(refused.remedy.split("at least ")[1].split(" ms")[0])

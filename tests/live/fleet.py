@@ -43,9 +43,12 @@ def free_port() -> int:
 
 
 class RunningFleet:
-    """The demo fleet, or one of that name, under `tutti up --sim`, with everything it writes in `folder`."""
+    """The demo fleet, or one of that name, under `tutti up --sim`, with everything it writes in `folder`. recorded: with a
+    recorder, which takes a process more."""
 
-    def __init__(self, folder: Path, fleet: Path = EXAMPLES / "demo.fleet.yaml", *options: str) -> None:
+    def __init__(
+        self, folder: Path, fleet: Path = EXAMPLES / "demo.fleet.yaml", *options: str, recorded: bool = False
+    ) -> None:
         self.folder = folder
         self.state = folder / "state"
         self.port = free_port()
@@ -53,6 +56,7 @@ class RunningFleet:
         self.said = folder / "up.out"
         command = [*COMMAND, "up", str(fleet), "--sim", "--truth"]
         command += ["--state", str(self.state), "--port", str(self.port), *options]
+        command += [] if recorded else ["--no-record"]
         with self.said.open("w") as out:
             self.up = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
         self._known: set[int] = set()

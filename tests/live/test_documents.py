@@ -52,7 +52,7 @@ def programs(page: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
-    fleet = RunningFleet(tmp_path_factory.mktemp("documents"))
+    fleet = RunningFleet(tmp_path_factory.mktemp("documents"), recorded=True)
     try:
         yield fleet.started()
     finally:

@@ -3,6 +3,7 @@
 import json
 import re
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -22,9 +23,18 @@ def list_recordings(folder: Path) -> list[dict[str, Any]]:
     return json.loads(tutti("record", "ls", "--folder", str(folder), "--limit", "1000", "--json").stdout)
 
 
-def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(shared: RunningFleet, tmp_path: Path) -> None:
-    folder = shared.state / "recordings"
-    report = shared.run(READY)
+@pytest.fixture
+def recorded_fleet(tmp_path: Path) -> Iterator[RunningFleet]:
+    fleet = RunningFleet(tmp_path, recorded=True)
+    try:
+        yield fleet.started()
+    finally:
+        fleet.close()
+
+
+def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(recorded_fleet: RunningFleet, tmp_path: Path) -> None:
+    folder = recorded_fleet.state / "recordings"
+    report = recorded_fleet.run(READY)
     wait_until(
         lambda: any(
             each["job_id"] == report.job_id and each["state"] == "complete" for each in list_recordings(folder)
@@ -42,25 +52,25 @@ def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(shared: RunningF
         "--fleet",
         "demo",
         "--connect",
-        shared.endpoint,
+        recorded_fleet.endpoint,
         "--folder",
         str(folder),
         "--metrics-port",
         "0",
     )
     assert second.returncode == 2 and "another recorder uses this folder" in second.stderr
-    address = re.findall(r"metrics on (\S+)", shared.output())[-1]
+    address = re.findall(r"metrics on (\S+)", recorded_fleet.output())[-1]
     with urlopen(address, timeout=LIMIT_S) as answer:
         assert b'tutti_controller_online{controller="gantry"} 1.0' in answer.read()
 
     left = {each["file"] for each in list_recordings(folder) if each["state"] == "being written"}
     assert left
-    shared.kill("orchestrator.monitor.recording.process")
+    recorded_fleet.kill("orchestrator.monitor.recording.process")
     wait_until(
         lambda: left <= {each["file"] for each in list_recordings(folder) if each["state"] == "complete"},
         "what the killed recorder has left is repaired",
     )
-    again = shared.run(READY[-1:])
+    again = recorded_fleet.run(READY[-1:])
     wait_until(
         lambda: any(each["job_id"] == again.job_id and each["state"] == "complete" for each in list_recordings(folder)),
         "the next job is recorded",

@@ -35,7 +35,7 @@ def modules() -> list[Path]:
 
 def find_other_sources(path: Path) -> Iterator[str]:
     """What a module uses of real time, threads, and random numbers without a seed."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(figures.parse_file(path)):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):
             names = [node.module or ""]
