@@ -27,6 +27,7 @@ PAGES = (
     "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",
     "how-to/record-and-export.md",
+    "how-to/watch-metrics.md",
     "how-to/handle-alarms.md",
     "how-to/look-at-a-run.md",
     "how-to/use-python.md",
