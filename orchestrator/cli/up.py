@@ -64,7 +64,7 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
 @click.option("--new-journal", is_flag=True, help="Begin a journal although the one of this fleet is missing.")
 @click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
-@click.option("--no-record", is_flag=True, help="Do not record what is published in STATE/recordings.")
+@click.option("--no-record", is_flag=True, help="Do not record the fleet; else recordings go to STATE/recordings.")
 @click.option(
     "--record-quota",
     default="2GB",
@@ -165,10 +165,10 @@ def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) 
     """The quota of the recorder, or None if nothing is recorded, which is said if it was wanted."""
     from orchestrator.cli.base.extras import find_missing
 
-    missing = find_missing("record") if wanted else ""
-    if missing:
-        print_line(f"nothing is recorded: {missing}")
-    return quota if wanted and not missing else None
+    missing = find_missing("record") if wanted else None
+    if missing is not None:
+        print_line(f"nothing is recorded: {'; '.join(missing)}")
+    return quota if wanted and missing is None else None
 
 
 async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool) -> list[str]:

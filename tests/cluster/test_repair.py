@@ -10,7 +10,6 @@ from click.testing import CliRunner
 from cluster.recordings import RecordedFleet, read_messages
 from cluster.worlds import PREPARE, run_fleet
 from mcap.reader import make_reader
-from mcap.records import Message
 
 from orchestrator.cli.main import main as command
 from orchestrator.monitor.recording.frames import FrameGroup, read_frames
@@ -47,7 +46,7 @@ def list_chunks(path: Path) -> list[tuple[int, int]]:
     """Of each chunk, where it ends and how many messages it has."""
     with path.open("rb") as file:
         groups = [each for each in read_frames(file, path.stat().st_size) if isinstance(each, FrameGroup)]
-    counted = [(each.ends_at, sum(isinstance(record, Message) for record in each.records)) for each in groups]
+    counted = [(each.ends_at, each.message_count) for each in groups]
     return [each for each in counted if each[1]]
 
 

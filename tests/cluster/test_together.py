@@ -42,7 +42,7 @@ def members(fleet: VirtualFleet) -> MemberRequests:
 
 def enabling(fleet: VirtualFleet, **axes: list[str]) -> dict[str, Asked]:
     fields = members(fleet).request_fields("tester")
-    return {name: EnableRequest(**fields, axes=each, holder="nobody", on=True) for name, each in axes.items()}
+    return {name: EnableRequest(**fields, axes=each, holder="absent", on=True) for name, each in axes.items()}
 
 
 @pytest.mark.parametrize("verb", ["stop", "commit", "lease", "nothing"])
@@ -84,7 +84,7 @@ def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
         faults: list[dict[str, Any]] = []
         # In virtual time it would end the run.
         monkeypatch.setattr(asyncio.get_running_loop(), "call_exception_handler", faults.append)
-        said = await together(fleet, "forget", {"gantry": FORGET, "stage": FORGET, "nobody": FORGET})
+        said = await together(fleet, "forget", {"gantry": FORGET, "stage": FORGET, "absent": FORGET})
         assert set(said.replies) == {"gantry"} and Reply.model_validate_json(said.replies["gantry"]).refused is None
         assert "KeyError while answering forget for stage" in said.errors["stage"] and len(faults) == 1
         assert set(said.took_ns) == {"gantry", "stage"}

@@ -179,12 +179,8 @@ def _list_chunks(path: Path) -> list[tuple[int, int]]:
     """Of each closed chunk, where it ends and how many messages it has."""
     with path.open("rb") as file:
         groups = read_frames(file, path.stat().st_size)
-        counted = [(each.ends_at, _count(each)) for each in groups if isinstance(each, FrameGroup)]
+        counted = [(each.ends_at, each.message_count) for each in groups if isinstance(each, FrameGroup)]
     return [each for each in counted if each[1]]
-
-
-def _count(group: FrameGroup) -> int:
-    return sum(type(record).__name__ == "Message" for record in group.records)
 
 
 async def _cut_and_repair(endpoint: str, folder: Path, cuts: int) -> int:

@@ -6,9 +6,9 @@ from importlib.util import find_spec
 _EXTRAS = {"record": ("mcap", "zstandard", "prometheus_client"), "export": ("mcap", "zstandard", "pyarrow", "h5py")}
 
 
-def find_missing(extra: str) -> str:
-    """What an extra needs and is not installed, with the remedy; empty if nothing is missing."""
+def find_missing(extra: str) -> tuple[str, str] | None:
+    """What an extra needs and is not installed, and the remedy; None if nothing is missing."""
     missing = [name for name in _EXTRAS[extra] if find_spec(name) is None]
     if not missing:
-        return ""
-    return f"not installed: {', '.join(missing)}; install it: pip install 'tutti[{extra}]'"
+        return None
+    return f"not installed: {', '.join(missing)}", f"install it: pip install 'tutti[{extra}]'"

@@ -1,6 +1,5 @@
 """`tutti record …`: record a fleet, list recordings, repair them."""
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from orchestrator.cli.base.common import (
     utc_option,
 )
 from orchestrator.cli.base.errors import errors, exit_with_error
-from orchestrator.cli.base.sizes import SizeType
+from orchestrator.cli.base.sizes import SizeType, format_size
 from orchestrator.cli.records.folder import (
     find_folder,
     folder_option,
@@ -57,7 +56,6 @@ def start(
     import asyncio
 
     from orchestrator.bus.zenoh.sessions import RouterUnreachable
-    from orchestrator.model.private_files import UnsafePath
     from orchestrator.monitor.recording.lock import FolderInUse
     from orchestrator.monitor.recording.process import RecorderOptions, record_fleet
 
@@ -74,7 +72,7 @@ def start(
         exit_with_error(str(error), BAD_INPUT)
     except RouterUnreachable as error:
         exit_with_error(str(error), UNREACHABLE)
-    except (UnsafePath, OSError) as error:
+    except OSError as error:
         exit_with_error(f"{getattr(error, 'filename', None) or folder}: {error.strerror}", BAD_INPUT)
 
 
@@ -98,8 +96,6 @@ def list_files(folder: Path | None, fleet: str | None, limit: int, *, as_json: b
         return
     _print_table(found[:limit], written=written)
     total = sum(each.size for each in found)
-    from orchestrator.cli.base.sizes import format_size
-
     more = f", {limit} of them shown" if len(found) > limit else ""
     console.print(f"{len(found)} recordings, {format_size(total)}, in {place}{more}", highlight=False, soft_wrap=True)
 
@@ -163,13 +159,12 @@ def _describe_state(found: "RecordingSummary", *, written: bool) -> str:
 
 
 def _format_ns(at_ns: int | None) -> str | None:
-    from orchestrator.clock.utc import format_rfc3339
+    from orchestrator.clock.utc import format_utc_ns
 
-    return None if at_ns is None else format_rfc3339(datetime.fromtimestamp(at_ns / 1e9, UTC))
+    return None if at_ns is None else format_utc_ns(at_ns)
 
 
 def _print_table(found: "list[RecordingSummary]", *, written: bool) -> None:
-    from orchestrator.cli.base.sizes import format_size
     from orchestrator.monitor.tables import PlainTable
     from orchestrator.monitor.times import format_time
 

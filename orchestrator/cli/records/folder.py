@@ -31,8 +31,8 @@ metrics_option = click.option(
 def require_extra(extra: str) -> None:
     """End the command if a part that it needs is not installed."""
     missing = find_missing(extra)
-    if missing:
-        text, _, remedy = missing.partition("; ")
+    if missing is not None:
+        text, remedy = missing
         exit_with_error(text, BAD_INPUT, remedy, code="not-installed")
 
 

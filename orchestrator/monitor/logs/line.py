@@ -3,12 +3,12 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
 from typing import Any, Literal, cast
+
+from orchestrator.clock.utc import parse_utc_ns
 
 LogLevel = Literal["info", "warning"]
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # Events are lines of level `info`, because they are published as events; these are abnormal all the same.
 _ABNORMAL_KINDS = {"offline", "fault", "failed", "estop"}
 
@@ -58,7 +58,7 @@ def parse_line(file: str, text: str) -> LogLine:
             raise TypeError("no object")
         fields = cast(dict[str, Any], entry)
         utc, fleet_ns = fields.get("utc"), fields.get("fleet_ns")
-        utc_ns = None if utc is None else _to_ns(utc)
+        utc_ns = None if utc is None else parse_utc_ns(utc)
         if fleet_ns is not None and type(fleet_ns) is not int:
             raise TypeError("fleet_ns is no number")
     except (ValueError, TypeError, OverflowError, RecursionError):
@@ -70,16 +70,3 @@ def parse_line(file: str, text: str) -> LogLine:
 def parse_plain_line(file: str, text: str) -> LogLine:
     """A line of what a process has written to its standard error; it is abnormal that there is any."""
     return LogLine(file, level="warning", raw=text)
-
-
-def _to_ns(utc: Any) -> int:
-    instant = datetime.fromisoformat(utc)
-    if instant.tzinfo is None:
-        raise ValueError("a time without offset")
-    return (instant - _EPOCH) // timedelta(microseconds=1) * 1000
-
-
-def format_utc_ns(at_ns: int) -> str:
-    """RFC 3339 text of an instant since 1970, with microseconds."""
-    instant = _EPOCH + timedelta(microseconds=at_ns // 1000)
-    return instant.replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"

@@ -6,7 +6,8 @@ from typing import Any
 from rich.cells import cell_len
 from rich.text import Text
 
-from orchestrator.monitor.logs.line import LogLine, format_utc_ns
+from orchestrator.clock.utc import format_utc_ns
+from orchestrator.monitor.logs.line import LogLine
 from orchestrator.monitor.logs.placing import PlacedLine
 from orchestrator.monitor.times import format_time
 

@@ -13,7 +13,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
@@ -36,12 +36,18 @@ class FrameGroup(NamedTuple):
     records: list[McapRecord]
     ends_at: int
 
+    @property
+    def message_count(self) -> int:
+        """How many of the records are messages."""
+        return sum(isinstance(record, Message) for record in self.records)
+
 
 class Damage(NamedTuple):
-    """Where a file cannot be read any further, and why. at: byte."""
+    """Where a file cannot be read any further, and why. at: byte. is_cut: the file ends there, nothing can follow."""
 
     at: int
     text: str
+    is_cut: bool = False
 
 
 def read_frames(file: BinaryIO, size: int) -> Iterator[FrameGroup | Damage]:
@@ -54,12 +60,12 @@ def read_frames(file: BinaryIO, size: int) -> Iterator[FrameGroup | Damage]:
     while True:
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
-            yield Damage(at, "it ends without an index")
+            yield Damage(at, "it ends without an index", is_cut=True)
             return
         opcode, length = _HEAD.unpack(head)
         ends_at = at + _HEAD.size + length
         if ends_at > size:
-            yield Damage(at, "its last record is cut off")
+            yield Damage(at, "its last record is cut off", is_cut=True)
             return
         if opcode == Opcode.DATA_END:
             return

@@ -1,19 +1,13 @@
 """The times of a recording: UTC, derived from fleet time, on one scale for the whole file."""
 
 from collections import deque
-from datetime import UTC, datetime, timedelta
 
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.utc import parse_utc_ns
 from orchestrator.model.messages import LeaderHeartbeat
 
 STEP_NS = NS_PER_S // 2  # a wall clock that differs by more from the monotonic one was set
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MAX_DELAYS = 64  # of messages with an instant of fleet time, of which the fastest counts
-
-
-def parse_utc_ns(text: str) -> int:
-    """Return an RFC 3339 time as ns since 1970. Raises `ValueError`."""
-    return (datetime.fromisoformat(text) - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
 class UtcScale:

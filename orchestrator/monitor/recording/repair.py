@@ -40,9 +40,14 @@ def repair_recording(path: Path) -> RepairResult:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        damage = next((each for each in read_frames(file, size) if isinstance(each, Damage)), None)
+        damage, messages = None, 0
+        for each in read_frames(file, size):
+            if isinstance(each, Damage):
+                damage = each
+            else:
+                messages += each.message_count
         if damage is None and read_index(file, size) is not None:
-            return RepairResult(path, _count_messages(path))
+            return RepairResult(path, messages)
         if damage is not None and damage.at == 0:
             raise RepairFailed(f"{path}: {damage.text}; it is no recording")
         copy = path.with_name(f"{path.name}{REPAIRED}")
@@ -53,8 +58,7 @@ def repair_recording(path: Path) -> RepairResult:
             copy.unlink(missing_ok=True)
             raise
     original = None
-    # Cut at the end by a crash: nothing whole can follow. Damage in the middle may have whole chunks after it.
-    if damage is not None and damage.text.startswith("a record is damaged"):
+    if damage is not None and not damage.is_cut:  # whole chunks may follow it
         original = path.with_name(f"{path.name}{DAMAGED}")
         path.replace(original)
     copy.replace(path)
@@ -77,12 +81,6 @@ def _copy_whole_part(path: Path, copy: Path) -> tuple[int, int]:
                 whole_until = group.ends_at
         writer.finish()
     return recording.messages, whole_until
-
-
-def _count_messages(path: Path) -> int:
-    with path.open("rb") as file:
-        groups = [each for each in read_frames(file, path.stat().st_size) if isinstance(each, FrameGroup)]
-    return sum(isinstance(record, Message) for group in groups for record in group.records)
 
 
 class _RecordCopier:

@@ -11,9 +11,10 @@ import pytest
 from rich.console import Console
 
 from orchestrator.bus.logfile import LogFile, rotate_files
+from orchestrator.clock.utc import format_utc_ns
 from orchestrator.monitor.logs.files import LogFolder
 from orchestrator.monitor.logs.filter import LogFilter
-from orchestrator.monitor.logs.line import LogLine, format_utc_ns, parse_line
+from orchestrator.monitor.logs.line import LogLine, parse_line
 from orchestrator.monitor.logs.placing import PlacedLine, place_lines
 from orchestrator.monitor.logs.words import LineLayout, make_plain_line
 
