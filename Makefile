@@ -16,7 +16,7 @@ SLOWEST = --durations=10
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
-	@echo "make test             set up, run all tests (5 to 6 minutes on two cores)"
+	@echo "make test             set up, run all tests (6 to 7 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
 	@echo "make test-wheel       the demo, and a user's tests, from an installed wheel in an environment of its own"
