@@ -112,9 +112,9 @@ docs: $(DOCS)/.stamp
 # Needs uv; writes the locks again from pyproject.toml and tests/thirdparty/requirements.in.
 LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url
 lock:
-	$(LOCK) -o requirements.lock pyproject.toml
+	$(LOCK) --extra web -o requirements.lock pyproject.toml
 	$(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
-	$(LOCK) --extra record --extra export --extra scanspec -c requirements-dev.lock -o requirements-full.lock pyproject.toml
+	$(LOCK) --extra record --extra export --extra scanspec --extra web -c requirements-dev.lock -o requirements-full.lock pyproject.toml
 	$(LOCK) --extra docs -c requirements-dev.lock -o requirements-docs.lock pyproject.toml
 	$(LOCK) -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
 
