@@ -9,6 +9,7 @@ the coordinator cancels the jobs: also when the process is killed or stopped, or
 """
 
 import asyncio
+from collections.abc import Callable
 from typing import Self
 
 from orchestrator.bus.base import Priority
@@ -20,9 +21,12 @@ from orchestrator.model.queue import SIGN_PERIOD_NS
 class Attendance:
     """One session; use it as a context."""
 
-    def __init__(self, connection: FleetConnection) -> None:
+    def __init__(self, connection: FleetConnection, is_alive: Callable[[], bool] = lambda: True) -> None:
+        """is_alive: whether the user is still there, for a process that acts for users elsewhere; while it returns
+        false, signs of life are missing."""
         self.session = f"s-{connection.new_id()}"
         self._connection = connection
+        self._is_alive = is_alive
         self._signs: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
@@ -36,5 +40,6 @@ class Attendance:
     async def _publish_signs(self) -> None:
         key, payload = self._connection.keys.session(self.session), self._connection.actor.encode()
         while True:
-            self._connection.bus.put(key, payload, Priority.EVENT)
+            if self._is_alive():
+                self._connection.bus.put(key, payload, Priority.EVENT)
             await asyncio.sleep(SIGN_PERIOD_NS / NS_PER_S)

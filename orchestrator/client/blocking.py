@@ -9,7 +9,7 @@ Written by `tools/blocking_client.py` from the asynchronous API; a change belong
 interrupted call has begun, and says so; a job that was submitted stays in the queue.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -138,6 +138,14 @@ class BlockingManualControl(BlockingObject[ManualControl]):
         Raises `Refusal`: code `not-jogging` for an axis that has been stopped meanwhile, or was not renewed in time.
         """
         self._run(self._wrapped.renew_jog(velocities, valid_ms))
+
+    def request_jog(self, velocities: Mapping[str, float], *, renew: bool = False) -> None:
+        """`jog`, or `renew_jog`, by one request to each controller, which is not renewed while it is on its way.
+
+        For a caller that passes on the requests of a user, and must not continue a motion that the user has ended.
+        Raises `Refusal` as they do.
+        """
+        self._run(self._wrapped.request_jog(velocities, renew=renew))
 
     def stop(self) -> None:
         """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
@@ -490,13 +498,13 @@ class BlockingTutti(BlockingObject[Tutti]):
         cannot be read is left out."""
         return self._run(self._wrapped.status(timeout_s))
 
-    def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
+    def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.
 
         Returns the refusal of each controller, by id; None where it has accepted the stop. mode: `decelerate`, or
-        `abort` for the shortest stop.
+        `abort` for the shortest stop. known: controllers that are stopped at once, before any others are looked for.
         """
-        return self._run(self._wrapped.stop(mode))
+        return self._run(self._wrapped.stop(mode, known))
 
     def estop(self, reason: str = "", timeout_s: float = 2.0) -> dict[str, bool]:
         """Send an e-stop; return which controllers report its latch within `timeout_s`, by id."""
@@ -520,6 +528,10 @@ class BlockingTutti(BlockingObject[Tutti]):
         Raises `Refusal`.
         """
         return self._run(self._wrapped.reload_fleet(fleet))
+
+    def load_fleet(self) -> Fleet:
+        """The fleet file as it runs, without `notify`. Raises `Refusal`."""
+        return self._run(self._wrapped.load_fleet())
 
     def check_wiring(self) -> list[WireFinding]:
         """Check each wire of the fleet file; nothing moves. Raises `Refusal` while wired axes are in use."""

@@ -2,6 +2,7 @@
 
 import asyncio
 from base64 import b64decode
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
@@ -26,6 +27,7 @@ from orchestrator.model.messages import (
 )
 from orchestrator.model.service import (
     EpochRepaired,
+    FleetLoaded,
     FleetNames,
     FleetReloaded,
     ReloadFleet,
@@ -53,22 +55,25 @@ class FleetRequests(FleetConnection):
                 states.append(ControllerState.model_validate_json(payload))
         return FleetStates({state.controller: state for state in sorted(states, key=lambda each: each.controller)})
 
-    async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
+    async def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.
 
         Returns the refusal of each controller, by id; None where it has accepted the stop. mode: `decelerate`, or
-        `abort` for the shortest stop.
+        `abort` for the shortest stop. known: controllers that are stopped at once, before any others are looked for.
         """
         fleet = StopFleet(**self.request_fields(), mode="abort" if mode == "abort" else "decelerate")
         request = StopRequest(**self.request_fields(), mode=fleet.mode)
         # The coordinator stops all controllers and jobs, but may be away; so each adapter is addressed directly, too.
         service = asyncio.ensure_future(self.request_service("stop", fleet, Reply))
-        controllers = list(await self.status(STOP_STATUS_S))
-        stops = [self.request_controller(controller, "stop", request, Reply) for controller in controllers]
-        *replies, _ = await asyncio.gather(*stops, service, return_exceptions=True)
+        loop = asyncio.get_running_loop()
+        stops = {each: loop.create_task(self.request_controller(each, "stop", request, Reply)) for each in known}
+        for each in await self.status(STOP_STATUS_S):
+            if each not in stops:
+                stops[each] = loop.create_task(self.request_controller(each, "stop", request, Reply))
+        *replies, _ = await asyncio.gather(*stops.values(), service, return_exceptions=True)
         return {
             controller: reply if isinstance(reply, Refusal) else None
-            for controller, reply in zip(controllers, replies, strict=True)
+            for controller, reply in zip(stops, replies, strict=True)
         }
 
     async def estop(self, reason: str = "", timeout_s: float = 2.0) -> dict[str, bool]:
@@ -121,6 +126,15 @@ class FleetRequests(FleetConnection):
         """
         request = ReloadFleet(**self.request_fields(), configuration=fleet.to_plain())
         return (await self.request_service("reload", request, FleetReloaded, RELOAD_S)).changed
+
+    async def load_fleet(self) -> Fleet:
+        """The fleet file as it runs, without `notify`. Raises `Refusal`."""
+        loaded = await self.request_service("configuration", Request(**self.request_fields()), FleetLoaded)
+        try:
+            return Fleet.model_validate(loaded.configuration)
+        except ValidationError as error:
+            text = f"the configuration of the fleet cannot be read: {error.errors()[0]['msg']}"
+            raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
 
     async def check_wiring(self) -> list[WireFinding]:
         """Check each wire of the fleet file; nothing moves. Raises `Refusal` while wired axes are in use."""

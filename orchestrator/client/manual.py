@@ -133,6 +133,15 @@ class ManualControl:
             _JogOrder(moving, renew=True, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S if changed else ANSWER_S)
         )
 
+    async def request_jog(self, velocities: Mapping[str, float], *, renew: bool = False) -> None:
+        """`jog`, or `renew_jog`, by one request to each controller, which is not renewed while it is on its way.
+
+        For a caller that passes on the requests of a user, and must not continue a motion that the user has ended.
+        Raises `Refusal` as they do.
+        """
+        self._velocities.update(velocities)
+        await self._request_jogs(_JogOrder(velocities, renew=renew, timeout_s=JOG_TIMEOUT_S))
+
     async def stop(self) -> None:
         """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
         answer."""

@@ -273,6 +273,12 @@ class FleetReloaded(Reply):
     changed: list[str] = Field(default=[])
 
 
+class FleetLoaded(Reply):
+    """The fleet file as it runs, in its JSON form, without the commands that are run for alarms."""
+
+    configuration: dict[str, Any] = Field(default={})
+
+
 class EpochRepaired(Reply):
     """The controllers that have accepted the epoch of this leader; empty if all had adopted it already."""
 

@@ -1,0 +1,1 @@
+"""The gateway: the HTTP interface of a fleet, and the operators' page."""

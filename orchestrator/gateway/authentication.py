@@ -1,0 +1,221 @@
+"""Authentication: users and their sessions, tokens, and the limit of failed sign-ins.
+
+Without users, whatever reaches this machine's own address is an operator. A file of users that cannot be read lets
+nothing in.
+"""
+
+import secrets
+from collections import OrderedDict
+from dataclasses import dataclass
+from hashlib import sha256
+from http.cookies import CookieError, SimpleCookie
+
+from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.executor import Executor
+from orchestrator.gateway.identity import Identity
+from orchestrator.gateway.roles import ROLES, Role
+from orchestrator.gateway.users import TOKEN_START, UserFile, UserTable, find_token, verify_password
+from orchestrator.model.errors import Refusal
+
+COOKIE = "tutti_session"
+SESSION_NS = 12 * 3600 * NS_PER_S  # from the last request on
+LONGEST_SESSION_NS = 7 * 24 * 3600 * NS_PER_S
+MAX_SESSIONS = 1000  # the one that was not used for the longest time ends
+FREE_FAILURES = 5  # failed sign-ins of one user, or from one address, that cost no time
+FIRST_PAUSE_NS, LONGEST_PAUSE_NS = NS_PER_S, 300 * NS_PER_S
+MAX_FAILED = 10_000  # users and addresses whose failures are counted
+MAX_VERIFYING = 8  # passwords that wait for verification: each takes a tenth of a second
+FILE_CHECK_NS = NS_PER_S // 2
+
+
+@dataclass(slots=True)
+class _Session:
+    user: str
+    begun_ns: int
+    used_ns: int
+    user_changed_utc: str
+
+
+@dataclass(slots=True)
+class _Failures:
+    count: int = 0
+    wait_until_ns: int = 0
+
+
+class NotSignedIn(Refusal):
+    """The request has no valid identity. HTTP status 401."""
+
+
+class TooManyTries(Refusal):
+    """Too many sign-ins have failed. HTTP status 429."""
+
+
+class Authentication:
+    """Finds the identity of each request. execute: for the verification of passwords, which takes long."""
+
+    def __init__(self, file: UserFile, clock: Clock, execute: Executor) -> None:
+        self._file, self._clock, self._execute = file, clock, execute
+        self._sessions: OrderedDict[str, _Session] = OrderedDict()
+        self._failures: OrderedDict[str, _Failures] = OrderedDict()
+        self._table = UserTable()
+        self._damage: Refusal | None = None
+        self._version: tuple[int, int, int] | None = None
+        self._checked_ns = -FILE_CHECK_NS
+        self._verifying = 0
+
+    @property
+    def has_users(self) -> bool:
+        """Whether users must sign in."""
+        self._read_file()
+        return self._damage is not None or bool(self._table.users)
+
+    def identify(self, address: str, cookie: str, authorization: str) -> Identity:
+        """The identity of a request by its headers. Raises `NotSignedIn`."""
+        self._read_file()
+        if self._damage is not None:
+            raise NotSignedIn("bad-users", self._damage.text, self._damage.remedy)
+        if authorization:
+            return self._identify_token(address, authorization)
+        if not self._table.users:
+            return Identity("", "operator", address, "open")
+        return self._identify_session(address, _find_cookie(cookie))
+
+    def is_valid(self, identity: Identity) -> bool:
+        """Whether an identity that was found before still holds: its session has not ended, its token has not expired,
+        its user has the same role."""
+        self._read_file()
+        if self._damage is not None:
+            return False
+        if identity.access == "open":
+            return not self._table.users
+        user = self._table.users.get(identity.user)
+        if user is None:
+            return False
+        if identity.access == "token":
+            token = user.tokens.get(identity.token)
+            return (
+                token is not None
+                and token.expires_utc > self._clock.utc()
+                and _lower(token.role, user.role) == identity.role
+            )
+        session = self._sessions.get(identity.csrf)
+        return user.role == identity.role and session is not None and self._holds(session)
+
+    async def sign_in(self, user: str, password: str, address: str) -> tuple[str, Identity]:
+        """Begin a session; return its cookie and identity. Raises `TooManyTries`, and `NotSignedIn` for a wrong name or
+        password."""
+        self._read_file()
+        if self._damage is not None:
+            raise NotSignedIn("bad-users", self._damage.text, self._damage.remedy)
+        counted = (f"user {user[:64]}", f"address {address}")
+        self._require_pause(counted)
+        if self._verifying >= MAX_VERIFYING:
+            raise TooManyTries("too-many-tries", "too many sign-ins at once", "try again in a second")
+        stored = self._table.users.get(user)
+        self._verifying += 1
+        try:
+            right = await self._execute(verify_password, stored, password)
+        finally:
+            self._verifying -= 1
+        if not right or stored is None:
+            self._count_failure(counted)
+            raise NotSignedIn(
+                "wrong-password", "user or password is wrong", "try again; `tutti user passwd` sets another one"
+            )
+        for each in counted:
+            self._failures.pop(each, None)
+        secret, now_ns = secrets.token_urlsafe(32), self._clock.now_ns()
+        csrf = _derive_csrf(secret)
+        self._sessions[csrf] = _Session(user, now_ns, now_ns, stored.changed_utc)
+        if len(self._sessions) > MAX_SESSIONS:
+            self._sessions.popitem(last=False)
+        return secret, Identity(user, stored.role, address, "cookie", csrf)
+
+    def sign_out(self, cookie: str) -> None:
+        """End the session of a cookie header, if there is one."""
+        self._sessions.pop(_derive_csrf(_find_cookie(cookie)), None)
+
+    # Inside
+
+    def _identify_token(self, address: str, authorization: str) -> Identity:
+        scheme, _, secret = authorization.partition(" ")
+        found = None
+        if scheme.lower() == "bearer" and secret.startswith(TOKEN_START):
+            try:
+                found = find_token(self._table, secret.strip(), self._clock.utc())
+            except Refusal as error:
+                raise NotSignedIn(error.code, error.text, error.remedy) from None
+        if found is None:
+            text = "the token is not valid"
+            raise NotSignedIn("bad-token", text, "send `Authorization: Bearer TOKEN`; `tutti user token` makes one")
+        user, token, stored = found
+        role = _lower(stored.role, self._table.users[user].role)
+        verbs = None if stored.verbs is None else frozenset(stored.verbs)
+        return Identity(user, role, address, "token", token=token, verbs=verbs)
+
+    def _identify_session(self, address: str, secret: str) -> Identity:
+        csrf = _derive_csrf(secret)
+        session = self._sessions.get(csrf)
+        if session is None or not self._holds(session):
+            self._sessions.pop(csrf, None)
+            raise NotSignedIn("not-signed-in", "this fleet has users, and you are not signed in", "sign in")
+        session.used_ns = self._clock.now_ns()
+        self._sessions.move_to_end(csrf)
+        return Identity(session.user, self._table.users[session.user].role, address, "cookie", csrf)
+
+    def _holds(self, session: _Session) -> bool:
+        now_ns, user = self._clock.now_ns(), self._table.users.get(session.user)
+        is_young = now_ns - session.used_ns < SESSION_NS and now_ns - session.begun_ns < LONGEST_SESSION_NS
+        return user is not None and is_young and user.changed_utc == session.user_changed_utc
+
+    def _require_pause(self, counted: tuple[str, ...]) -> None:
+        now_ns = self._clock.now_ns()
+        until_ns = max(self._failures[each].wait_until_ns if each in self._failures else 0 for each in counted)
+        if until_ns > now_ns:
+            seconds = -(-(until_ns - now_ns) // NS_PER_S)
+            raise TooManyTries("too-many-tries", f"too many sign-ins have failed; wait {seconds} s", "then try again")
+
+    def _count_failure(self, counted: tuple[str, ...]) -> None:
+        now_ns = self._clock.now_ns()
+        for each in counted:
+            failures = self._failures.setdefault(each, _Failures())
+            self._failures.move_to_end(each)
+            failures.count += 1
+            over = failures.count - FREE_FAILURES
+            if over >= 0:
+                failures.wait_until_ns = now_ns + min(FIRST_PAUSE_NS << min(over, 20), LONGEST_PAUSE_NS)
+        while len(self._failures) > MAX_FAILED:
+            self._failures.popitem(last=False)
+
+    def _read_file(self) -> None:
+        """Take over a change of the file, at most twice a second."""
+        now_ns = self._clock.now_ns()
+        if now_ns - self._checked_ns < FILE_CHECK_NS:
+            return
+        self._checked_ns, version = now_ns, self._file.find_version()
+        if version == self._version and self._damage is None:
+            return
+        self._version = version
+        try:
+            self._table, self._damage = self._file.load(), None
+        except Refusal as error:
+            self._damage = error
+
+
+def _lower(one: Role, other: Role) -> Role:
+    """The lower of two roles: a token has at most that of its user."""
+    return ROLES[min(ROLES.index(one), ROLES.index(other))]
+
+
+def _find_cookie(header: str) -> str:
+    """The session of a cookie header; empty if there is none."""
+    try:
+        morsel = SimpleCookie(header).get(COOKIE)
+    except CookieError:
+        return ""
+    return "" if morsel is None else morsel.value
+
+
+def _derive_csrf(secret: str) -> str:
+    """The CSRF token of a session, which is also its name here: the cookie itself is not kept."""
+    return sha256(f"csrf {secret}".encode()).hexdigest()

@@ -1,0 +1,149 @@
+"""Requests of users that go on to the fleet: each is written to the gateway's own log, with user and address.
+
+A stop is in the log before it is sent, and is reported to every open page.
+"""
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from orchestrator.bus.log import ProcessLog
+from orchestrator.client import Tutti
+from orchestrator.gateway.identity import Identity
+from orchestrator.gateway.replies import describe_refusal
+from orchestrator.model.base import Model
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import ForgetRequest, RawReply, RawRequest, Reply, Request
+from orchestrator.model.service import SubmitJob
+from orchestrator.model.service_verbs import SERVICE_VERBS, ServiceVerb
+
+MAX_CONNECTIONS = 256  # actors whose connection is kept
+MAX_KEYS = 10_000  # idempotency keys
+ANSWER_S = {"submit": 120.0, "dry-run": 60.0, "reload": 60.0, "check-wiring": 60.0, "prune": 60.0}
+USUAL_ANSWER_S = 5.0
+CONTROLLER_VERBS: dict[str, ServiceVerb] = {
+    "forget": ServiceVerb(ForgetRequest, Reply),
+    "raw": ServiceVerb(RawRequest, RawReply),
+}
+
+
+class FleetCommands:
+    """Passes requests on. on_stop: called with what every page shows of a stop."""
+
+    def __init__(self, tutti: Tutti, log: ProcessLog, on_stop: Callable[[str, str, dict[str, Any]], None]) -> None:
+        self.known_controllers: Callable[[], list[str]] = list
+        self._tutti, self._log, self._on_stop = tutti, log, on_stop
+        self._connections: OrderedDict[str, Tutti] = OrderedDict()
+        self._keys: OrderedDict[str, str] = OrderedDict()
+
+    def connect(self, identity: Identity) -> Tutti:
+        """The connection with the actor of a user."""
+        actor = identity.actor
+        found = self._connections.get(actor)
+        if found is None:
+            found = Tutti(self._tutti.bus, self._tutti.keys.fleet, actor, self._tutti.new_id)
+            self._connections[actor] = found
+            if len(self._connections) > MAX_CONNECTIONS:
+                self._connections.popitem(last=False)
+        self._connections.move_to_end(actor)
+        return found
+
+    async def stop(self, what: str, tutti: Tutti, reason: str) -> dict[str, Any]:
+        """Stop the fleet: `stop` by ramps, with the running jobs, or `estop`. Needs no coordinator."""
+        self._log.warning(f"{what} by {tutti.actor}", verb=what, actor=tutti.actor, reason=reason)
+        answers: dict[str, Refusal | None]
+        if what == "estop":
+            latched = await tutti.estop(reason or "on the operators' page")
+            answers = {name: None if done else _NOT_LATCHED for name, done in latched.items()}
+        else:
+            answers = await tutti.stop(known=self.known_controllers())
+        plain = {name: None if each is None else describe_refusal(each) for name, each in answers.items()}
+        self._on_stop(what, tutti.actor, plain)
+        return {"answers": plain}
+
+    async def reset(self, identity: Identity) -> dict[str, Any]:
+        """Release the e-stop latch on all controllers, and clear faults."""
+        self._note(identity, "reset", "")
+        answers = await self.connect(identity).reset()
+        return {"answers": {name: None if each is None else describe_refusal(each) for name, each in answers.items()}}
+
+    async def request(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str = "") -> Model:
+        """Pass a request of `svc/{verb}` on. key: an idempotency key; the same one is the same request.
+
+        Raises `Refusal`: codes `bad-request`, `key-reused`, and those of the fleet.
+        """
+        identity.require_right(verb)
+        service, tutti = SERVICE_VERBS[verb], self.connect(identity)
+        request_id = self._find_request_id(identity, verb, fields, key)
+        given = {"client_key": request_id, **fields} if "client_key" in service.request.model_fields else fields
+        request = make_request(service, given, request_id or tutti.new_id(), identity.actor)
+        if isinstance(request, SubmitJob):
+            request = prepare_submission(request, identity)
+        if not service.reads:
+            self._note(identity, verb, _describe_subject(fields))
+        return await tutti.request_service(verb, request, service.reply, ANSWER_S.get(verb, USUAL_ANSWER_S))
+
+    async def request_controller(
+        self, identity: Identity, verb: str, controller: str, fields: Mapping[str, Any]
+    ) -> Model:
+        """Send a command to one controller. Raises `Refusal`."""
+        identity.require_right(verb)
+        service, tutti = CONTROLLER_VERBS[verb], self.connect(identity)
+        request = make_request(service, fields, tutti.new_id(), identity.actor)
+        self._note(identity, verb, controller)
+        return await tutti.request_controller(controller, verb, request, service.reply)
+
+    def _find_request_id(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str) -> str:
+        """The id of a request with an idempotency key; without one, a new one."""
+        if not key:
+            return self._tutti.new_id()
+        request_id = hashlib.sha256(f"{identity.actor} {verb} {key}".encode()).hexdigest()[:40]
+        body = hashlib.sha256(repr(sorted(fields.items())).encode()).hexdigest()
+        if self._keys.setdefault(request_id, body) != body:
+            text = f"the idempotency key {key[:60]!r} was used for another request"
+            raise Refusal("key-reused", text, "use a new key for each request, and the same only to repeat it")
+        if len(self._keys) > MAX_KEYS:
+            self._keys.popitem(last=False)
+        return request_id
+
+    def _note(self, identity: Identity, verb: str, subject: str) -> None:
+        text = f"{verb} {subject}".rstrip()
+        self._log.info(f"{text} by {identity.actor}", verb=verb, actor=identity.actor, subject=subject)
+
+
+_NOT_LATCHED = Refusal("not-latched", "the controller reports no e-stop", "use the wired e-stop")
+
+
+def make_request(verb: ServiceVerb, fields: Mapping[str, Any], request_id: str, actor: str) -> Request:
+    """A request of its fields. Raises `Refusal`, code `bad-request`, with every mistake."""
+    taken = [name for name in ("request_id", "actor") if name in fields]
+    if taken:
+        raise Refusal("bad-request", f"{taken[0]} is given by the gateway", "leave it out; see `Idempotency-Key`")
+    try:
+        return verb.request.model_validate({**fields, "request_id": request_id, "actor": actor})
+    except ValidationError as error:
+        found = [f"{'.'.join(map(str, each['loc'])) or 'body'}: {each['msg']}" for each in error.errors()[:10]]
+        raise Refusal("bad-request", "; ".join(found), "see /v1/openapi.json for the fields") from None
+
+
+def prepare_submission(request: SubmitJob, identity: Identity) -> SubmitJob:
+    """A submission as the role of its user allows it: jobs of a proposer wait for approval. The job's actor is the
+    user, whatever the file says."""
+    job = request.job.model_copy(update={"actor": identity.actor})
+    terms = request.terms.model_copy(update={"session": None})
+    if not identity.may("approve"):
+        terms = terms.model_copy(update={"proposed": True, "now": False, "priority": 0})
+    return request.model_copy(update={"job": job, "terms": terms})
+
+
+def _describe_subject(fields: Mapping[str, Any]) -> str:
+    """What a request is about, in a few words."""
+    for name in ("job_id", "job_ids", "alarm_id", "alarm_ids", "name", "axes"):
+        value = fields.get(name)
+        if value:
+            return str(value)[:100]
+    job = fields.get("job")
+    return str(job.get("name", ""))[:100] if isinstance(job, dict) else ""

@@ -1,0 +1,121 @@
+"""Checks before any handler: the names under which the gateway is addressed, the origin of pages, and sizes.
+
+A page of another site that a browser on this machine shows can send requests to 127.0.0.1, also under a name that its
+owner's name server resolves to that address (DNS rebinding). So `Host` must be one of the gateway's own names and
+`Origin`, which browsers always send with sockets and with requests that change something, one of its own origins; for
+stops as well.
+"""
+
+from collections.abc import Iterable, Mapping
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from orchestrator.gateway.replies import RefusedRequest, make_refusal_response
+from orchestrator.model.errors import Refusal
+
+MAX_BODY_BYTES = 4_000_000  # a job of 10,000 steps, and a part of points, fit
+OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")
+
+SECURITY_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; "
+    "form-action 'self'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+def find_headers(scope: Scope) -> dict[str, str]:
+    """The headers of a request, by lower-case names; of a repeated one, the last."""
+    return {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
+
+
+class Guard:
+    """Refuses requests and sockets from elsewhere and bodies that are too large, and adds security headers."""
+
+    def __init__(self, app: ASGIApp, port: int, *, secure: bool = False) -> None:
+        """port: of the gateway. secure: it speaks TLS."""
+        self._app = app
+        scheme, usual = ("https", 443) if secure else ("http", 80)
+        self._hosts = set(_list_hosts(port, usual))
+        self._origins = {f"{scheme}://{host}" for host in self._hosts}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = find_headers(scope)
+        refusal = self._find_refusal(headers)
+        if refusal is not None:
+            await make_refusal_response(refusal, 403)(scope, receive, send)
+            return
+        if scope["type"] == "websocket":
+            await self._app(scope, receive, send)
+            return
+        await self._guard_request(scope, receive, send)
+
+    def _find_refusal(self, headers: Mapping[str, str]) -> Refusal | None:
+        host, origin = headers.get("host", "").lower(), headers.get("origin", "").lower()
+        if host not in self._hosts:
+            text = f"the gateway is not {host[:100] or '(no host)'}"
+            return Refusal("bad-host", text, f"open it as one of: {', '.join(sorted(self._hosts))}")
+        if origin and origin not in self._origins:
+            text = f"a page of {origin[:100]} must not use this gateway"
+            return Refusal("bad-origin", text, f"open its own page: {min(self._origins)}")
+        return None
+
+    async def _guard_request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        taken, is_large, has_begun = 0, False, False
+
+        async def receive_limited() -> Message:
+            nonlocal taken, is_large
+            message = await receive()
+            taken += len(message.get("body", b""))
+            if taken > MAX_BODY_BYTES:
+                is_large = True
+                raise RefusedRequest(413, explain_size())
+            return message
+
+        async def send_guarded(message: Message) -> None:
+            nonlocal has_begun
+            if message["type"] == "http.response.start":
+                has_begun = True
+                present = {name.lower() for name, _ in message["headers"]}
+                message = {
+                    **message,
+                    "headers": [
+                        *message["headers"],
+                        *(
+                            (name.encode(), value.encode())
+                            for name, value in SECURITY_HEADERS.items()
+                            if name.lower().encode() not in present
+                        ),
+                    ],
+                }
+            await send(message)
+
+        length = find_headers(scope).get("content-length", "0")
+        if not length.isdecimal() or int(length) > MAX_BODY_BYTES:
+            await make_refusal_response(explain_size(), 413)(scope, receive, send_guarded)
+            return
+        try:
+            await self._app(scope, receive_limited, send_guarded)
+        except RefusedRequest as error:
+            if not has_begun:
+                await make_refusal_response(error.refusal, error.status)(scope, receive, send_guarded)
+
+
+def explain_size() -> Refusal:
+    """The refusal of a body that is too large."""
+    text = f"the body has more than {MAX_BODY_BYTES // 1_000_000} MB"
+    return Refusal("too-large", text, "split the job, or submit points of scans as a file: `tutti submit FILE`")
+
+
+def _list_hosts(port: int, usual: int) -> Iterable[str]:
+    for name in OWN_NAMES:
+        yield f"{name}:{port}"
+        if port == usual:
+            yield name

@@ -1,0 +1,62 @@
+"""What the stream shows of a controller: its state, with limits and targets beside each axis."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from orchestrator.gateway.stream.merge_patch import drop_nulls
+from orchestrator.model.fleet import Controller
+from orchestrator.model.state import AxisState, ControllerState
+from orchestrator.model.units import parse_quantity
+
+DIGITS = 6  # after the point: nanometres of a mm axis
+
+
+def show_controller(state: ControllerState, config: Controller | None, targets: Mapping[str, float]) -> dict[str, Any]:
+    """The controller for the stream. config: of the fleet file; None: not in it. targets: of its axes, by name."""
+    shown: dict[str, Any] = {
+        "mode": state.mode,
+        "epoch": state.epoch,
+        "digest": state.digest,
+        "inputs": state.inputs,
+        "outputs": state.outputs,
+        "faults": [drop_nulls(fault.to_plain()) for fault in state.faults],
+        "axes": {name: _show_axis(name, axis, config, targets.get(name)) for name, axis in state.axes.items()},
+    }
+    if state.job is not None:
+        shown["job"] = state.job
+    if state.step is not None:
+        shown["step"] = state.step
+    if state.estop is not None:
+        shown["estop"] = state.estop.to_plain()
+    if state.clock is not None:
+        shown["clock"] = state.clock.to_plain()
+    if config is not None:
+        shown["make"] = config.adapter
+    return shown
+
+
+def _show_axis(name: str, axis: AxisState, config: Controller | None, target: float | None) -> dict[str, Any]:
+    shown: dict[str, Any] = {
+        "position": round(axis.position, DIGITS),
+        "commanded": round(axis.commanded, DIGITS),
+        "velocity": round(axis.velocity, DIGITS),
+        "unit": axis.unit,
+        "moving": axis.moving,
+        "homing": axis.homing,
+        "enabled": axis.enabled,
+        "referenced": axis.referenced,
+        "limit": axis.limit,
+        "offset": str(axis.offset),
+    }
+    if axis.fault is not None:
+        shown["fault"] = axis.fault
+    if target is not None:
+        shown["target"] = round(target, DIGITS)
+    known = None if config is None else config.axes.get(name)
+    if known is not None:
+        shown["max_velocity"] = known.limits.velocity
+        if known.soft_limits is not None and known.turn_length is None:
+            # Soft limits are motor positions.
+            for end, limit in (("min", known.soft_limits.min), ("max", known.soft_limits.max)):
+                shown[end] = round(float(parse_quantity(limit, known.unit) + axis.offset), DIGITS)
+    return shown

@@ -1,0 +1,272 @@
+"""The state of the fleet as one JSON object, gathered from the bus. It never contains null (see `merge_patch`)."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from orchestrator.bus.base import BusSample
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.gateway.stream.controllers import show_controller
+from orchestrator.gateway.stream.merge_patch import drop_nulls
+from orchestrator.gateway.stream.targets import JobTargets
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.recording import JobBegun
+from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
+from orchestrator.model.state import ControllerEvent, ControllerState, LinkTotals
+
+MAX_EVENTS = 100
+MAX_CONTROLLERS, MAX_JOBS, MAX_ALARMS, MAX_LEASES = 500, 300, 1000, 2000  # whatever is published
+KEEP_ENDED_NS = 60 * NS_PER_S  # of a job that has ended
+STALE_NS = NS_PER_S
+LEADER_NS = NS_PER_S  # ten heartbeats are missing
+
+_Take = Callable[[BusSample], None]
+
+
+class FleetState:
+    """Pass each sample to `take_sample`; `compose` returns the state.
+
+    Values are kept as they arrive and made ready when they are asked for: at most 20 times a second, however often they
+    are published.
+    """
+
+    def __init__(self, keys: FleetKeys, clock: Clock) -> None:
+        self.fleet: Fleet | None = None
+        self.on_unknown_digest: Callable[[], None] = lambda: None
+        self.invalid = 0
+        self._keys, self._clock = keys, clock
+        self._states: dict[str, ControllerState] = {}
+        self._received_ns: dict[str, int] = {}
+        self._raw: dict[str, bytes] = {}
+        self._shown: dict[str, dict[str, Any]] = {}
+        self._present: dict[str, int] = {}
+        self._links: dict[str, dict[str, Any]] = {}
+        self._leases: dict[str, dict[str, Any]] = {}
+        self._alarms: dict[str, dict[str, Any]] = {}
+        self._events: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
+        self._event_number = 0
+        self._queue: QueueState | None = None
+        self._jobs: dict[str, JobProgress] = {}
+        self._ended_ns: dict[str, int] = {}
+        self._targets = JobTargets()
+        self._leader: tuple[int, LeaderHeartbeat] | None = None
+        self._last_stop: dict[str, Any] | None = None
+        self._takers: dict[str, _Take] = {
+            "state": self._take_state,
+            "event": self._take_event,
+            "link": self._take_link,
+        }
+
+    @property
+    def key_expressions(self) -> tuple[str, ...]:
+        """The key expressions to subscribe to."""
+        keys = self._keys
+        jobs = (keys.job_state(), keys.job_begun())
+        return (keys.state(), keys.event(), keys.link(), *jobs, keys.queue, keys.leases, keys.alarm(), keys.leader)
+
+    @property
+    def controllers(self) -> list[str]:
+        """The controllers that have published a state."""
+        return list(self._received_ns)
+
+    def find_axis_state(self, axis: str) -> float | None:
+        """The commanded user position of `controller.axis`; None if it is not known."""
+        controller, _, name = axis.partition(".")
+        state = self._read_state(controller)
+        return None if state is None or name not in state.axes else state.axes[name].commanded
+
+    # What arrives
+
+    def take_sample(self, sample: BusSample) -> None:
+        """Store a sample; one that is not valid is counted."""
+        try:
+            kind, leaf = self._split_key(sample.key)
+            if kind == "ctl":
+                self._takers[leaf](sample)
+            elif kind == "job":
+                self._take_job(sample, leaf)
+            elif kind == "lease":
+                self._take_lease(LeaseState.model_validate_json(sample.payload))
+            elif kind == "alarm":
+                self.take_alarm(AlarmRecord.model_validate_json(sample.payload))
+            elif kind == "queue":
+                self._queue = QueueState.model_validate_json(sample.payload)
+            elif kind == "leader":
+                self._leader = self._clock.now_ns(), LeaderHeartbeat.model_validate_json(sample.payload)
+        except (ValidationError, KeyError):
+            self.invalid += 1
+
+    def take_states(self, states: Mapping[str, ControllerState]) -> None:
+        """Store states that were queried."""
+        for name, state in states.items():
+            self._keep_state(name)
+            self._states[name] = state
+
+    def take_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus
+        """Store that an adapter has come, or gone."""
+        controller = key.split("/")[-2]
+        self._present[controller] = max(0, self._present.get(controller, 0) + (1 if present else -1))
+        self._shown.pop(controller, None)
+
+    def take_alarm(self, alarm: AlarmRecord) -> None:
+        """Store an alarm."""
+        if alarm.state == "normal":
+            self._alarms.pop(alarm.id, None)
+        elif len(self._alarms) < MAX_ALARMS or alarm.id in self._alarms:
+            self._alarms[alarm.id] = drop_nulls(alarm.to_plain())
+
+    def take_alarms(self, alarms: Iterable[AlarmRecord]) -> None:
+        """Store all alarms that are not normal."""
+        self._alarms.clear()
+        for alarm in alarms:
+            self.take_alarm(alarm)
+
+    @property
+    def has_queue(self) -> bool:
+        """Whether the queue is known."""
+        return self._queue is not None
+
+    def take_queue(self, queue: QueueState) -> None:
+        """Store the queue that was queried."""
+        self._queue = queue
+
+    def take_stop(self, what: str, actor: str) -> dict[str, Any]:
+        """Store which stop was requested last, and by which actor; return it for the stream."""
+        self._last_stop = {"by": actor, "what": what, "utc": self._clock.utc()}
+        return self._last_stop
+
+    def take_fleet(self, fleet: Fleet) -> None:
+        """Store the configuration of the fleet."""
+        self.fleet = fleet
+        self._shown.clear()
+
+    def _split_key(self, key: str) -> tuple[str, str]:
+        chunks = key.removeprefix(f"{self._keys.prefix}/").split("/")
+        return chunks[0], chunks[-1]
+
+    def _take_state(self, sample: BusSample) -> None:
+        controller = sample.key.split("/")[-2]
+        if len(self._received_ns) >= MAX_CONTROLLERS and controller not in self._received_ns:
+            raise KeyError(controller)
+        self._keep_state(controller)
+        self._raw[controller] = sample.payload
+
+    def _keep_state(self, controller: str) -> None:
+        self._received_ns[controller] = self._clock.now_ns()
+        self._shown.pop(controller, None)
+
+    def _take_event(self, sample: BusSample) -> None:
+        event = ControllerEvent.model_validate_json(sample.payload)
+        self._event_number += 1
+        shown = {"n": self._event_number, "controller": event.controller, "kind": event.kind, "text": event.text}
+        self._events.append(drop_nulls(shown | {"utc": event.utc, "job": event.job, "step": event.step}))
+
+    def _take_link(self, sample: BusSample) -> None:
+        totals = LinkTotals.model_validate_json(sample.payload)
+        self._links[totals.controller] = {"bytes_out": totals.bytes_out, "bytes_in": totals.bytes_in}
+        self._shown.pop(totals.controller, None)
+
+    def _take_job(self, sample: BusSample, leaf: str) -> None:
+        if leaf == "begun":
+            self._targets.take_job(JobBegun.model_validate_json(sample.payload))
+            return
+        progress = JobProgress.model_validate_json(sample.payload)
+        now_ns = self._clock.now_ns()
+        if progress.state in FINISHED_STATES:
+            self._ended_ns[progress.job_id] = now_ns
+        self._jobs[progress.job_id] = progress
+        if len(self._jobs) > MAX_JOBS:
+            oldest = next(iter(self._jobs))
+            del self._jobs[oldest]
+            self._ended_ns.pop(oldest, None)
+        if self._targets.take_progress(progress, self.fleet, self.find_axis_state):
+            self._shown.clear()
+
+    def _take_lease(self, lease: LeaseState) -> None:
+        name = lease.controller if lease.axis is None else f"{lease.controller}.{lease.axis}"
+        if lease.holder is None:
+            self._leases.pop(name, None)
+        elif len(self._leases) < MAX_LEASES or name in self._leases:
+            shown = {"holder": lease.holder, "actor": lease.actor, "what": lease.what, "until_utc": lease.until_utc}
+            self._leases[name] = drop_nulls(shown)
+
+    # What is shown
+
+    def compose(self) -> dict[str, Any]:
+        """The state now, for the stream."""
+        now_ns = self._clock.now_ns()
+        for job_id in [each for each, ended_ns in self._ended_ns.items() if now_ns - ended_ns > KEEP_ENDED_NS]:
+            del self._ended_ns[job_id]
+            self._jobs.pop(job_id, None)
+        shown: dict[str, Any] = {
+            "fleet": self._keys.fleet,
+            "utc": f"{self._clock.utc()[:19]}Z",
+            "coordinator": self._show_leader(now_ns),
+            "controllers": {name: self._show_controller(name, now_ns) for name in sorted(self._received_ns)},
+            "leases": dict(self._leases),
+            "jobs": {job_id: drop_nulls(job.to_plain()) for job_id, job in self._jobs.items()},
+            "members": self._find_members(),
+            "alarms": dict(self._alarms),
+            "events": list(self._events),
+        }
+        if self._queue is not None:
+            plain = self._queue.to_plain()
+            shown["permits"] = plain.pop("missing_permits")
+            shown["queue"] = drop_nulls(plain)
+        if self._last_stop is not None:
+            shown["last_stop"] = self._last_stop
+        return shown
+
+    def _show_leader(self, now_ns: int) -> dict[str, Any]:
+        if self._leader is None or now_ns - self._leader[0] > LEADER_NS:
+            return {"present": False}
+        heartbeat = self._leader[1]
+        return {"present": True, "name": heartbeat.coordinator[:8], "epoch": heartbeat.epoch}
+
+    def _show_controller(self, name: str, now_ns: int) -> dict[str, Any]:
+        shown = self._shown.get(name)
+        if shown is None:
+            shown = self._shown[name] = self._make_controller(name)
+        age_ns = now_ns - self._received_ns[name]
+        age_s = age_ns // NS_PER_S if age_ns > STALE_NS else 0
+        return shown if shown.get("age_s") == age_s else {**shown, "age_s": age_s}
+
+    def _make_controller(self, name: str) -> dict[str, Any]:
+        present = {"present": self._present.get(name, 0) > 0, "age_s": 0}
+        state = self._read_state(name)
+        if state is None:
+            return {**present, "mode": "unknown", "axes": {}}
+        config = None if self.fleet is None else self.fleet.controllers.get(name)
+        if self.fleet is None or (config is not None and config.digest != state.digest):
+            self.on_unknown_digest()
+        head = f"{name}."
+        targets = {
+            axis.removeprefix(head): target for axis, target in self._targets.by_axis.items() if axis.startswith(head)
+        }
+        shown = show_controller(state, config, targets) | present
+        return shown | {"link": self._links[name]} if name in self._links else shown
+
+    def _read_state(self, name: str) -> ControllerState | None:
+        """The newest state; it is parsed only now. None if it is not valid and there was none before."""
+        raw = self._raw.pop(name, None)
+        if raw is not None:
+            try:
+                self._states[name] = ControllerState.model_validate_json(raw)
+            except ValidationError:
+                self.invalid += 1
+        return self._states.get(name)
+
+    def _find_members(self) -> dict[str, Any]:
+        """The stage of each member of the step that a job runs."""
+        found: dict[str, Any] = {}
+        for name in self._received_ns:
+            state = self._states.get(name)
+            if state is not None and state.job is not None and state.job in self._jobs:
+                job = found.setdefault(state.job, {"step": state.step or 0, "members": {}})
+                job["members"][name] = state.mode
+        return found

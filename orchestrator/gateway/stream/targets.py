@@ -1,0 +1,82 @@
+"""Where a running job moves each axis: by its steps, for the axis table."""
+
+from collections.abc import Callable, Mapping
+
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Move
+from orchestrator.model.names import ALL_AXES, is_position_name
+from orchestrator.model.operation.recording import JobBegun
+from orchestrator.model.report import FINISHED_STATES, JobProgress
+from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.units import UnitError, parse_quantity
+
+FindCommanded = Callable[[str], float | None]
+
+
+class JobTargets:
+    """The targets of the steps that run now. Scans have none: their points follow each other too quickly to be read."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, JobBegun] = {}
+        self._steps: dict[str, int] = {}
+        self._targets: dict[str, dict[str, float]] = {}
+
+    @property
+    def by_axis(self) -> dict[str, float]:
+        """By `controller.axis`, the user position that the running step moves it to."""
+        return {axis: target for targets in self._targets.values() for axis, target in targets.items()}
+
+    def take_job(self, begun: JobBegun) -> None:
+        """Take over a job that begins."""
+        self._jobs[begun.job_id] = begun
+
+    def take_progress(self, progress: JobProgress, fleet: Fleet | None, find_commanded: FindCommanded) -> bool:
+        """Take over a job's progress; return whether targets have changed. find_commanded: of an axis, for moves by a
+        distance: its commanded position before the step."""
+        job_id = progress.job_id
+        begun = self._jobs.get(job_id)
+        if progress.state in FINISHED_STATES:
+            self._jobs.pop(job_id, None)
+            self._steps.pop(job_id, None)
+            return self._targets.pop(job_id, None) is not None
+        if begun is None or fleet is None or self._steps.get(job_id) == progress.step:
+            return False
+        self._steps[job_id] = progress.step
+        self._targets[job_id] = _find_targets(begun, progress.step, fleet, find_commanded)
+        return True
+
+
+def _find_targets(begun: JobBegun, number: int, fleet: Fleet, find_commanded: FindCommanded) -> dict[str, float]:
+    order = StepOrder(begun.job.steps, begun.repeat)
+    step = order.locate(number).step if number < len(order) else None
+    if not isinstance(step, Move):
+        return {}
+    targets: dict[str, float] = {}
+    for axis, value in _list_absolute(step, begun.positions_used).items():
+        try:
+            targets[axis] = float(parse_quantity(value, fleet.axis(axis).unit))
+        except (UnitError, ValueError):
+            continue
+    for axis, value in step.by.items():
+        before = find_commanded(axis)
+        try:
+            distance = float(parse_quantity(value, fleet.axis(axis).unit))
+        except (UnitError, ValueError):
+            continue
+        if before is not None:
+            targets[axis] = before + distance
+    return targets
+
+
+def _list_absolute(step: Move, positions: Mapping[str, Mapping[str, str]]) -> dict[str, int | float | str]:
+    """The absolute targets of a step by axis, with the values of named positions."""
+    found: dict[str, int | float | str] = {}
+    for axis, target in step.to.items():
+        if axis == ALL_AXES:
+            found |= positions.get(str(target), {})
+        elif is_position_name(target):
+            value = positions.get(str(target), {}).get(axis)
+            found |= {} if value is None else {axis: value}
+        else:
+            found[axis] = target
+    return found
