@@ -73,6 +73,19 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
     help="Space for recordings; the oldest are deleted first.",
 )
 @metrics_option
+@click.option("--no-web", is_flag=True, help="Serve no page.")
+@click.option(
+    "--web-port",
+    type=click.IntRange(1, 65_535),
+    default=None,
+    help="Port of the operators' page on this machine; default: the first free one of 8080 to 8089.",
+)
+@click.option(
+    "--jobs",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    default=None,
+    help="Folder of the job files that the page offers; default: that of FILE.",
+)
 @click.option("--wait", is_flag=True, help="It is up only when every controller is reached; see --limit.")
 @click.option(
     "--limit",
@@ -99,6 +112,9 @@ def up(
     no_record: bool,
     record_quota: int,
     metrics_port: int | None,
+    no_web: bool,
+    web_port: int | None,
+    jobs: Path | None,
     wait: bool,
     detach: bool,
     as_json: bool,
@@ -108,7 +124,6 @@ def up(
     Ctrl-C stops the running job first; a process that dies is restarted. Controllers that are not reached yet are
     named; they are taken in whenever they answer.
     """
-    from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
     from orchestrator.runtime.checked import load_checked_fleet
     from orchestrator.runtime.live import LiveFleet
     from orchestrator.runtime.state_folder import default_state
@@ -122,31 +137,8 @@ def up(
         live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
         live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
         live.metrics_port = metrics_port
-        end = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, end.set)
-        if not set_realtime_priority(RealtimePriority.SERVICE, children=False):
-            print_line(NO_REALTIME_WARNING)
-        starting = loop.create_task(_start_and_reach(live, limit_s if wait else REACH_S, required=wait))
-        ended = loop.create_task(end.wait())
-        await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
-        if not starting.done():
-            print_line("interrupted while starting; ending the started processes")
-            starting.cancel()
-            await asyncio.wait([starting])
-            raise SystemExit(INTERRUPTED)
-        missing = await starting
-        value = {"fleet": fleet.fleet, "connect": live.connect, "state": str(folder), "not_reached": missing}
-        absent = f"; {', '.join(missing)} not reached yet" if missing else ""
-        words = f"fleet {fleet.fleet} is up{absent}; state in {folder}; Ctrl-C ends it"
-        print_result(value, words, as_json=as_json)
-        assert live.failed is not None
-        await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
-        print_line("stopping")
-        await live.close()
-        if live.failed.done():
-            raise SystemExit(FAILED)
+        live.web, live.web_port, live.jobs = _has_web(print_line, wanted=not no_web), web_port, jobs or file.parent
+        await _run_until_ended(live, print_line, limit_s if wait else REACH_S, required=wait, as_json=as_json)
 
     if not detach:
         run_main(run_fleet())
@@ -155,8 +147,10 @@ def up(
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
     options += ["--record-quota", f"{record_quota}B"]
     options += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
+    options += [] if web_port is None else ["--web-port", str(web_port)]
+    options += [] if jobs is None else ["--jobs", str(jobs)]
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
-    flags |= {"--new-journal": new_journal, "--no-record": no_record}
+    flags |= {"--new-journal": new_journal, "--no-record": no_record, "--no-web": no_web}
     options += [name for name, given in flags.items() if given]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 
@@ -169,6 +163,50 @@ def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) 
     if missing is not None:
         print_line(f"nothing is recorded: {'; '.join(missing)}")
     return quota if wanted and missing is None else None
+
+
+def _has_web(print_line: Callable[[str], None], *, wanted: bool) -> bool:
+    """Whether the page can be served, which is said if it was wanted."""
+    from orchestrator.cli.base.extras import find_missing
+
+    missing = find_missing("web") if wanted else None
+    if missing is not None:
+        print_line(f"no page: {'; '.join(missing)}")
+    return wanted and missing is None
+
+
+async def _run_until_ended(
+    live: "LiveFleet", print_line: Callable[[str], None], limit_s: float, *, required: bool, as_json: bool
+) -> None:
+    """Start the fleet, say that it is up, and run it until it is to end, or a part of it has ended for good."""
+    from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+
+    end = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    if not set_realtime_priority(RealtimePriority.SERVICE, children=False):
+        print_line(NO_REALTIME_WARNING)
+    starting = loop.create_task(_start_and_reach(live, limit_s, required=required))
+    ended = loop.create_task(end.wait())
+    await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
+    if not starting.done():
+        print_line("interrupted while starting; ending the started processes")
+        starting.cancel()
+        await asyncio.wait([starting])
+        raise SystemExit(INTERRUPTED)
+    missing, name = await starting, live.fleet.fleet
+    value = {"fleet": name, "connect": live.connect, "state": str(live.state), "page": live.page or None}
+    absent = f"; {', '.join(missing)} not reached yet" if missing else ""
+    page = f"; page on {live.page}" if live.page else ""
+    words = f"fleet {name} is up{absent}{page}; state in {live.state}; Ctrl-C ends it"
+    print_result({**value, "not_reached": missing}, words, as_json=as_json)
+    assert live.failed is not None
+    await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
+    print_line("stopping")
+    await live.close()
+    if live.failed.done():
+        raise SystemExit(FAILED)
 
 
 async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool) -> list[str]:
@@ -226,7 +264,8 @@ def _start_detached(file: Path, folder: Path, options: Sequence[str], *, as_json
     value |= {"pid": process.pid, "log": str(log)}
     missing = value["not_reached"]
     absent = f"; {', '.join(missing)} not reached yet" if missing else ""
-    words = f"fleet {value['fleet']} is up{absent}; state in {folder}; lines in {log}; `tutti down` ends it"
+    page = f"; page on {value['page']}" if value.get("page") else ""
+    words = f"fleet {value['fleet']} is up{absent}{page}; state in {folder}; lines in {log}; `tutti down` ends it"
     print_result(value, words, as_json=as_json)
 
 

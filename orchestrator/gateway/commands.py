@@ -6,12 +6,13 @@ A stop is in the log before it is sent, and is reported to every open page.
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 
 from orchestrator.bus.log import ProcessLog
 from orchestrator.client import Tutti
+from orchestrator.clock.executor import Executor
 from orchestrator.gateway.identity import Identity
 from orchestrator.gateway.replies import describe_refusal
 from orchestrator.model.base import Model
@@ -29,13 +30,15 @@ CONTROLLER_VERBS: dict[str, ServiceVerb] = {
     "raw": ServiceVerb(RawRequest, RawReply),
 }
 
+ShowStop = Callable[[str, str, dict[str, Any]], None]
+
 
 class FleetCommands:
     """Passes requests on. on_stop: called with what every page shows of a stop."""
 
-    def __init__(self, tutti: Tutti, log: ProcessLog, on_stop: Callable[[str, str, dict[str, Any]], None]) -> None:
+    def __init__(self, tutti: Tutti, log: ProcessLog, execute: Executor, on_stop: ShowStop) -> None:
         self.known_controllers: Callable[[], list[str]] = list
-        self._tutti, self._log, self._on_stop = tutti, log, on_stop
+        self._tutti, self._log, self._execute, self._on_stop = tutti, log, execute, on_stop
         self._connections: OrderedDict[str, Tutti] = OrderedDict()
         self._keys: OrderedDict[str, str] = OrderedDict()
 
@@ -79,7 +82,8 @@ class FleetCommands:
         service, tutti = SERVICE_VERBS[verb], self.connect(identity)
         request_id = self._find_request_id(identity, verb, fields, key)
         given = {"client_key": request_id, **fields} if "client_key" in service.request.model_fields else fields
-        request = make_request(service, given, request_id or tutti.new_id(), identity.actor)
+        # In a thread: the model of a long job takes a tenth of a second, in which a jog would not be renewed.
+        request = await self._execute(make_request, service, given, request_id, identity.actor)
         if isinstance(request, SubmitJob):
             request = prepare_submission(request, identity)
         if not service.reads:
@@ -146,4 +150,4 @@ def _describe_subject(fields: Mapping[str, Any]) -> str:
         if value:
             return str(value)[:100]
     job = fields.get("job")
-    return str(job.get("name", ""))[:100] if isinstance(job, dict) else ""
+    return str(cast(Mapping[str, object], job).get("name", ""))[:100] if isinstance(job, dict) else ""

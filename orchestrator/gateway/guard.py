@@ -68,21 +68,18 @@ class Guard:
         return None
 
     async def _guard_request(self, scope: Scope, receive: Receive, send: Send) -> None:
-        taken, is_large, has_begun = 0, False, False
+        taken = 0
 
         async def receive_limited() -> Message:
-            nonlocal taken, is_large
+            nonlocal taken
             message = await receive()
             taken += len(message.get("body", b""))
             if taken > MAX_BODY_BYTES:
-                is_large = True
                 raise RefusedRequest(413, explain_size())
             return message
 
         async def send_guarded(message: Message) -> None:
-            nonlocal has_begun
             if message["type"] == "http.response.start":
-                has_begun = True
                 present = {name.lower() for name, _ in message["headers"]}
                 message = {
                     **message,
@@ -101,11 +98,7 @@ class Guard:
         if not length.isdecimal() or int(length) > MAX_BODY_BYTES:
             await make_refusal_response(explain_size(), 413)(scope, receive, send_guarded)
             return
-        try:
-            await self._app(scope, receive_limited, send_guarded)
-        except RefusedRequest as error:
-            if not has_begun:
-                await make_refusal_response(error.refusal, error.status)(scope, receive, send_guarded)
+        await self._app(scope, receive_limited, send_guarded)
 
 
 def explain_size() -> Refusal:

@@ -13,6 +13,7 @@ ROLES: tuple[Role, ...] = get_args(Role)
 READ_VERBS = (
     "alarms",
     "commands",
+    "configuration",
     "find",
     "list",
     "names",
@@ -52,9 +53,9 @@ LEAST_ROLES: dict[str, Role] = {
     "work": "operator",
     "reset": "operator",
     "check-fleet": "operator",
+    "check-wiring": "operator",
     "remove-position": "maintainer",
     "prune": "maintainer",
-    "check-wiring": "maintainer",
     "reload": "maintainer",
     "repair-epoch": "maintainer",
     "forget": "maintainer",

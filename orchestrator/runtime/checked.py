@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from adapters.host.makes import apply_make_defaults, find_controller_problems
-from orchestrator.model.files import FileError, FileProblem, parse_file, read_file
+from orchestrator.model.files import FileError, FileProblem, LoadedFile, parse_file, read_file
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.problems import Problem
 from orchestrator.runtime.simulated import find_simulation_problems
@@ -17,7 +17,11 @@ def load_checked_fleet(file: Path, *, tolerant: bool = False) -> Fleet:
 
     Raises `FileError` with every problem.
     """
-    source = read_file(file)
+    return check_loaded_fleet(read_file(file), tolerant=tolerant)
+
+
+def check_loaded_fleet(source: LoadedFile, *, tolerant: bool = False) -> Fleet:
+    """The same for a fleet file that was read already, or arrived as text. Raises `FileError` with every problem."""
     fleet = parse_file(source, Fleet)
     return _complete_fleet(fleet, lambda each: source.problem(each.place, each.text), tolerant=tolerant)
 

@@ -45,7 +45,9 @@ RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 FINAL_EXIT_CODES = frozenset({2, 4, 5})
 EXIT_PORT_IN_USE = 4  # of the router: another process uses its port
 STANDBY = "coordinator/standby"
-RECORDER = "recorder"
+RECORDER, GATEWAY = "recorder", "gateway"
+# Parts without which a fleet runs as well, and what is missing then.
+DISPENSABLE = {RECORDER: "nothing is recorded any more", GATEWAY: "the page is not served any more"}
 EXISTING_JOURNAL = "--existing-journal"
 # Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
 EXIT_LEADERSHIP_LOST = frozenset({4, 6})
@@ -106,6 +108,7 @@ class LiveFleet:
     new_journal: a journal is begun although the fleet had one, which is missing.
     record_quota: bytes of recordings in `state`/recordings; None: nothing is recorded, and there are no metrics.
     metrics_port: of the metrics; None: the first free one; 0: none.
+    web: the operators' page is served, on `web_port`; None: the first free one. jobs: the folder of its templates.
     """
 
     fleet: Fleet
@@ -121,6 +124,11 @@ class LiveFleet:
     first_port: int = 0
     record_quota: int | None = None
     metrics_port: int | None = None
+    web: bool = False
+    web_port: int | None = None
+    jobs: Path | None = None
+    page: str = ""
+    """The address of the operators' page; empty: it is not served."""
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
@@ -149,6 +157,7 @@ class LiveFleet:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
+            await self._start_gateway()
             await self._recording
         except BaseException:
             await self.close()
@@ -182,7 +191,7 @@ class LiveFleet:
         # Both coordinators at once: the standby must not take over from the other.
         both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end_child(child) for child in both))
-        order = ["coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
+        order = [GATEWAY, "coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
         for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
             await self._end_child(child)
         if self._rotation is not None:
@@ -257,6 +266,25 @@ class LiveFleet:
                 self.say(recorder.ready_output[0])
         except UpFailed as error:
             self.say(f"nothing is recorded: {error}")
+
+    async def _start_gateway(self) -> None:
+        """Start the gateway; a fleet runs without it as well."""
+        if not self.web:
+            return
+        command = [sys.executable, "-m", "orchestrator.gateway.process", "--fleet", self.fleet.fleet]
+        command += ["--connect", self.connect, "--state", str(self.state), "--parent", str(os.getpid())]
+        command += ["--log", str(self.state / "log" / "gateway.jsonl")]
+        command += [] if self.jobs is None else ["--jobs", str(self.jobs)]
+        chosen = [] if self.web_port is None else ["--port", str(self.web_port)]
+        try:
+            gateway = await self._start_child(GATEWAY, [*command, *chosen])
+        except UpFailed as error:
+            self.say(f"no page: {error}")
+            return
+        self.say(gateway.ready_output[0])
+        self.page = gateway.ready_output[0].partition(" on ")[2]
+        # A restart serves under the same address again.
+        gateway.command = [*command, "--port", self.page.rstrip("/").rpartition(":")[2]]
 
     def _make_simulator_arguments(self, names: Sequence[str]) -> list[str]:
         """Return the arguments of a simulator for the controllers of one link."""
@@ -383,8 +411,8 @@ class LiveFleet:
                     "serve that one"
                 )
                 return
-            if code in FINAL_EXIT_CODES and child.name == RECORDER:
-                self.say(f"nothing is recorded any more: {child.last_error_line() or f'exit code {code}'}")
+            if code in FINAL_EXIT_CODES and child.name in DISPENSABLE:
+                self.say(f"{DISPENSABLE[child.name]}: {child.last_error_line() or f'exit code {code}'}")
                 return
             if code in FINAL_EXIT_CODES:
                 self._report_failure(f"{child.name} ended: {child.last_error_line() or f'exit code {code}'}")

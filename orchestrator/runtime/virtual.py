@@ -27,6 +27,8 @@ from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.alarm_tables import AlarmTables
+from orchestrator.coordinator.journal.approval_table import ApprovalTable
+from orchestrator.coordinator.journal.command_table import CommandTable
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.point_rows import PointRows
 from orchestrator.coordinator.journal.point_store import PointStore
@@ -67,6 +69,8 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         AlarmTables.load_alarms,
         AlarmTables.load_history,
         AlarmTables.load_notices,
+        ApprovalTable.load_approval,
+        CommandTable.list_commands,
         StatisticsTable.read_rows,
         PointStore.read_rows,
         Journal.list_reservations,

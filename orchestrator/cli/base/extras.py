@@ -3,7 +3,11 @@
 from importlib.util import find_spec
 
 # The packages of each extra in pyproject.toml, by the names under which they are imported.
-_EXTRAS = {"record": ("mcap", "zstandard", "prometheus_client"), "export": ("mcap", "zstandard", "pyarrow", "h5py")}
+_EXTRAS = {
+    "record": ("mcap", "zstandard", "prometheus_client"),
+    "export": ("mcap", "zstandard", "pyarrow", "h5py"),
+    "web": ("starlette", "uvicorn", "websockets", "argon2"),
+}
 
 
 def find_missing(extra: str) -> tuple[str, str] | None:

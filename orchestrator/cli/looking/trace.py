@@ -2,9 +2,8 @@
 
 import asyncio
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,10 +15,10 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from adapters.link.can_log import LogFormat
-    from adapters.toolkit.frames import FrameDecoder
     from orchestrator.client import Tutti
     from orchestrator.link.trace import TraceEntry
     from orchestrator.model.messages import TraceReply
+    from orchestrator.runtime.trace_frames import FrameList, ShownFrame
 
 FOLLOW_S = 0.5  # between two requests
 TEXT_COLUMNS = 34  # after which meanings stand
@@ -70,6 +69,8 @@ def trace(
                 f"{count} frames in {output}", highlight=False, markup=False
             )
             return
+        from orchestrator.runtime.trace_frames import FrameList
+
         reader = FrameList(reply, raw=raw)
         if not follow and as_json:
             print_json({**reply.to_plain(), "frames": [each._asdict() for each in reader.read_frames(reply)]})
@@ -85,50 +86,7 @@ def trace(
     with_fleet(connect, fleet, show_trace)
 
 
-class ShownFrame(NamedTuple):
-    """A frame. after_s: since the first request. fleet_ns: None while fleet time is not known."""
-
-    after_s: float
-    fleet_ns: int | None
-    direction: str
-    address: str
-    text: str
-    meaning: str
-
-
-class FrameList:
-    """The frames of a trace that is read in parts; times are relative to the first one."""
-
-    def __init__(self, first: "TraceReply", *, raw: bool) -> None:
-        from adapters.host.makes import find_decoder
-
-        self._origin_ns, self._origin_utc = first.host_ns, first.utc
-        self._decoder: FrameDecoder | None = None if raw else find_decoder(first.make, first.options)
-
-    def describe_origin(self) -> str:
-        """Which instant is 0 s."""
-        from orchestrator.monitor.times import format_time
-
-        return f"{format_time(self._origin_utc, precise=True)} is 0 s"
-
-    def read_frames(self, reply: "TraceReply") -> Iterator[ShownFrame]:
-        """The frames that a part of the trace completes."""
-        from adapters.toolkit.frames import DecodedFrame, printable_text
-
-        for at_ns, direction, text in reply.entries:
-            data = text.encode("latin-1")
-            fleet_ns = None if reply.fleet_ns is None else reply.fleet_ns + at_ns - reply.host_ns
-            frames = (
-                [DecodedFrame(printable_text(data))]
-                if self._decoder is None
-                else self._decoder.decode_bytes(direction, data)
-            )
-            for each in frames:
-                after_s = (at_ns - self._origin_ns) / 1e9
-                yield ShownFrame(after_s, fleet_ns, direction, each.address, each.text, each.meaning)
-
-
-def _print_frames(reader: FrameList, reply: "TraceReply", *, as_json: bool) -> None:
+def _print_frames(reader: "FrameList", reply: "TraceReply", *, as_json: bool) -> None:
     if reply.lost and not as_json:
         console.print(f"{reply.lost} entries are lost: more than the adapter keeps", style="yellow", highlight=False)
     for each in reader.read_frames(reply):
@@ -138,7 +96,7 @@ def _print_frames(reader: FrameList, reply: "TraceReply", *, as_json: bool) -> N
             console.print(_format_frame(each), soft_wrap=True)
 
 
-def _format_frame(frame: ShownFrame) -> "Text":
+def _format_frame(frame: "ShownFrame") -> "Text":
     from rich.text import Text
 
     arrow = "→" if frame.direction == "out" else "←"

@@ -25,6 +25,7 @@ def parameters(file: Path, *, as_json: bool) -> None:
 
 
 def _list_parameters(file: Path, *, as_json: bool) -> None:
+    from orchestrator.model.templates.parameters import describe_parameter
     from orchestrator.model.templates.template import Template
     from orchestrator.monitor.tables import make_plain_table
 
@@ -41,13 +42,6 @@ def _list_parameters(file: Path, *, as_json: bool) -> None:
         default = "required" if plain["required"] else _format_value(each, plain["default"])
         table.add_row(name, each.type, plain["unit"] or "", default, _describe_range(each, plain), each.description)
     console.print(table)
-
-
-def describe_parameter(parameter: "Parameter") -> dict[str, Any]:
-    """A parameter for programs; every field is there, null where its type has none."""
-    fields = dict.fromkeys(("type", "unit", "default", "min", "max", "choices"))
-    plain = {**fields, **parameter.to_plain()}
-    return {**plain, "choices": plain["choices"] or None, "required": plain["default"] is None}
 
 
 def _describe_range(parameter: "Parameter", plain: dict[str, Any]) -> str:

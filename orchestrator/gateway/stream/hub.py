@@ -10,15 +10,19 @@ import json
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from pydantic import ValidationError
+
 from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.gateway.stream.clock_history import ClockHistory
 from orchestrator.gateway.stream.fleet_state import FleetState
 from orchestrator.gateway.stream.merge_patch import make_patch
 from orchestrator.model.errors import Refusal
 from orchestrator.model.operation.alarms import AlarmsListed, ListAlarms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState
 from orchestrator.model.service import ListJobs
+from orchestrator.model.state import ClockMapping
 
 TICK_NS = 50 * NS_PER_MS
 QUIET_NS = 500 * NS_PER_MS  # longest time without a difference, also if nothing has changed
@@ -64,6 +68,7 @@ class StreamHub:
 
     def __init__(self, tutti: Tutti, clock: Clock) -> None:
         self.state = FleetState(tutti.keys, clock)
+        self.clock_history = ClockHistory()
         self.number = 0
         self.patch = ""
         self._tutti, self._clock = tutti, clock
@@ -87,6 +92,7 @@ class StreamHub:
         bus, keys = self._tutti.bus, self._tutti.keys
         for expression in self.state.key_expressions:
             self._declared.append(await bus.subscribe(expression, self._receive))
+        self._declared.append(await bus.subscribe(keys.clock(), self._receive_mapping))
         self._declared.append(await bus.watch(keys.live("controller"), self._receive_presence))
         with contextlib.suppress(Refusal):
             self.state.take_states(await self._tutti.status(ASK_S))
@@ -127,6 +133,11 @@ class StreamHub:
     def _receive(self, sample: BusSample) -> None:
         self.state.take_sample(sample)
         self._changed = True
+
+    def _receive_mapping(self, sample: BusSample) -> None:
+        with contextlib.suppress(ValidationError):
+            mapping = ClockMapping.model_validate_json(sample.payload)
+            self.clock_history.take_mapping(mapping, self._clock.now_ns())
 
     def _receive_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus
         self.state.take_presence(key, present)

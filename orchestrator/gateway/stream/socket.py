@@ -84,9 +84,9 @@ class UserSocket:
             # What was begun ends before anything else is done.
             await acts.close()
         for task in (sending, receiving):
-            if task.done() and not task.cancelled() and (error := task.exception()) is not None:
-                if not isinstance(error, WebSocketDisconnect | TimeoutError | OSError):
-                    raise error
+            error = task.exception() if task.done() and not task.cancelled() else None
+            if error is not None and not isinstance(error, WebSocketDisconnect | TimeoutError | OSError):
+                raise error
 
     async def disconnect(self, code: int, reason: str) -> None:
         """End it, with the reason for the other side."""

@@ -324,3 +324,10 @@ def _measure_part(given: object) -> Fraction:
 
 def _form_number(number: Any) -> ParameterValue:
     return ParameterValue(number, str(number))
+
+
+def describe_parameter(parameter: Parameter) -> dict[str, Any]:
+    """A parameter for programs; every field is there, null where its type has none."""
+    fields = dict.fromkeys(("type", "unit", "default", "min", "max", "choices"))
+    plain = {**fields, **parameter.to_plain()}
+    return {**plain, "choices": plain["choices"] or None, "required": plain["default"] is None}

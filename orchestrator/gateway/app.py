@@ -1,0 +1,297 @@
+"""The gateway as an ASGI application: routes, and who may use them. It runs on any event loop, also in virtual time."""
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, cast
+
+from starlette.applications import Starlette
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket
+
+from orchestrator.bus.log import ProcessLog
+from orchestrator.client import Tutti
+from orchestrator.clock.base import Clock
+from orchestrator.clock.executor import Executor
+from orchestrator.gateway.authentication import COOKIE, Authentication, NotSignedIn
+from orchestrator.gateway.commands import CONTROLLER_VERBS, FleetCommands
+from orchestrator.gateway.fleet_files import compare_fleet
+from orchestrator.gateway.guard import Guard
+from orchestrator.gateway.identity import Identity
+from orchestrator.gateway.job_files import JobFiles
+from orchestrator.gateway.reads import FleetReads, Reader, ReadRequest
+from orchestrator.gateway.replies import RefusedRequest, make_model_response, make_refusal_response
+from orchestrator.gateway.stream.acts import FleetActs
+from orchestrator.gateway.stream.hub import StreamHub
+from orchestrator.gateway.stream.socket import UserSocket
+from orchestrator.gateway.users import UserFile
+from orchestrator.model.errors import Refusal
+from orchestrator.model.service_verbs import SERVICE_VERBS
+
+MAX_SOCKETS = 200
+LONG_BODY = 100_000  # bytes; a longer one is parsed in a thread
+MAX_KEY = 200
+COOKIE_S = 7 * 24 * 3600
+PAGE = Path(__file__).parent / "static"
+NO_PAGE = (
+    "The operators' page is not part of this installation. In a source tree build it with `make page`; the HTTP "
+    "interface is there: /v1/openapi.json\n"
+)
+
+Act = Callable[[Identity, Mapping[str, Any]], Awaitable[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayOptions:
+    """port: under which it is addressed. secure: with TLS. users: their file. jobs: the folder of templates.
+    recordings: their folder. page: the folder of the built page."""
+
+    port: int
+    users: Path
+    jobs: Path | None = None
+    recordings: Path | None = None
+    secure: bool = False
+    page: Path = PAGE
+
+
+class Gateway:
+    """One gateway. `start` it, serve `app`, then `close` it before the bus."""
+
+    def __init__(self, tutti: Tutti, clock: Clock, log: ProcessLog, execute: Executor, options: GatewayOptions) -> None:
+        """execute: for passwords, files and other work that takes long."""
+        self.hub = StreamHub(tutti, clock)
+        self._clock, self._log, self._execute, self._options = clock, log, execute, options
+        self._fleet = tutti.keys.fleet
+        self._authentication = Authentication(UserFile(options.users), clock, execute)
+        self._commands = FleetCommands(tutti, log, execute, self._note_stop)
+        self._commands.known_controllers = lambda: self.hub.state.controllers
+        self._files = JobFiles(options.jobs, execute)
+        self._reads = FleetReads(self._commands, self.hub, self._files, options.recordings, execute)
+        self._sockets: set[UserSocket] = set()
+        self._acts: Mapping[str, Act] = {
+            "stop": self._stop,
+            "estop": self._estop,
+            "reset": self._reset,
+            "check-job": self._check_job,
+            "check-fleet": self._check_fleet,
+        }
+        self.app: ASGIApp = Guard(Starlette(routes=self._make_routes()), options.port, secure=options.secure)
+
+    async def start(self) -> None:
+        """Follow the fleet."""
+        await self.hub.start()
+
+    async def close(self) -> None:
+        """End the sockets, and what they have begun."""
+        await asyncio.gather(*(each.disconnect(1012, "the gateway ends") for each in list(self._sockets)))
+        await self.hub.close()
+
+    def _make_routes(self) -> list[BaseRoute]:
+        routes: list[BaseRoute] = [
+            Route("/v1/session", self._handle(self._show_session), methods=["GET"]),
+            Route("/v1/login", self._handle(self._sign_in), methods=["POST"]),
+            Route("/v1/logout", self._handle(self._sign_out), methods=["POST"]),
+            WebSocketRoute("/v1/stream", self._serve_socket),
+        ]
+        for path, reader in self._reads.readers.items():
+            routes.append(Route(path, self._handle(self._make_read(reader)), methods=["GET"]))
+        for verb, act in self._acts.items():
+            routes.append(Route(f"/v1/{verb}", self._handle(self._make_act(verb, act)), methods=["POST"]))
+        for verb in SERVICE_VERBS.keys() - self._acts.keys():
+            routes.append(Route(f"/v1/{verb}", self._handle(self._make_verb(verb)), methods=["POST"]))
+        for verb in CONTROLLER_VERBS:
+            path = f"/v1/controllers/{{controller}}/{verb}"
+            routes.append(Route(path, self._handle(self._make_controller_verb(verb)), methods=["POST"]))
+        routes.append(Route("/v1/{rest:path}", self._handle(_refuse_unknown), methods=["GET", "POST"]))
+        return [*routes, *self._make_page_routes()]
+
+    def _make_page_routes(self) -> list[BaseRoute]:
+        if (self._options.page / "index.html").is_file():
+            return [Mount("/", StaticFiles(directory=self._options.page, html=True))]
+
+        async def explain(_: Request) -> Response:
+            return Response(NO_PAGE, 404, media_type="text/plain")
+
+        return [Route("/", explain)]
+
+    # Requests
+
+    def _handle(self, handler: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+        """The handler, with refusals as answers. An error that is none is a defect: it is logged."""
+
+        async def handle(request: Request) -> Response:
+            try:
+                return await handler(request)
+            except RefusedRequest as error:
+                return make_refusal_response(error.refusal, error.status)
+            except NotSignedIn as error:
+                return make_refusal_response(error, 401)
+            except Refusal as error:
+                return make_refusal_response(error)
+            except Exception as error:
+                self._log.warning(f"defect in {request.url.path}: {error!r}", path=request.url.path)
+                refusal = Refusal("defect", "the gateway has a defect here", "see its log, and report it")
+                return make_refusal_response(refusal, 500)
+
+        return handle
+
+    def _identify(self, connection: HTTPConnection) -> Identity:
+        headers = connection.headers
+        address = connection.client.host if connection.client is not None else "local"
+        return self._authentication.identify(address, headers.get("cookie", ""), headers.get("authorization", ""))
+
+    async def _authorise(self, request: Request, verb: str) -> tuple[Identity, dict[str, Any]]:
+        """The identity behind a POST that may use `verb`, and its body. Raises `Refusal`, `RefusedRequest`."""
+        identity = self._identify(request)
+        if identity.access == "cookie" and request.headers.get("x-tutti-csrf", "") != identity.csrf:
+            text = "the header X-Tutti-CSRF is missing, or not that of the session"
+            raise RefusedRequest(403, Refusal("bad-csrf", text, "send `csrf` of GET /v1/session in it"))
+        identity.require_right(verb)
+        return identity, await self._read_body(request)
+
+    async def _read_body(self, request: Request) -> dict[str, Any]:
+        kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+        body = await request.body()
+        if not body:
+            return {}
+        if kind != "application/json":
+            text = f"the body is {kind[:60] or 'of no type'}"
+            raise RefusedRequest(415, Refusal("bad-request", text, "send JSON, with Content-Type: application/json"))
+        try:
+            value: object = await self._execute(json.loads, body) if len(body) > LONG_BODY else json.loads(body)
+        except (ValueError, RecursionError):
+            raise Refusal("bad-request", "the body is no JSON", "send a JSON object") from None
+        if not isinstance(value, dict):
+            raise Refusal("bad-request", "the body is no JSON object", "send the fields of the request in an object")
+        return cast(dict[str, Any], value)
+
+    def _make_read(self, reader: Reader) -> Callable[[Request], Awaitable[Response]]:
+        async def read(request: Request) -> Response:
+            values = {**request.query_params, **request.path_params}
+            return await reader(ReadRequest(self._identify(request), values))
+
+        return read
+
+    def _make_act(self, verb: str, act: Act) -> Callable[[Request], Awaitable[Response]]:
+        async def carry_out(request: Request) -> Response:
+            return JSONResponse(await act(*await self._authorise(request, verb)))
+
+        return carry_out
+
+    def _make_verb(self, verb: str) -> Callable[[Request], Awaitable[Response]]:
+        async def pass_on(request: Request) -> Response:
+            identity, fields = await self._authorise(request, verb)
+            key = request.headers.get("idempotency-key", "")[:MAX_KEY]
+            return make_model_response(await self._commands.request(identity, verb, fields, key))
+
+        return pass_on
+
+    def _make_controller_verb(self, verb: str) -> Callable[[Request], Awaitable[Response]]:
+        async def pass_on(request: Request) -> Response:
+            identity, fields = await self._authorise(request, verb)
+            controller = str(request.path_params["controller"])
+            return make_model_response(await self._commands.request_controller(identity, verb, controller, fields))
+
+        return pass_on
+
+    # Users
+
+    def _describe_session(self, identity: Identity) -> dict[str, Any]:
+        return {
+            "fleet": self._fleet,
+            "version": version("tutti"),
+            "user": identity.user or None,
+            "role": identity.role,
+            "users": identity.access != "open",
+            "csrf": identity.csrf,
+            "may": identity.list_rights(),
+        }
+
+    async def _show_session(self, request: Request) -> Response:
+        return JSONResponse(self._describe_session(self._identify(request)))
+
+    async def _sign_in(self, request: Request) -> Response:
+        body = await self._read_body(request)
+        user, password = body.get("user"), body.get("password")
+        if not isinstance(user, str) or not isinstance(password, str):
+            raise Refusal("bad-request", "`user` and `password` must be texts", "")
+        address = request.client.host if request.client is not None else "local"
+        try:
+            secret, identity = await self._authentication.sign_in(user, password, address)
+        except Refusal as error:
+            self._log.warning(f"sign-in of {user[:64]!r} from {address} refused: {error.code}")
+            raise
+        self._log.info(f"signed in: {identity.actor}", actor=identity.actor)
+        response = JSONResponse(self._describe_session(identity))
+        response.set_cookie(
+            COOKIE, secret, httponly=True, samesite="strict", secure=self._options.secure, path="/", max_age=COOKIE_S
+        )
+        return response
+
+    async def _sign_out(self, request: Request) -> Response:
+        self._authentication.sign_out(request.headers.get("cookie", ""))
+        response = JSONResponse({})
+        response.delete_cookie(COOKIE, path="/")
+        return response
+
+    # Acts
+
+    async def _stop(self, identity: Identity, _: Mapping[str, Any]) -> Any:
+        return await self._commands.stop("stop", self._commands.connect(identity), "")
+
+    async def _estop(self, identity: Identity, body: Mapping[str, Any]) -> Any:
+        return await self._commands.stop("estop", self._commands.connect(identity), str(body.get("reason", "")))
+
+    async def _reset(self, identity: Identity, _: Mapping[str, Any]) -> Any:
+        return await self._commands.reset(identity)
+
+    async def _check_job(self, identity: Identity, body: Mapping[str, Any]) -> Any:
+        return await self._files.check_job(self._commands.connect(identity), body)
+
+    async def _check_fleet(self, identity: Identity, body: Mapping[str, Any]) -> Any:
+        text = body.get("text")
+        if not isinstance(text, str):
+            raise Refusal("bad-request", "`text` must be the text of a fleet file", "")
+        running = await self._commands.connect(identity).load_fleet()
+        return await self._execute(compare_fleet, text, running)
+
+    def _note_stop(self, what: str, actor: str, answers: dict[str, Any]) -> None:
+        """Show a stop on every page."""
+        stop = self.hub.state.take_stop(what, actor)
+        self.hub.note_change()
+        for socket in self._sockets:
+            socket.send({"stopped": {**stop, "answers": answers}})
+
+    # Sockets
+
+    async def _serve_socket(self, socket: WebSocket) -> None:
+        try:
+            identity = self._identify(socket)
+        except NotSignedIn as error:
+            await socket.send_denial_response(make_refusal_response(error, 401))
+            return
+        if len(self._sockets) >= MAX_SOCKETS:
+            refusal = Refusal("too-many", f"{MAX_SOCKETS} sockets are open", "close pages that are not used")
+            await socket.send_denial_response(make_refusal_response(refusal, 503))
+            return
+        await socket.accept()
+        user = UserSocket(socket, self.hub, identity, self._clock, lambda: self._authentication.is_valid(identity))
+        user.send({"hello": self._describe_session(identity)})
+        self._sockets.add(user)
+        try:
+            await user.run(FleetActs(user, self._commands.connect(identity), self._clock, self._commands.stop))
+        finally:
+            self._sockets.discard(user)
+
+
+async def _refuse_unknown(request: Request) -> Response:
+    raise RefusedRequest(
+        404, Refusal("no-path", f"there is no {request.method} {request.url.path[:100]}", "see /v1/openapi.json")
+    )

@@ -1,0 +1,129 @@
+"""Job files that arrive as text, or are templates of the fleet: their parameters, mistakes, forecast and drawing."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from orchestrator.client import Tutti
+from orchestrator.clock.executor import Executor
+from orchestrator.gateway.preview import draw_job, look_at_axes
+from orchestrator.model.errors import Refusal
+from orchestrator.model.files import FileError, FileProblem, LoadedFile, read_document, read_file
+from orchestrator.model.forecast import JobForecast, StepProblem
+from orchestrator.model.job import Job, Scan, iterate_steps
+from orchestrator.model.templates.parameters import describe_parameter
+from orchestrator.model.templates.template import FilledJob, ParameterSetting, Template
+
+PATTERN = "*.job.yaml"
+MAX_TEMPLATES = 200
+MAX_CHECKED_STEPS = 10_000
+MAX_DRY_RUN_STEPS = 200  # written ones; more are planned without asking the controllers: that takes 3 ms each
+NAME = "job file"
+
+
+class JobFiles:
+    """The job files in `folder`, and those that arrive. folder: None: there are none."""
+
+    def __init__(self, folder: Path | None, execute: Executor) -> None:
+        self._folder, self._execute = folder, execute
+
+    def list_templates(self) -> list[dict[str, Any]]:
+        """All job files of the folder, with their parameters; those that cannot be read have `problem`."""
+        paths = [] if self._folder is None else sorted(self._folder.glob(PATTERN))
+        return [_describe_template(path) for path in paths[:MAX_TEMPLATES]]
+
+    async def check_job(self, tutti: Tutti, body: Mapping[str, Any]) -> dict[str, Any]:
+        """Check a job file: problems with their lines, parameters, the job, what it will do, and its drawing.
+
+        Raises `Refusal` for a body that is not as it should be, and a template that is not there.
+        """
+        found: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
+        parameters, problems, filled = await self._execute(self._fill_job, body)
+        found |= {"parameters": parameters, "problems": _describe_problems(problems)}
+        return found if filled is None else found | await self.forecast_job(tutti, filled.job, filled)
+
+    async def forecast_job(self, tutti: Tutti, job: Job, filled: FilledJob | None = None) -> dict[str, Any]:
+        """What a job will do now: its forecast, with what each controller would be sent if it is not too long, and its
+        drawing. filled: where its values stand in a file, for problems."""
+        forecast, problems = JobForecast(), list[FileProblem]()
+        if len(job.steps) <= MAX_DRY_RUN_STEPS:
+            forecast = await tutti.dry_run(job)
+            problems = [_locate_problem(each, filled) for each in forecast.problems]
+        fleet, positions = await tutti.load_fleet(), await tutti.list_positions()
+        axes = look_at_axes(fleet, await tutti.status())
+        return {
+            "job": job.to_plain(),
+            "problems": _describe_problems(problems),
+            "forecast": forecast.to_plain() | {"least_s": forecast.least_s, "most_s": forecast.most_s},
+            "preview": await draw_job(fleet, positions, axes, job),
+        }
+
+    def _fill_job(
+        self, body: Mapping[str, Any]
+    ) -> tuple[list[dict[str, Any]], Sequence[FileProblem], FilledJob | None]:
+        """Parameters, mistakes, and without any, the job. In a thread: a long file takes seconds."""
+        parameters: list[dict[str, Any]] = []
+        try:
+            template = Template(self._read_file(body))
+            parameters = _describe_parameters(template)
+            filled = template.fill_settings(_read_values(body.get("values", {})))
+            _refuse_files(filled)
+        except FileError as error:
+            return parameters, error.problems, None
+        return parameters, [], filled
+
+    def _read_file(self, body: Mapping[str, Any]) -> LoadedFile:
+        text, template = body.get("text"), body.get("template")
+        if isinstance(text, str) and template is None:
+            return read_document(text, NAME)
+        if not isinstance(template, str) or text is not None:
+            raise Refusal("bad-request", "give either `text`, a job file, or `template`, the name of one", "")
+        names = {} if self._folder is None else {path.name: path for path in self._folder.glob(PATTERN)}
+        if template not in names:
+            there = ", ".join(sorted(names)[:20]) or "none"
+            raise Refusal(
+                "no-file", f"there is no template {template[:100]!r}; there are: {there}", "choose one of them"
+            )
+        return read_file(names[template])
+
+
+def _describe_template(path: Path) -> dict[str, Any]:
+    plain: dict[str, Any] = {"name": path.name.removesuffix(PATTERN[1:]), "file": path.name}
+    try:
+        return plain | {"parameters": _describe_parameters(Template.load(path)), "problem": None}
+    except FileError as error:
+        return plain | {"parameters": [], "problem": str(error.problems[0])}
+
+
+def _describe_parameters(template: Template) -> list[dict[str, Any]]:
+    return [{"name": name, **describe_parameter(each)} for name, each in template.parameters.items()]
+
+
+def _read_values(values: object) -> dict[str, ParameterSetting]:
+    given = cast(Mapping[str, object], values) if isinstance(values, dict) else {"": 0}
+    if not all(isinstance(each, str) for each in given.values()):
+        raise Refusal("bad-request", "`values` must be an object of texts", 'for example {"width": "20 mm"}')
+    return {name: ParameterSetting(value, "the form", written=True) for name, value in given.items() if value}
+
+
+def _refuse_files(filled: FilledJob) -> None:
+    """A job from elsewhere must not name files of this machine. Raises `FileError`."""
+    problems = [
+        filled.problem(("steps", number), "points in a file, or in a scanspec: submit it with `tutti submit FILE`")
+        for number, written in enumerate(filled.job.steps)
+        for step in iterate_steps([written])
+        if isinstance(step, Scan) and (step.scanspec is not None or (step.points is not None and step.points.file))
+    ]
+    if problems:
+        raise FileError(problems)
+
+
+def _locate_problem(problem: StepProblem, filled: FilledJob | None) -> FileProblem:
+    text = f"{problem.text}; {problem.remedy}" if problem.remedy else problem.text
+    if filled is None:
+        return FileProblem(NAME, 0, ".".join(map(str, problem.place)), text)
+    return filled.problem(problem.place, text)
+
+
+def _describe_problems(problems: Sequence[FileProblem]) -> list[dict[str, Any]]:
+    return [{"line": each.line, "place": each.field, "text": each.text} for each in problems]

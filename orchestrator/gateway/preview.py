@@ -1,0 +1,145 @@
+"""A drawing of a job before it runs: the planned position of each axis over time, as the forecast plans it."""
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.job import Job, Scan, Step
+from orchestrator.model.positions.entries import PositionEntry
+from orchestrator.model.positions.resolve import PositionResolver
+from orchestrator.model.profile import Profile
+from orchestrator.model.scan import GridPoints
+from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.state import ControllerState
+from orchestrator.model.step_words import describe_step
+from orchestrator.plan.forecast import ForecastMotion, JobForecaster
+
+MAX_STEPS = 1000  # that are drawn
+STEPS_AT_ONCE = 20  # between two turns of other work
+POINTS_PER_SEGMENT, MAX_POINTS = 6, 4000
+DIGITS = 4
+
+Lines = dict[str, dict[str, Any]]
+
+
+def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[str, AxisForecast]:
+    """All axes as they are now; those of silent controllers are unknown."""
+    found: dict[str, AxisForecast] = {}
+    for name in fleet.axis_names:
+        controller, _, local = name.partition(".")
+        state = states.get(controller)
+        now = None if state is None or state.mode == "offline" else state.axes.get(local)
+        if now is not None:
+            axis = fleet.axis(name)
+            found[name] = AxisForecast(
+                motor=Fraction(now.commanded_counts) / axis.counts_per_unit,
+                known=True,
+                offset=now.offset,
+                enabled=now.enabled or axis.enable != "manual",
+                referenced=now.referenced,
+            )
+    return found
+
+
+async def draw_job(
+    fleet: Fleet, positions: Sequence[PositionEntry], axes: Mapping[str, AxisForecast], job: Job, repeat: int = 1
+) -> dict[str, Any]:
+    """The preview of a job that begins with `axes`; see the HTTP reference for its fields."""
+    drawing = _Drawing(fleet, axes)
+    order = StepOrder(job.steps, repeat)
+    resolver = PositionResolver(fleet, positions)
+    for index in range(min(len(order), MAX_STEPS)):
+        place = order.locate(index)
+        try:
+            drawing.take(index, resolver.resolve_step(_find_step(fleet, place.step, place.point, place.part)))
+        except Refusal as error:
+            drawing.note_gap(index, error.text)
+        if index % STEPS_AT_ONCE == 0:
+            await asyncio.sleep(0)
+    if len(order) > MAX_STEPS:
+        drawing.note_gap(MAX_STEPS, f"only the first {MAX_STEPS} of {len(order)} steps are drawn")
+    return drawing.finish()
+
+
+def _find_step(fleet: Fleet, step: Step, point: int | None, part: int) -> Step:
+    """The step that runs: of a scan, the move to its point, or the step there. Raises `Refusal`."""
+    if not isinstance(step, Scan) or point is None:
+        return step
+    if part:
+        return step.at_each[part - 1]
+    if step.points is not None:
+        raise Refusal("not-drawn", "points that were sent as a table are not drawn")
+    units = [fleet.axis(name).unit for name in step.axis_names]
+    position = GridPoints(step.axes).find_position(point, units)
+    return step.make_move(dict(zip(step.axis_names, map(float, position), strict=True)))
+
+
+class _Drawing:
+    def __init__(self, fleet: Fleet, axes: Mapping[str, AxisForecast]) -> None:
+        self._fleet = fleet
+        self._forecaster = JobForecaster(fleet, axes)
+        self._now_s = 0.0
+        self._lines: Lines = {}
+        self._steps: list[dict[str, Any]] = []
+        self._gap = ""
+
+    def take(self, index: int, step: Step) -> None:
+        before = dict(self._forecaster.axes)
+        forecast = self._forecaster.take(index, step)
+        begun_s = self._now_s
+        motion = self._forecaster.motion
+        if motion is not None:
+            self._draw_motion(motion, before)
+        elif step.do == "move":
+            self.note_gap(index, "it begins at a position that only the machine knows")
+        self._now_s += forecast.least_s
+        if forecast.most_s is None or forecast.most_s > forecast.least_s:
+            self.note_gap(index, f"{describe_step(step)} takes a time that only the machine knows")
+        entry = {"index": index, "text": forecast.text, "t0": round(begun_s, 6), "t1": round(self._now_s, 6)}
+        self._steps.append(entry)
+
+    def note_gap(self, index: int, why: str) -> None:
+        """Note why a part is not drawn as it will be; the first one is shown."""
+        self._gap = self._gap or f"step {index}: {why}"
+
+    def finish(self) -> dict[str, Any]:
+        for line in self._lines.values():
+            _thin_out(line)
+        return {
+            "duration_s": round(self._now_s, 6),
+            "steps": self._steps,
+            "axes": self._lines,
+            "unknown": self._gap or None,
+        }
+
+    def _draw_motion(self, motion: ForecastMotion, before: Mapping[str, AxisForecast]) -> None:
+        for name, profile in motion.plan.profiles.items():
+            axis = self._fleet.axis(name)
+            line = self._lines.setdefault(name, {"unit": axis.unit, "t": [], "v": []})
+            offset = float(before[name].offset) if name in before else 0.0
+            evaluate = profile.make_evaluator()
+            for time_s in _choose_instants(profile):
+                counts = profile.start_counts + evaluate(time_s).position
+                line["t"].append(round(self._now_s + time_s, 6))
+                line["v"].append(round(axis.to_unit(counts) + offset, DIGITS))
+
+
+def _choose_instants(profile: Profile) -> list[float]:
+    """Instants at which a profile is drawn, s: its corners, and some between them."""
+    instants = [0.0]
+    for segment in profile.segments:
+        step_s = segment.duration_s / POINTS_PER_SEGMENT
+        instants += [segment.start_s + step_s * (number + 1) for number in range(POINTS_PER_SEGMENT)]
+    return instants
+
+
+def _thin_out(line: dict[str, Any]) -> None:
+    """Keep at most `MAX_POINTS` of a line, with its last one."""
+    every = -(-len(line["t"]) // MAX_POINTS)
+    if every > 1:
+        for key in ("t", "v"):
+            line[key] = [*line[key][:-1:every], line[key][-1]]

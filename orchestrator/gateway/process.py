@@ -1,0 +1,128 @@
+"""The gateway as a process of its own: `python -m orchestrator.gateway.process --help`.
+
+Prints a line when it serves: the address of the page. Ends with SIGTERM or SIGINT, and with its parent. Exit codes: 2
+bad input, or no port; 3 the bus cannot be reached.
+"""
+
+import argparse
+import asyncio
+import signal
+import sys
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.log import ProcessLog
+from orchestrator.bus.logfile import make_file_sink
+from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.client import Tutti
+from orchestrator.clock.executor import ThreadExecutor
+from orchestrator.clock.live import LiveClock, prepare_live_process
+from orchestrator.clock.parent import die_with_parent
+from orchestrator.gateway.app import Gateway, GatewayOptions
+from orchestrator.gateway.server import ADDRESS, NotServed, make_server, open_port
+from orchestrator.gateway.users import USERS_FILE
+from orchestrator.model.private_files import UnsafePath
+from orchestrator.runtime.state_folder import RECORDINGS
+
+BAD_INPUT, NO_BUS = 2, 3
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayPlace:
+    """fleet: its name. connect: the router. state: the state folder. jobs: the folder of templates. port: None: the
+    first free one. certificate, key: PEM files, for TLS."""
+
+    fleet: str
+    connect: str
+    state: Path
+    log: Path
+    jobs: Path | None = None
+    address: str = ADDRESS
+    port: int | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+
+
+async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) -> int:
+    """Serve until the process is to end; return the exit code. on_ready: called with the address of the page.
+
+    Raises `NotServed`, `RouterUnreachable`, `UnsafePath`, and `OSError` for the log.
+    """
+    listener = open_port(place.address, place.port)
+    port = listener.getsockname()[1]
+    bus = await open_bus(place.connect)
+    try:
+        clock, keys = LiveClock(), FleetKeys(place.fleet)
+        log = ProcessLog("gateway", place.fleet, clock, make_file_sink(place.log), (bus, keys))
+        secure = place.certificate is not None
+        options = GatewayOptions(port, place.state / USERS_FILE, place.jobs, place.state / RECORDINGS, secure=secure)
+        gateway = Gateway(Tutti(bus, place.fleet, "gateway"), clock, log, ThreadExecutor("gateway"), options)
+        server = make_server(gateway.app, place.certificate, place.key)
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            # The server has handlers of its own while it runs; the signal comes here afterwards.
+            loop.add_signal_handler(number, lambda: None)
+        await gateway.start()
+        prepare_live_process()
+        await bus.announce(keys.live("gateway", uuid.uuid4().hex[:8], "1"))
+        address = f"{'https' if secure else 'http'}://{place.address}:{port}/"
+        log.info(f"serves fleet {place.fleet} on {address}")
+        on_ready(f"page on {address}")
+        try:
+            await server.serve([listener])
+        finally:
+            await gateway.close()
+    finally:
+        await bus.close()
+    return 0
+
+
+def _print_ready(words: str) -> None:
+    sys.stdout.write(f"{words}\n")
+    sys.stdout.flush()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m orchestrator.gateway.process", description=__doc__)
+    parser.add_argument("--fleet", required=True, help="the fleet's name")
+    parser.add_argument("--connect", required=True, help="the router, e.g. tcp/127.0.0.1:7447")
+    parser.add_argument("--state", type=Path, required=True, help="the state folder, with users and recordings")
+    parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--jobs", type=Path, default=None, help="the folder of job files that the page offers")
+    parser.add_argument("--address", default=ADDRESS, help="of this machine only")
+    parser.add_argument("--port", type=int, default=None, help="default: the first free one of 8080 to 8089")
+    parser.add_argument("--ssl-certfile", type=Path, default=None, help="PEM: serve by TLS")
+    parser.add_argument("--ssl-keyfile", type=Path, default=None)
+    parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
+    given = parser.parse_args()
+    place = GatewayPlace(
+        fleet=given.fleet,
+        connect=given.connect,
+        state=given.state,
+        log=given.log,
+        jobs=given.jobs,
+        address=given.address,
+        port=given.port,
+        certificate=given.ssl_certfile,
+        key=given.ssl_keyfile,
+    )
+    if given.parent:
+        die_with_parent(given.parent)
+    try:
+        return asyncio.run(serve_gateway(place, _print_ready))
+    except (NotServed, UnsafePath, RouterUnreachable) as error:
+        sys.stderr.write(f"{error}\n")
+        return NO_BUS if isinstance(error, RouterUnreachable) else BAD_INPUT
+    except OSError as error:
+        sys.stderr.write(
+            f"{error.filename or place.log}: {error.strerror}; free space there, or choose another place\n"
+        )
+        return BAD_INPUT
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,245 @@
+"""Answers to GET: what the fleet, its journal and its recordings have."""
+
+import csv
+import io
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from starlette.responses import JSONResponse, Response
+
+from orchestrator.client import Tutti
+from orchestrator.client.clocks import query_clocks
+from orchestrator.clock.executor import Executor
+from orchestrator.gateway.commands import FleetCommands
+from orchestrator.gateway.identity import Identity
+from orchestrator.gateway.job_files import JobFiles
+from orchestrator.gateway.openapi import make_openapi
+from orchestrator.gateway.replies import make_model_response
+from orchestrator.gateway.stream.hub import StreamHub
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.queue import format_utc
+from orchestrator.model.report import AxisRecording, StepRecording
+from orchestrator.model.templates.file_schema import make_job_file_schema
+from orchestrator.runtime.trace_frames import FrameList
+
+MAX_RECORDINGS = 1000
+MAX_TRACE_FRAMES = 2000
+PLAN_POINTS = 400
+DIGITS = 6
+RECORDED = ".mcap"
+
+Values = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRequest:
+    """A GET: values from its path and its query together."""
+
+    identity: Identity
+    values: Values
+
+    def read_int(self, name: str, default: int) -> int:
+        """An integer of the query. Raises `Refusal`."""
+        text = self.values.get(name, "")
+        if not text:
+            return default
+        if not text.isdecimal() or len(text) > 15:
+            raise Refusal("bad-request", f"{name}={text[:40]} is no number", f"for example {name}={default}")
+        return int(text)
+
+
+Reader = Callable[[ReadRequest], Awaitable[Response]]
+
+
+class FleetReads:
+    """The readers by their paths. recordings: the folder of recordings; None: not on this machine."""
+
+    def __init__(
+        self, commands: FleetCommands, hub: StreamHub, files: JobFiles, recordings: Path | None, execute: Executor
+    ) -> None:
+        self._commands, self._hub, self._files = commands, hub, files
+        self._recordings, self._execute = recordings, execute
+        self.readers: Mapping[str, Reader] = {
+            "/v1/state": self._read_state,
+            "/v1/queue": self._read_queue,
+            "/v1/jobs": self._list_jobs,
+            "/v1/jobs/{job_id}": self._show_job,
+            "/v1/jobs/{job_id}/plan": self._read_plan,
+            "/v1/jobs/{job_id}/points": self._read_points,
+            "/v1/jobs/{job_id}/recording/{step}": self._read_recording,
+            "/v1/jobs/{job_id}/export.csv": self._export_job,
+            "/v1/alarms": self._list_alarms,
+            "/v1/names": self._list_names,
+            "/v1/positions": self._list_positions,
+            "/v1/statistics": self._read_statistics,
+            "/v1/recordings": self._list_recordings,
+            "/v1/commands": self._list_commands,
+            "/v1/fleet": self._read_fleet,
+            "/v1/clocks": self._read_clocks,
+            "/v1/trace/{controller}": self._read_trace,
+            "/v1/templates": self._list_templates,
+            "/v1/schemas/{kind}": self._read_schema,
+            "/v1/openapi.json": self._read_openapi,
+        }
+
+    def _connect(self, request: ReadRequest) -> Tutti:
+        return self._commands.connect(request.identity)
+
+    async def _ask(self, request: ReadRequest, verb: str, **fields: Any) -> Response:
+        return make_model_response(await self._commands.request(request.identity, verb, fields))
+
+    # Now
+
+    async def _read_state(self, _: ReadRequest) -> Response:
+        return JSONResponse(self._hub.state.compose())
+
+    async def _read_queue(self, _: ReadRequest) -> Response:
+        return JSONResponse(self._hub.state.compose().get("queue", {}))
+
+    async def _list_alarms(self, request: ReadRequest) -> Response:
+        every = request.values.get("all", "") not in ("", "0", "false")
+        return await self._ask(request, "alarms", all=every, history=request.read_int("history", 0))
+
+    async def _list_names(self, request: ReadRequest) -> Response:
+        return await self._ask(request, "names")
+
+    async def _list_positions(self, request: ReadRequest) -> Response:
+        return await self._ask(request, "positions")
+
+    # Jobs
+
+    async def _list_jobs(self, request: ReadRequest) -> Response:
+        given = {name: request.values[name] for name in ("state", "name", "since") if request.values.get(name)}
+        return await self._ask(request, "list", limit=request.read_int("limit", 50), **given)
+
+    async def _show_job(self, request: ReadRequest) -> Response:
+        return await self._ask(request, "show", job_id=request.values["job_id"])
+
+    async def _read_points(self, request: ReadRequest) -> Response:
+        limit = request.read_int("limit", 1000)
+        return await self._ask(request, "points", job_id=request.values["job_id"], limit=limit)
+
+    async def _read_plan(self, request: ReadRequest) -> Response:
+        """What a queued job will do now, and its plan for approval."""
+        tutti, job_id = self._connect(request), request.values["job_id"]
+        planned = await tutti.plan_job(job_id)
+        shown = await tutti.show_job(job_id)
+        found = {} if shown.job is None else await self._files.forecast_job(tutti, shown.job)
+        return JSONResponse({**planned.to_plain(), **found})
+
+    async def _load_recording(self, request: ReadRequest, step: int) -> StepRecording:
+        recording = await self._connect(request).load_recording(request.values["job_id"], step)
+        if recording is None:
+            text = f"step {step} has no recording: it moved nothing, or its recording was deleted"
+            raise Refusal("no-file", text, "choose another step; see /v1/jobs/{job_id}")
+        return recording
+
+    async def _read_recording(self, request: ReadRequest) -> Response:
+        recording = await self._load_recording(request, request.read_int("step", 0))
+        axes = {name: _draw_axis(axis, recording.t0_fleet_ns) for name, axis in recording.axes.items()}
+        return JSONResponse({"step": recording.step, "t0_fleet_ns": recording.t0_fleet_ns, "axes": axes})
+
+    async def _export_job(self, request: ReadRequest) -> Response:
+        """Polled and planned positions of all its moves that have a recording, as CSV."""
+        tutti, job_id = self._connect(request), request.values["job_id"]
+        report = (await tutti.show_job(job_id)).report
+        if report is None:
+            raise Refusal("not-ended", f"job {job_id} has not ended", "export it after its end")
+        result = await tutti.load_result(report)
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(["step", "axis", "unit", "fleet_ns", "after_t0_s", "planned", "actual"])
+        for recording in result.recordings:
+            for name, axis in recording.axes.items():
+                rows.writerows(_list_samples(recording, name, axis))
+        headers = {"Content-Disposition": f'attachment; filename="{report.job_id}.csv"'}
+        return Response(text.getvalue(), media_type="text/csv", headers=headers)
+
+    # Service
+
+    async def _read_statistics(self, request: ReadRequest) -> Response:
+        since = request.values.get("since")
+        return await self._ask(request, "statistics", **({"since": since} if since else {}))
+
+    async def _list_recordings(self, _: ReadRequest) -> Response:
+        return JSONResponse({"files": await self._execute(self._find_recordings)})
+
+    def _find_recordings(self) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = []
+        paths = [] if self._recordings is None else list(self._recordings.glob(f"*{RECORDED}"))
+        for path in sorted(paths, key=lambda each: each.name, reverse=True)[:MAX_RECORDINGS]:
+            try:
+                stat = path.stat()
+            except OSError:
+                continue  # deleted meanwhile
+            changed = format_utc(datetime.fromtimestamp(stat.st_mtime, UTC))
+            found.append({"name": path.name, "bytes": stat.st_size, "changed_utc": changed})
+        return found
+
+    async def _list_commands(self, request: ReadRequest) -> Response:
+        return await self._ask(request, "commands", limit=request.read_int("limit", 100))
+
+    async def _read_fleet(self, request: ReadRequest) -> Response:
+        fleet = await self._connect(request).load_fleet()
+        states = await self._connect(request).status()
+        digests = {
+            name: {"file": config.digest, "running": states[name].digest if name in states else None}
+            for name, config in fleet.controllers.items()
+        }
+        return JSONResponse({"configuration": fleet.to_plain(), "digests": digests})
+
+    async def _read_clocks(self, request: ReadRequest) -> Response:
+        clocks = await query_clocks(self._connect(request))
+        plain = {name: each.to_plain() for name, each in clocks.items()}
+        return JSONResponse({"clocks": plain, "history": self._hub.clock_history.show()})
+
+    async def _read_trace(self, request: ReadRequest) -> Response:
+        after = request.read_int("after", 0)
+        reply = await self._connect(request).read_trace(request.values["controller"], after=after)
+        frames = [
+            {"at_s": round(each.after_s, 6), "direction": each.direction, "text": each.text, "meaning": each.meaning}
+            for each in FrameList(reply, raw=False).read_frames(reply)
+        ]
+        return JSONResponse({"frames": frames[-MAX_TRACE_FRAMES:], "newest": reply.newest, "lost": reply.lost})
+
+    async def _list_templates(self, _: ReadRequest) -> Response:
+        return JSONResponse({"templates": await self._execute(self._files.list_templates)})
+
+    async def _read_schema(self, request: ReadRequest) -> Response:
+        kind = request.values["kind"]
+        if kind not in ("job", "fleet"):
+            raise Refusal("no-file", f"there is no schema {kind[:40]!r}; there are: fleet, job", "choose one of them")
+        return JSONResponse(Fleet.model_json_schema() if kind == "fleet" else make_job_file_schema())
+
+    async def _read_openapi(self, _: ReadRequest) -> Response:
+        return JSONResponse(make_openapi(list(self.readers)))
+
+
+def _draw_axis(axis: AxisRecording, t0_ns: int) -> dict[str, Any]:
+    """Planned and polled positions over the time after T0, for a drawing. Motor positions."""
+    evaluate, duration_s = axis.profile.make_evaluator(), axis.profile.duration_s
+    instants = [duration_s * number / PLAN_POINTS for number in range(PLAN_POINTS + 1)]
+    start, scale = axis.profile.start_counts, axis.counts_per_unit
+    planned = [round((start + evaluate(at).position) / scale, DIGITS) for at in instants]
+    return {
+        "unit": axis.unit,
+        "planned": {"t": [round(at, DIGITS) for at in instants], "v": planned},
+        "actual": {
+            "t": [round((at_ns - t0_ns) / 1e9, DIGITS) for at_ns, _ in axis.sampled],
+            "v": [round(counts / scale, DIGITS) for _, counts in axis.sampled],
+        },
+    }
+
+
+def _list_samples(recording: StepRecording, name: str, axis: AxisRecording) -> list[list[Any]]:
+    evaluate, start, scale = axis.profile.make_evaluator(), axis.profile.start_counts, axis.counts_per_unit
+    rows: list[list[Any]] = []
+    for at_ns, counts in axis.sampled:
+        after_s = (at_ns - recording.t0_fleet_ns) / 1e9
+        planned = (start + evaluate(after_s).position) / scale
+        rows.append([recording.step, name, axis.unit, at_ns, after_s, round(planned, 9), round(counts / scale, 9)])
+    return rows

@@ -1,0 +1,98 @@
+"""The HTTP server of the gateway: its port, and its limits of connections."""
+
+import errno
+import ipaddress
+import socket
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from starlette.types import ASGIApp
+from uvicorn import Config, Server
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from orchestrator.gateway.stream.socket import MAX_FRAME_CHARS
+from orchestrator.model.errors import TuttiError
+
+FIRST_PORT, PORTS = 8080, 10
+ADDRESS = "127.0.0.1"
+MAX_CONNECTIONS = 300  # of requests; then the one that has been idle for the longest time is closed
+SHUTDOWN_S = 2
+MAX_HEADER_BYTES = 32_000
+
+
+class NotServed(TuttiError):
+    """The page is not served. The text says why, and what to do."""
+
+
+def require_own_address(address: str) -> None:
+    """Raises `NotServed` for an address that other machines reach."""
+    try:
+        is_own = address == "localhost" or ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        is_own = False
+    if not is_own:
+        raise NotServed(
+            f"the page is not served on {address[:100]}: other machines could reach it there, and the fleet has no "
+            f"keys by which it knows them; serve it on {ADDRESS}, and reach it by `ssh -L 8080:{ADDRESS}:8080`"
+        )
+
+
+def open_port(address: str, port: int | None) -> socket.socket:
+    """Listen on a port of this machine. port: None: the first free one from 8080 on. Raises `NotServed`."""
+    require_own_address(address)
+    ports = [port] if port is not None else list(range(FIRST_PORT, FIRST_PORT + PORTS))
+    for each in ports:
+        try:
+            return socket.create_server((ADDRESS if address == "localhost" else address, each), backlog=512)
+        except OSError as error:
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                raise NotServed(f"the page is not served on {address}: {error.strerror}") from None
+    tried = f"port {port} of {address} is" if port is not None else f"ports {ports[0]} to {ports[-1]} of {address} are"
+    raise NotServed(f"the page is not served: {tried} in use; choose another with --web-port")
+
+
+class LimitedProtocol(H11Protocol):
+    """A connection. Of too many the one that has been idle for the longest time is closed, so that a stop gets through
+    whatever else is connected. Sockets are counted by the application."""
+
+    def __init__(self, *values: Any, **named: Any) -> None:
+        super().__init__(*values, **named)
+        self.begun_s = self.loop.time()
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        if len(self.connections) > MAX_CONNECTIONS:
+            oldest = min(self._list_idle(), key=lambda each: each.begun_s, default=self)
+            oldest.transport.close()
+
+    def _list_idle(self) -> "Sequence[LimitedProtocol]":
+        """Connections without a request at work."""
+        others = [each for each in self.connections if isinstance(each, LimitedProtocol) and each is not self]
+        # Before its first request a connection has no cycle, whatever the annotation says.
+        return [each for each in others if not each.cycle or each.cycle.response_complete]
+
+
+def make_server(app: ASGIApp, certificate: Path | None = None, key: Path | None = None) -> Server:
+    """The server of an application. certificate, key: PEM files, for TLS. Raises `NotServed` if they cannot be used."""
+    config = Config(
+        app,
+        http=LimitedProtocol,
+        ws="websockets-sansio",
+        ws_max_size=4 * MAX_FRAME_CHARS,
+        ws_per_message_deflate=False,
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_graceful_shutdown=SHUTDOWN_S,
+        h11_max_incomplete_event_size=MAX_HEADER_BYTES,
+        ssl_certfile=certificate,
+        ssl_keyfile=key,
+    )
+    try:
+        config.load()
+    except (OSError, ValueError) as error:
+        raise NotServed(f"the certificate {certificate} cannot be used: {error}; give PEM files") from None
+    return Server(config)
