@@ -29,6 +29,8 @@ from orchestrator.model.forecast import JobForecast
 from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import TraceReply
 from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.approval import JobPlan, JobPlanned
+from orchestrator.model.operation.commands import CommandRecord
 from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
@@ -344,8 +346,19 @@ class BlockingTutti(BlockingObject[Tutti]):
         self._run(self._wrapped.hold_jobs(*job_ids))
 
     def release_jobs(self, *job_ids: str) -> None:
-        """Release held jobs; without ids, all held jobs. Raises `Refusal`."""
+        """Release held jobs; without ids, all held jobs but those that wait for approval. Raises `Refusal`: code
+        `awaits-approval`."""
         self._run(self._wrapped.release_jobs(*job_ids))
+
+    def plan_job(self, job_id: str) -> JobPlanned:
+        """What a waiting job would do if it began now, as a plan with a hash, and what differs from the plan that was
+        approved last. Raises `Refusal`: codes `not-queued`, and `absent`, `offline`, `moving` if it is not known."""
+        return self._run(self._wrapped.plan_job(job_id))
+
+    def approve_job(self, job_id: str, plan: JobPlan | str) -> None:
+        """Approve the plan of a proposed job, and release it: it begins only with this plan. plan: the one that was
+        seen, or its hash. Raises `Refusal`: codes `plan-changed`, `not-proposed`, `not-queued`, `journal`."""
+        self._run(self._wrapped.approve_job(job_id, plan))
 
     def reorder_job(self, job_id: str, before: str) -> None:
         """Move a queued job before another one, with that one's priority. Raises `Refusal`: code `not-queued`."""
@@ -590,3 +603,9 @@ class BlockingTutti(BlockingObject[Tutti]):
         """What axes, controllers and jobs have done. since: a UTC day, `2026-01-31`; None: the last week. by_day: also
         those of each day. Raises `Refusal`: codes `too-much`, `journal`."""
         return self._run(self._wrapped.read_statistics(since, by_day=by_day))
+
+    def list_commands(self, limit: int = 100, *, before: str | None = None, by: str = "") -> list[CommandRecord]:
+        """The commands of users that changed something, the newest first, at most 1000. before: an RFC 3339 time, e.g.
+        that of the last one of a list, for the next ones. by: only of users with this text in their name. Raises
+        `Refusal`: code `journal`."""
+        return self._run(self._wrapped.list_commands(limit, before=before, by=by))

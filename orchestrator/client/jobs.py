@@ -14,6 +14,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.job import UNKNOWN_ACTOR, Job, iterate_steps
 from orchestrator.model.messages import Reply, Request
+from orchestrator.model.operation.approval import ApproveJob, JobPlan, JobPlanned
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
     FINISHED_STATES,
@@ -204,8 +205,21 @@ class JobRequests(PointRequests):
         await self.request_service("hold", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
 
     async def release_jobs(self, *job_ids: str) -> None:
-        """Release held jobs; without ids, all held jobs. Raises `Refusal`."""
+        """Release held jobs; without ids, all held jobs but those that wait for approval. Raises `Refusal`: code
+        `awaits-approval`."""
         await self.request_service("release", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
+
+    async def plan_job(self, job_id: str) -> JobPlanned:
+        """What a waiting job would do if it began now, as a plan with a hash, and what differs from the plan that was
+        approved last. Raises `Refusal`: codes `not-queued`, and `absent`, `offline`, `moving` if it is not known."""
+        return await self.request_service("plan", JobReference(**self.request_fields(), job_id=job_id), JobPlanned)
+
+    async def approve_job(self, job_id: str, plan: JobPlan | str) -> None:
+        """Approve the plan of a proposed job, and release it: it begins only with this plan. plan: the one that was
+        seen, or its hash. Raises `Refusal`: codes `plan-changed`, `not-proposed`, `not-queued`, `journal`."""
+        approved = plan.hash if isinstance(plan, JobPlan) else plan
+        request = ApproveJob(**self.request_fields(), job_id=job_id, plan=approved)
+        await self.request_service("approve", request, Reply)
 
     async def reorder_job(self, job_id: str, before: str) -> None:
         """Move a queued job before another one, with that one's priority. Raises `Refusal`: code `not-queued`."""

@@ -1,4 +1,4 @@
-"""Requests about alarms and statistics."""
+"""Requests about alarms, statistics and the commands of users."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -12,11 +12,12 @@ from orchestrator.model.operation.alarms import (
     ListAlarms,
     ShelveAlarm,
 )
+from orchestrator.model.operation.commands import CommandRecord, CommandsListed, ListCommands
 from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 
 
 class OperationRequests(FleetConnection):
-    """List, acknowledge and shelve alarms; read statistics."""
+    """List, acknowledge and shelve alarms; read statistics; list commands."""
 
     async def list_alarms(self, *, normal: bool = False) -> list[AlarmRecord]:
         """The alarms: those that wait for a user first, by priority. normal: also those that are over and acknowledged.
@@ -51,6 +52,13 @@ class OperationRequests(FleetConnection):
             since = (datetime.now(UTC) - timedelta(days=7)).date().isoformat()
         request = ReadStatistics(**self.request_fields(), since=since, by_day=by_day)
         return await self.request_service("statistics", request, StatisticsRead)
+
+    async def list_commands(self, limit: int = 100, *, before: str | None = None, by: str = "") -> list[CommandRecord]:
+        """The commands of users that changed something, the newest first, at most 1000. before: an RFC 3339 time, e.g.
+        that of the last one of a list, for the next ones. by: only of users with this text in their name. Raises
+        `Refusal`: code `journal`."""
+        request = ListCommands(**self.request_fields(), limit=limit, before=before, by=by)
+        return (await self.request_service("commands", request, CommandsListed)).commands
 
     async def _shelve(self, alarm_id: str, for_s: float | None, why: str) -> AlarmRecord:
         request = ShelveAlarm(**self.request_fields(), alarm_id=alarm_id, for_s=for_s, why=why)

@@ -8,8 +8,10 @@ from pydantic import ValidationError
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.coordinator.command_log import CommandLog
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
+from orchestrator.coordinator.jobs.approval import JobApprovals
 from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
 from orchestrator.coordinator.jobs.rehearsal import JobRehearsal
@@ -30,6 +32,8 @@ from orchestrator.model.operation.alarms import (
     ListAlarms,
     ShelveAlarm,
 )
+from orchestrator.model.operation.approval import ApproveJob, JobPlanned
+from orchestrator.model.operation.commands import CommandsListed, ListCommands
 from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 from orchestrator.model.positions.entries import (
     PositionRemoved,
@@ -46,6 +50,7 @@ from orchestrator.model.service import (
     DryRunDone,
     EpochRepaired,
     FindJob,
+    FleetLoaded,
     FleetNames,
     FleetReloaded,
     JobReference,
@@ -73,10 +78,12 @@ from orchestrator.model.service import (
     WiringChecked,
 )
 
+ANSWERED_FIRST = frozenset({"stop", "stop-queue"})  # before they are in the journal, which may be slow
+
 
 class Verb(NamedTuple):
-    """One verb of `svc/{verb}`. cached: a repeated request gets the first answer; not so where a verb only reads,
-    because its answers are large and it may be executed twice."""
+    """One verb of `svc/{verb}`. cached: a repeated request gets the first answer, and the command is in the journal.
+    Not so where a verb only reads: its answers are large, and it may be executed twice."""
 
     request: type[Request]
     reply: type[Model]
@@ -103,6 +110,8 @@ class UserRequests:
         self._keys: FleetKeys = services.keys
         self._answers = AnswerCache()
         self._rehearsal = JobRehearsal(services)
+        self._commands = CommandLog(services)
+        approvals = JobApprovals(services, scheduler)
         self._verbs = {
             "submit": Verb(SubmitJob, JobSubmitted, intake.submit_job),
             "dry-run": Verb(DryRun, DryRunDone, self._dry_run, cached=False),
@@ -116,6 +125,8 @@ class UserRequests:
             "retry": Verb(RetryJob, JobRetried, intake.retry_job),
             "hold": Verb(JobReferences, Reply, self._hold_jobs),
             "release": Verb(JobReferences, Reply, self._release_jobs),
+            "plan": Verb(JobReference, JobPlanned, approvals.plan_job, cached=False),
+            "approve": Verb(ApproveJob, Reply, approvals.approve_job),
             "reorder": Verb(ReorderJob, Reply, self._reorder_job),
             "pause": Verb(PauseJob, Reply, self._pause_job),
             "resume": Verb(JobReference, Reply, self._resume_job),
@@ -135,7 +146,9 @@ class UserRequests:
             "acknowledge": Verb(AcknowledgeAlarms, AlarmsAcknowledged, services.alarms.acknowledge_alarms),
             "shelve": Verb(ShelveAlarm, AlarmShelved, services.alarms.shelve_alarm),
             "statistics": Verb(ReadStatistics, StatisticsRead, services.statistics.read_statistics, cached=False),
+            "commands": Verb(ListCommands, CommandsListed, self._commands.list_commands, cached=False),
             "names": Verb(Request, FleetNames, self._list_names, cached=False),
+            "configuration": Verb(Request, FleetLoaded, self._show_configuration, cached=False),
         }
 
     async def answer(self, sample: BusSample) -> bytes:
@@ -151,12 +164,25 @@ class UserRequests:
         if self._services.leadership.over:
             raise RequestRefused("this coordinator is no longer the leader; send the request again")
         if not verb.cached:
-            return await self._execute(verb, request)
-        return await self._answers.answer_once(name, request.request_id, lambda: self._execute(verb, request))
+            return (await self._execute(verb, request)).to_json()
+        return await self._answers.answer_once(name, request.request_id, lambda: self._execute_command(name, request))
 
-    async def _execute(self, verb: Verb, request: Request) -> bytes:
+    async def _execute_command(self, name: str, request: Request) -> bytes:
+        """Execute a request that changes something, and record it, before it is answered as a rule."""
+        command = self._commands.describe_command(name, request)
+        reply = await self._execute(self._verbs[name], request)
+        if command is not None:
+            refused = reply.refused.code if isinstance(reply, Reply) and reply.refused is not None else ""
+            recorded = self._commands.record_command(command, reply, refused)
+            if name in ANSWERED_FIRST:
+                self._services.fleet.tasks.spawn(recorded, vital=False)
+            else:
+                await recorded
+        return reply.to_json()
+
+    async def _execute(self, verb: Verb, request: Request) -> Model:
         try:
-            return (await verb.handler(request)).to_json()
+            return await verb.handler(request)
         except Refusal as error:
             refused = RefusalDetails.of(error)
         except UnknownName as error:
@@ -166,7 +192,7 @@ class UserRequests:
             refused = RefusalDetails(code="journal", text=error.text, remedy=error.remedy)
         if not issubclass(verb.reply, Reply):  # it has no field for a refusal
             raise RequestRefused(f"{refused.text}; {refused.remedy}")
-        return verb.reply(refused=refused).to_json()
+        return verb.reply(refused=refused)
 
     # Jobs
 
@@ -290,6 +316,10 @@ class UserRequests:
             inputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.inputs],
             outputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.outputs],
         )
+
+    async def _show_configuration(self, _: Request) -> FleetLoaded:
+        # What is run for alarms may contain addresses and passwords.
+        return FleetLoaded(configuration=self._services.view.fleet.model_copy(update={"notify": None}).to_plain())
 
     async def _check_wiring(self, request: Request) -> WiringChecked:
         return WiringChecked(wires=await self._wiring.check_wires(request.actor))

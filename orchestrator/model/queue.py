@@ -13,6 +13,10 @@ SIGN_PERIOD_NS = 200_000_000
 SESSION_TIMEOUT_NS = 1_000_000_000
 """A session without a sign of life for this long is over: five signs are missing."""
 
+APPROVAL = "approval"
+"""What holds a proposed job while its plan is not approved."""
+WAITS_FOR_APPROVAL = "waits for approval: its plan is released with `tutti job approve`"
+
 MAX_STEPS = 10_000  # in the report of a job, with all repeats; a scan counts as one
 MAX_FLAT_STEPS = 100_000_000  # of a job: every pass, every point with the steps at it
 
@@ -65,6 +69,7 @@ class QueueTerms(Model):
         description="The session of the command that a person waits for. The job begins although the queue is "
         "stopped, and ends when the session does.",
     )
+    proposed: bool = Field(default=False, description="It waits for the approval of its plan.")
 
 
 class QueueStop(Model):

@@ -341,7 +341,8 @@ class QueueEntry(Model):
     """A job in a list. A job of N steps that is repeated has the steps 0 to repeat * N - 1.
 
     reason: of its state; for a queued job, what it waits for. place: position in the queue, 1 is next. held_by:
-    originator of the hold, if it is held. origin: the job that it re-runs, from step `from_step` on.
+    originator of the hold, if it is held; `approval` while its plan waits for that. origin: the job that it re-runs,
+    from step `from_step` on. proposed: it needs the approval of its plan.
     """
 
     id: str
@@ -355,6 +356,7 @@ class QueueEntry(Model):
     held_by: str = ""
     origin: str | None = None
     from_step: int = 0
+    proposed: bool = False
 
 
 class MissingPermit(Model):

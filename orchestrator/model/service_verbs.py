@@ -13,6 +13,8 @@ from orchestrator.model.operation.alarms import (
     ListAlarms,
     ShelveAlarm,
 )
+from orchestrator.model.operation.approval import ApproveJob, JobPlanned
+from orchestrator.model.operation.commands import CommandsListed, ListCommands
 from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 from orchestrator.model.positions.entries import (
     PositionRemoved,
@@ -79,6 +81,8 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "retry": ServiceVerb(RetryJob, JobRetried),
     "hold": ServiceVerb(JobReferences, Reply),
     "release": ServiceVerb(JobReferences, Reply),
+    "plan": ServiceVerb(JobReference, JobPlanned, reads=True),
+    "approve": ServiceVerb(ApproveJob, Reply),
     "reorder": ServiceVerb(ReorderJob, Reply),
     "pause": ServiceVerb(PauseJob, Reply),
     "resume": ServiceVerb(JobReference, Reply),
@@ -98,6 +102,7 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "acknowledge": ServiceVerb(AcknowledgeAlarms, AlarmsAcknowledged),
     "shelve": ServiceVerb(ShelveAlarm, AlarmShelved),
     "statistics": ServiceVerb(ReadStatistics, StatisticsRead, reads=True),
+    "commands": ServiceVerb(ListCommands, CommandsListed, reads=True),
     "names": ServiceVerb(Request, FleetNames, reads=True),
     "configuration": ServiceVerb(Request, FleetLoaded, reads=True),
 }

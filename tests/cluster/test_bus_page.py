@@ -13,6 +13,7 @@ from cluster.worlds import demo_fleet, demo_job, job, run_fleet
 
 import orchestrator.model.messages
 import orchestrator.model.operation.alarms
+import orchestrator.model.operation.approval
 import orchestrator.model.operation.recording
 import orchestrator.model.report
 import orchestrator.model.service
@@ -29,6 +30,7 @@ MODELS = {
     for module in (
         orchestrator.model.messages,
         orchestrator.model.operation.alarms,
+        orchestrator.model.operation.approval,
         orchestrator.model.operation.recording,
         orchestrator.model.report,
         orchestrator.model.service,
@@ -51,6 +53,7 @@ EXAMPLES: dict[str, Any] = {
     "axes": ["gantry.x"],
     "after": None,
     "before": "none",
+    "by": "",
     "by_day": True,
     "begin": None,
     "check": True,
@@ -77,6 +80,7 @@ EXAMPLES: dict[str, Any] = {
     "name": "",
     "now": False,
     "older_s": 1e6,
+    "plan": f"sha256:{'0' * 64}",
     "reason": "",
     "renew": False,
     "reserve": False,
@@ -165,6 +169,8 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
                 request["job"] = json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())
             if key == "svc/put-points":
                 request |= {"axes": [{"axis": "gantry.x", "unit": "mm"}], "begin": 0}
+            if key == "svc/commands":
+                request["before"] = None
             if key == "svc/statistics":
                 request["since"] = "2026-01-01"
             if "configuration" in fields:

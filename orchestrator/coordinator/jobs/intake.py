@@ -8,6 +8,7 @@ from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.point_intake import PointIntake
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
+from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal import journal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Move, Scan, iterate_steps
@@ -111,11 +112,14 @@ class JobIntake:
             raise Refusal(obstacle.code, obstacle.text, obstacle.remedy)
 
     async def _check_terms(self, terms: QueueTerms, client_key: str) -> None:
-        """Raises `Refusal` for a start time in the past, and for a predecessor that cannot become done any more; a
-        repeated request gets its earlier answer."""
+        """Raises `Refusal` for a proposed job that must not wait, for a start time in the past, and for a predecessor
+        that cannot become done any more; a repeated request gets its earlier answer."""
         services = self._services
         if await services.execute(services.journal.has_client_key, client_key):
             return
+        if terms.proposed and (terms.now or terms.session is not None):
+            text = "a proposed job waits for its approval: it cannot begin at once, or belong to a waiting command"
+            raise Refusal("bad-terms", text, "propose it without `now` and `session`")
         now = parse_utc(services.clock.utc())
         if terms.at is not None and terms.missed == "skip" and parse_utc(terms.at) < now - MISSED_AFTER:
             raise Refusal(
@@ -182,14 +186,12 @@ def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
 
 def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
     """Warnings for steps whose result depends on where the axes are now."""
-    absolute: set[str] = set()
+    places = StartPlaces()
     for index, _, written in remaining:
         for step in iterate_steps([written]):
-            if isinstance(step, Scan):
-                absolute |= set(step.axis_names)
-            if isinstance(step, Move):
-                relative = [axis for axis in step.by if axis not in absolute]
-                absolute |= set(step.to) | set(step.by)
-                if relative:
-                    return [f"step {index} moves {', '.join(relative)} by a distance, from the current position"]
+            axes = ", ".join(places.take_step(step))
+            if axes and isinstance(step, Move):
+                return [f"step {index} moves {axes} by a distance, from the current position"]
+            if axes:
+                return [f"step {index} sets the position of {axes}, at the current position"]
     return []

@@ -16,6 +16,7 @@ from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, Leas
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job
+from orchestrator.coordinator.jobs.job_plan import PlannedJob, list_written, make_plan
 from orchestrator.coordinator.jobs.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.point_readings import PointReadings
 from orchestrator.coordinator.jobs.queue import find_axes
@@ -23,17 +24,19 @@ from orchestrator.coordinator.jobs.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.sequence import StepSequence
 from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.journal.records import JobRecord, JournalError
+from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord, JournalError
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.coordinator.statistics.collector import StatisticsCollector
+from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
+from orchestrator.model.operation.approval import join_changes, list_changes
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import (
     FeedHold,
@@ -59,6 +62,13 @@ class JobInterrupted(TuttiError):
         self.state: JobState = state
         self.reason = reason
         self.actor = actor
+
+
+class PlanDeviates(Refusal):
+    """A proposed job would not begin with the plan that was approved."""
+
+    def __init__(self, changes: str) -> None:
+        super().__init__("plan-changed", f"held again: {changes}", "look at the plan again: `tutti job approve`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +101,8 @@ class JobServices:
 class JobOutcome:
     """The end of a job's execution.
 
-    begun: False when its axes were taken, or the journal could not be written (trouble), before it could begin; then
-    it waits again.
+    begun: False when its axes were taken, its plan is not the approved one (deviates), or the journal could not be
+    written (trouble), before it could begin; then it waits again.
     """
 
     state: JobState
@@ -100,6 +110,7 @@ class JobOutcome:
     actor: str
     report: JobReport
     begun: bool = True
+    deviates: bool = False
     trouble: bool = False
 
 
@@ -255,13 +266,7 @@ class JobRun:
         state: JobState = "done"
         reason, actor = "", self.row.actor
         try:
-            self._take_positions()
-            # Again, because the fleet may have changed since the job was accepted.
-            await check_job(services.view.fleet, self._steps.order.list_remaining(self.row.from_step))
-            axes = find_axes(services.view.fleet, self.steps_to_run)
-            since_ns = services.clock.now_ns()
-            user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")
-            await services.leases.acquire(user, axes)
+            since_ns = await (self._prepare_approved() if self.row.proposed else self._prepare())
             self._publish_beginning()
             await self._wait_for_rest(since_ns)
             await self._enable_by_policy()
@@ -287,8 +292,9 @@ class JobRun:
             state, reason, actor = interrupt.state, interrupt.reason, interrupt.actor
         except JobInterrupted as given_up:
             state, reason, actor = given_up.state, given_up.reason, given_up.actor
-        except AxesInUse as error:
-            return JobOutcome("queued", error.text, actor, self._report, begun=False)
+        except (AxesInUse, PlanDeviates) as error:
+            deviates = isinstance(error, PlanDeviates)
+            return JobOutcome("queued", error.text, actor, self._report, begun=False, deviates=deviates)
         except Refusal as error:
             state, reason = "failed", f"not begun: {error.text}; {error.remedy}".rstrip("; ")
         except JournalError as error:
@@ -302,6 +308,51 @@ class JobRun:
         finally:
             await self._chain.drop("its job has ended", self.row.actor)
         return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports.reports}))
+
+    async def _prepare(self) -> int:
+        """Take positions and axes, and check the job; return when the axes were asked for. Raises `Refusal`,
+        `AxesInUse`."""
+        services = self._services
+        self._take_positions()
+        # Again, because the fleet may have changed since the job was accepted.
+        await check_job(services.view.fleet, self._steps.order.list_remaining(self.row.from_step))
+        axes = find_axes(services.view.fleet, self.steps_to_run)
+        since_ns = services.clock.now_ns()
+        user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")
+        await services.leases.acquire(user, axes)
+        return since_ns
+
+    async def _prepare_approved(self) -> int:
+        """`_prepare`, for a job that may only begin with its approved plan. Its axes are taken before the plan is made:
+        nothing else can move them from then on. Raises `PlanDeviates`, `AxesInUse`, `JournalError`."""
+        try:
+            since_ns = await self._prepare()
+            await self._wait_for_rest(since_ns)
+            changes = await self._find_deviation(since_ns)
+            if changes:
+                raise PlanDeviates(changes)
+        except AxesInUse:
+            raise
+        except (Refusal, UnknownName) as error:
+            await self._services.leases.release(self.row.id)
+            # A part of the plan may be one that cannot even be determined any more.
+            raise error if isinstance(error, PlanDeviates) else PlanDeviates(str(error)) from None
+        return since_ns
+
+    async def _find_deviation(self, since_ns: int) -> str:
+        """What differs from the approved plan, in words; empty: nothing. Raises `Refusal`, `UnknownName`,
+        `JournalError`."""
+        services, row = self._services, self.row
+        try:
+            approval = await services.execute(services.journal.approvals.load_approval, row.id)
+        except DamagedRecord:
+            return "its approval in the journal is damaged"
+        if approval is None or approval.void:
+            return "no plan of it is approved"
+        steps = list_written(self._steps.order, row.from_step)
+        planned = PlannedJob(self.job, row.repeat, row.from_step, steps, self._report.positions_used)
+        plan = await make_plan(services.view, planned, since_ns)
+        return "" if plan.hash == approval.plan.hash else join_changes(list_changes(approval.plan, plan))
 
     def _publish_beginning(self) -> None:
         """Publish the job itself, for what records it."""

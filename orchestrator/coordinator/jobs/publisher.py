@@ -75,6 +75,7 @@ class QueuePublisher:
             held_by=row.held_by,
             origin=row.origin,
             from_step=row.from_step,
+            proposed=bool(row.proposed),
         )
 
     def schedule_publication(self) -> None:

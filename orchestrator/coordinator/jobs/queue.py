@@ -12,13 +12,14 @@ A controller is loaded with one step at a time, so jobs need whole controllers, 
 separately.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from orchestrator.coordinator.journal.records import JobRecord
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet import Fleet, TriggerWire
 from orchestrator.model.job import Disable, Enable, Home, Job, Move, Scan, SetOutput, Step, iterate_steps, named_axes
 from orchestrator.model.names import controller_of
+from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL
 
 MAX_JOBS_WITHOUT_AXES = 32  # that run at once; jobs with axes are limited by the controllers of the fleet
 
@@ -27,11 +28,13 @@ WITHOUT_AXES_REASON = f"waits for the end of one of the {MAX_JOBS_WITHOUT_AXES} 
 
 @dataclass(slots=True)
 class WaitingJob:
-    """A job in the queue. pending: the job that must be done before it begins, while it is not."""
+    """A job in the queue. pending: the job that must be done before it begins, while it is not. deviation: why its
+    approval counts no longer; empty: it was not approved yet."""
 
     row: JobRecord
     job: Job
     pending: str | None = None
+    deviation: str = ""
 
     @property
     def sort_key(self) -> tuple[bool, int, int]:
@@ -44,8 +47,15 @@ class WaitingJob:
         return self.row.session is not None
 
     @property
+    def awaits_approval(self) -> bool:
+        """Whether it is held until its plan is approved."""
+        return bool(self.row.proposed) and self.row.held_by == APPROVAL
+
+    @property
     def blocking_reason(self) -> str:
         """Why it would not begin even on free controllers; empty if nothing prevents it."""
+        if self.awaits_approval:
+            return self.deviation or WAITS_FOR_APPROVAL
         if self.row.held_by:
             return f"held by {self.row.held_by}"
         if self.pending is not None:
@@ -126,11 +136,20 @@ def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
 def find_needed_controllers(fleet: Fleet, steps: list[Step]) -> frozenset[str]:
     """Controllers that no other job may use meanwhile: those of its axes, and those whose outputs start its members
     by a trigger line. Raises `UnknownName`."""
-    needs = {axis.partition(".")[0] for axis in find_axes(fleet, steps)}
-    for wire in fleet.wiring:
-        driver, targets = wire.from_.partition(".")[0], {end.partition(".")[0] for end in wire.to}
-        for step in iterate_steps(steps):
-            by_line = isinstance(step, Move | Scan) and targets & {controller_of(axis) for axis in named_axes(step)}
-            if by_line or (isinstance(step, SetOutput) and step.output == wire.from_):
-                needs.add(driver)
-    return frozenset(needs)
+    moved, outputs = set[str](), set[str]()
+    for step in iterate_steps(steps):
+        if isinstance(step, Move | Scan):
+            moved |= {controller_of(axis) for axis in named_axes(step)}
+        elif isinstance(step, SetOutput):
+            outputs.add(step.output)
+    drivers = {controller_of(wire.from_) for wire in find_wires(fleet, moved, outputs)}
+    return frozenset({controller_of(axis) for axis in find_axes(fleet, steps)} | drivers)
+
+
+def find_wires(fleet: Fleet, moved: Collection[str], outputs: Collection[str]) -> list[TriggerWire]:
+    """The wires that matter for a job. moved: controllers that it moves. outputs: those that it switches."""
+
+    def matters(wire: TriggerWire) -> bool:
+        return wire.from_ in outputs or any(controller_of(end) in moved for end in wire.to)
+
+    return [wire for wire in fleet.wiring if matters(wire)]

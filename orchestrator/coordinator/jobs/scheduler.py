@@ -33,7 +33,8 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Job, Step
 from orchestrator.model.messages import EstopMessage, StopMode
-from orchestrator.model.queue import QueueTerms, parse_utc
+from orchestrator.model.operation.approval import JobApproval
+from orchestrator.model.queue import APPROVAL, QueueTerms, parse_utc
 from orchestrator.model.report import (
     FINISHED_STATES,
     JobProgress,
@@ -95,7 +96,9 @@ class Scheduler:
             if job is None:
                 damaged = True
             elif row.state == "queued":
-                self._waiting[row.id] = WaitingJob(row, job, row.after)
+                waiting = self._waiting[row.id] = WaitingJob(row, job, row.after)
+                if waiting.awaits_approval:
+                    waiting.deviation = await self._load_deviation(row.id)
             else:
                 left.append((row, job))
         for row, job in left:
@@ -126,6 +129,16 @@ class Scheduler:
         report = self._report_of(row, None).model_copy(update=ended)
         await services.execute(services.journal.fail_damaged, row, transition, report)
         return None
+
+    async def _load_deviation(self, job_id: str) -> str:
+        """Why the approval of a job counts no longer; empty if it has none that can be read."""
+        services = self._services
+        try:
+            approval = await services.execute(services.journal.approvals.load_approval, job_id)
+        except DamagedRecord as error:
+            services.log.warning(str(error), job=job_id)
+            return ""
+        return "" if approval is None else approval.void
 
     async def close(self, reason: str) -> None:
         """End: running jobs are stopped and recorded as interrupted."""
@@ -189,17 +202,38 @@ class Scheduler:
             await self._hold_job(job_id, actor, f"held by {actor}")
 
     async def release_jobs(self, job_ids: Iterable[str], actor: str) -> None:
-        """Release held jobs; without ids, all held jobs."""
-        for job_id in list(job_ids) or [each.row.id for each in self._waiting.values() if each.row.held_by]:
-            waiting = self._waiting.get(job_id)
-            if waiting is None:
-                raise await self._make_refusal(job_id, "not-queued", "for a paused job: `tutti job resume`")
+        """Release held jobs; without ids, all held jobs but those that wait for approval."""
+        held = [each for each in self._waiting.values() if each.row.held_by and not each.awaits_approval]
+        for job_id in list(job_ids) or [each.row.id for each in held]:
+            waiting = await self.find_waiting(job_id, "for a paused job: `tutti job resume`")
+            if waiting.awaits_approval:
+                remedy = f"look at its plan and approve it: `tutti job approve {job_id}`"
+                raise Refusal("awaits-approval", f"job {job_id} waits for the approval of its plan", remedy)
             if waiting.row.held_by:
                 services = self._services
                 change = services.make_transition("queued", f"released by {actor}", actor)
                 await services.execute(services.journal.hold_jobs, [job_id], "", change)
                 waiting.row = waiting.row._replace(held_by="", reason=change.reason)
                 self.wake_up()
+
+    async def find_waiting(self, job_id: str, remedy: str) -> WaitingJob:
+        """A job that waits. Raises `Refusal` with this remedy for one that does not."""
+        waiting = self._waiting.get(job_id)
+        if waiting is None:
+            raise await self._make_refusal(job_id, "not-queued", remedy)
+        return waiting
+
+    async def approve_job(self, waiting: WaitingJob, approval: JobApproval) -> None:
+        """Record the approval of a job's plan, and release the job if it waits for that. A hold by a user stays."""
+        services, job_id = self._services, waiting.row.id
+        change = services.make_transition("queued", f"plan {approval.plan.hash} approved", approval.actor)
+        stored = await services.execute(services.journal.approvals.approve_job, approval, change)
+        if not stored or self._waiting.get(job_id) is not waiting:
+            raise await self._make_refusal(job_id, "not-queued", "only a job that waits can be approved")
+        held_by = "" if waiting.awaits_approval else waiting.row.held_by
+        waiting.row = waiting.row._replace(held_by=held_by, reason=change.reason)
+        waiting.deviation = ""
+        self.wake_up()
 
     async def reorder_job(self, job_id: str, before: str, actor: str) -> None:
         """Move a queued job before another one, with that one's priority."""
@@ -372,6 +406,9 @@ class Scheduler:
             await self._record_end(run, outcome)
             await self._protect_queue(run, outcome)
         else:
+            if outcome.deviates:
+                waiting.row = waiting.row._replace(held_by=APPROVAL, reason=outcome.reason)
+                waiting.deviation = outcome.reason
             self._waiting[run.row.id] = waiting
             self._trouble = self._trouble or outcome.trouble
             self._services.log.warning(f"job has to wait: {outcome.reason}", job=run.row.id)
@@ -380,6 +417,14 @@ class Scheduler:
             self._publisher.take_schedule(sort_waiting(self._waiting), {run.row.id: outcome.reason})
         self.wake_up()
         self._publisher.schedule_publication()
+        if outcome.deviates:
+            await self._void_approval(run.row.id, outcome.reason)
+
+    async def _void_approval(self, job_id: str, reason: str) -> None:
+        """Record that a job is held again. Until that is recorded, another leader compares its plan again when it would
+        begin. Raises `JournalError`."""
+        change = self._services.make_transition("queued", reason, COORDINATOR)
+        await self._services.execute(self._services.journal.approvals.void_approval, job_id, change)
 
     async def _record_end(self, run: JobRun, outcome: JobOutcome) -> None:
         """Record an end as soon as the journal can be written. Its controllers stay taken until then."""

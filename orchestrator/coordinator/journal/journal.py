@@ -16,6 +16,9 @@ from zlib import crc32
 from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.alarm_tables import AlarmTables
+from orchestrator.coordinator.journal.approval_table import ApprovalTable
+from orchestrator.coordinator.journal.command_table import CommandTable
+from orchestrator.coordinator.journal.job_states import insert_transition, is_queued
 from orchestrator.coordinator.journal.point_rows import PointRows
 from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import (
@@ -39,7 +42,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.job import Job, find_digests
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
 from orchestrator.model.positions.entries import SavedPosition
-from orchestrator.model.queue import QueueStop, QueueTerms
+from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 
 T = TypeVar("T")
@@ -111,6 +114,8 @@ class Journal:
             self.point_rows = PointRows(self._db, self._path)
             self.alarms = AlarmTables(self._db, self._path)
             self.statistics = StatisticsTable(self._db, self._path)
+            self.approvals = ApprovalTable(self._db, self._path)
+            self.commands = CommandTable(self._db, self._path)
             self.points = PointStore(self._path if self._path == ":memory:" else f"{self._path}-points")
         except (sqlite3.Error, OSError) as error:
             raise make_unusable_error(self._path, error) from None
@@ -238,6 +243,7 @@ class Journal:
             row = self._db.execute("SELECT id FROM jobs WHERE client_key = ?", (client_key,)).fetchone()
             if row is not None:
                 return row[0], False
+            reason = WAITS_FOR_APPROVAL if terms.proposed else "submitted"
             values = {
                 "id": job_id,
                 "client_key": client_key,
@@ -245,7 +251,7 @@ class Journal:
                 "actor": job.actor,
                 "body": job.model_dump_json(),
                 "state": "queued",
-                "reason": "submitted",
+                "reason": reason,
                 "submitted_utc": utc,
                 "priority": terms.priority,
                 "repeat": terms.repeat,
@@ -253,12 +259,13 @@ class Journal:
                 "at_utc": terms.at,
                 "missed": terms.missed,
                 "due": int(terms.at is None),
-                "held_by": job.actor if terms.held else "",
+                "held_by": APPROVAL if terms.proposed else job.actor if terms.held else "",
                 "origin": again.origin if again else None,
                 "from_step": again.from_step if again else 0,
                 "expires_utc": terms.expires,
                 "now": int(terms.now),
                 "session": terms.session,
+                "proposed": int(terms.proposed),
             }
             values["crc"] = find_checksum(values)
             marks = ", ".join("?" * len(values))
@@ -266,9 +273,8 @@ class Journal:
             self._db.execute("UPDATE jobs SET place = number WHERE number = ?", (made.lastrowid,))
             digests = [(job_id, digest) for digest in find_digests(job.steps)]
             self._db.executemany("INSERT INTO job_points VALUES (?, ?)", digests)
-            self._db.execute(
-                "INSERT INTO transitions VALUES (?, 'queued', 'submitted', ?, ?, NULL)", (job_id, job.actor, utc)
-            )
+            submitted = (job_id, reason, job.actor, utc)
+            self._db.execute("INSERT INTO transitions VALUES (?, 'queued', ?, ?, ?, NULL)", submitted)
         return job_id, True
 
     def has_client_key(self, client_key: str) -> bool:
@@ -279,7 +285,7 @@ class Journal:
         """Record a change of a job's state, with its report if it has ended. Raises `JobHasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
-            self._insert_transition(job_id, transition)
+            insert_transition(self._db, job_id, transition)
             if report is not None:
                 self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job_id, report.model_dump_json()))
 
@@ -287,39 +293,30 @@ class Journal:
         """Record the originator of a hold; empty: released. Jobs that are not queued any more are not changed."""
         with self._transaction():
             for job_id in job_ids:
-                if self._is_queued(job_id):
+                if is_queued(self._db, job_id):
                     self._db.execute("UPDATE jobs SET held_by = ? WHERE id = ?", (held_by, job_id))
-                    self._insert_transition(job_id, transition)
+                    insert_transition(self._db, job_id, transition)
 
     def mark_due(self, job_id: str, transition: JobTransition) -> None:
         """Record that the start time of a job has come. A job that is not queued any more is not changed."""
         with self._transaction():
-            if self._is_queued(job_id):
+            if is_queued(self._db, job_id):
                 self._db.execute("UPDATE jobs SET due = 1 WHERE id = ?", (job_id,))
-                self._insert_transition(job_id, transition)
+                insert_transition(self._db, job_id, transition)
 
     def reorder_jobs(self, job_id: str, priority: int, places: Mapping[str, int], transition: JobTransition) -> None:
         """Change the places of jobs, and the priority of `job_id`. Nothing changes if that is not queued any more."""
         with self._transaction():
-            if self._is_queued(job_id):
+            if is_queued(self._db, job_id):
                 moved = [(place, each) for each, place in places.items()]
                 self._db.executemany("UPDATE jobs SET place = ? WHERE id = ?", moved)
                 self._db.execute("UPDATE jobs SET priority = ? WHERE id = ?", (priority, job_id))
-                self._insert_transition(job_id, transition)
+                insert_transition(self._db, job_id, transition)
 
     def _require_unended(self, job_id: str) -> None:
         row = self._db.execute("SELECT state FROM jobs WHERE id = ?", (job_id,)).fetchone()
         if row is not None and row[0] in FINISHED_STATES:
             raise JobHasEnded(f"job {job_id} is {row[0]} already: another coordinator has ended it")
-
-    def _is_queued(self, job_id: str) -> bool:
-        return self._db.execute("SELECT state FROM jobs WHERE id = ?", (job_id,)).fetchone() == ("queued",)
-
-    def _insert_transition(self, job_id: str, transition: JobTransition) -> None:
-        state, reason = transition.state, transition.reason
-        values = (job_id, state, reason, transition.actor, transition.utc, transition.fleet_ns)
-        self._db.execute("INSERT INTO transitions VALUES (?, ?, ?, ?, ?, ?)", values)
-        self._db.execute("UPDATE jobs SET state = ?, reason = ? WHERE id = ?", (state, reason, job_id))
 
     def record_decision(self, job_id: str, decision: StepDecision, utc: str) -> None:
         """Record that all members have promised: from here on the step may move.
@@ -345,9 +342,9 @@ class Journal:
         return [(step, t0_fleet_ns) for step, t0_fleet_ns in rows]
 
     def load_job(self, job_id: str) -> Job | None:
-        columns = ", ".join(CHECKED_COLUMNS)
-        for *row, crc in self._select_rows(f"SELECT {columns}, crc FROM jobs WHERE id = ?", (job_id,)):
-            if crc not in (None, find_checksum(dict(zip(CHECKED_COLUMNS, row, strict=True)))):
+        columns = (*CHECKED_COLUMNS, "proposed")
+        for *row, crc in self._select_rows(f"SELECT {', '.join(columns)}, crc FROM jobs WHERE id = ?", (job_id,)):
+            if crc not in (None, find_checksum(dict(zip(columns, row, strict=True)))):
                 raise self._damaged_record("the Job", job_id, "its checksum is wrong")
         return self._select_body(Job, "SELECT body FROM jobs WHERE id = ?", (job_id,))
 
@@ -366,7 +363,7 @@ class Journal:
         """End a job that cannot be read, so that the others can be run."""
         with self._transaction():
             if self._db.execute("SELECT 1 FROM jobs WHERE id = ?", (job.id,)).fetchone():
-                self._insert_transition(job.id, transition)
+                insert_transition(self._db, job.id, transition)
                 self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job.id, report.model_dump_json()))
 
     def find_jobs(
@@ -418,7 +415,7 @@ class Journal:
         with self._transaction():
             self._db.execute(f"CREATE TEMP TABLE old AS {old}", values)
             named = self._db.execute("SELECT digest FROM job_points WHERE job_id IN (SELECT id FROM old)").fetchall()
-            for table in ("recordings", "reports", "decisions", "transitions", "job_points", "point_rows"):
+            for table in ("recordings", "reports", "decisions", "transitions", "job_points", "point_rows", "approvals"):
                 self._db.execute(f"DELETE FROM {table} WHERE job_id IN (SELECT id FROM old)")
             gone = self._db.execute("DELETE FROM jobs WHERE id IN (SELECT id FROM old)").rowcount
             self._db.execute("DROP TABLE old")

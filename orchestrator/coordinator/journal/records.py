@@ -63,6 +63,7 @@ class JobRecord(NamedTuple):
     expires_utc: str | None = None
     now: bool = False
     session: str | None = None
+    proposed: bool = False
     damage: str = ""
 
     @property
@@ -77,12 +78,13 @@ class JobRecord(NamedTuple):
             now=bool(self.now),
             expires=self.expires_utc,
             session=self.session,
+            proposed=bool(self.proposed),
         )
 
 
 COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
-    " origin, from_step, expires_utc, now, session"
+    " origin, from_step, expires_utc, now, session, proposed"
 )
 
 
@@ -103,12 +105,15 @@ CHECKED_COLUMNS = (
     "now",
     "session",
 )
-"""What never changes of a job."""
+"""What never changes of a job, besides `proposed`."""
 
 
 def find_checksum(values: Mapping[str, Any]) -> int:
     """Return the checksum of a job by the values of its columns."""
-    return crc32(repr([values[each] for each in CHECKED_COLUMNS]).encode())
+    checked = [values[each] for each in CHECKED_COLUMNS]
+    # Jobs of journals that had no such column have checksums without it.
+    checked += ["proposed"] if values["proposed"] else []
+    return crc32(repr(checked).encode())
 
 
 def make_record(row: Sequence[Any]) -> JobRecord:

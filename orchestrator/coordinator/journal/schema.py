@@ -1,6 +1,6 @@
 """The tables of the journal, and the migrations from older versions."""
 
-VERSION = 9
+VERSION = 10
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -94,5 +94,15 @@ CREATE TABLE statistics (
   day TEXT NOT NULL, kind TEXT NOT NULL, subject TEXT NOT NULL, figure TEXT NOT NULL, value REAL NOT NULL,
   PRIMARY KEY (day, kind, subject, figure)
 ) STRICT, WITHOUT ROWID;
+""",
+    9: """
+ALTER TABLE jobs ADD COLUMN proposed INTEGER NOT NULL DEFAULT 0;
+CREATE TABLE approvals (
+  job_id TEXT PRIMARY KEY REFERENCES jobs (id), body TEXT NOT NULL, crc INTEGER NOT NULL
+) STRICT;
+CREATE TABLE commands (
+  number INTEGER PRIMARY KEY AUTOINCREMENT, utc TEXT NOT NULL, actor TEXT NOT NULL, verb TEXT NOT NULL,
+  subject TEXT NOT NULL, refused TEXT NOT NULL
+) STRICT;
 """,
 }

@@ -1,0 +1,100 @@
+"""The commands of users in the journal: by which user, when, what, and whether it was refused."""
+
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.model.base import Model, UnknownName
+from orchestrator.model.messages import Request
+from orchestrator.model.operation.commands import CommandRecord, CommandsListed, ListCommands
+from orchestrator.model.service import AcquireAxes, FleetReloaded, JobSubmitted, ReleaseAxes, RetryJob
+
+MAX_SUBJECT = 200  # characters
+
+
+def _join(words: Iterable[str], otherwise: str) -> str:
+    return " ".join(words) or otherwise
+
+
+_SUBJECTS: Mapping[str, Callable[[Any], str]] = {
+    "submit": lambda asked: f"{asked.job.name!r}" + ", proposed" * asked.terms.proposed,
+    "retry": lambda asked: f"{asked.job_id} from step {asked.from_step}",
+    "cancel": lambda asked: asked.job_id,
+    "approve": lambda asked: f"{asked.job_id} {asked.plan}",
+    "hold": lambda asked: _join(asked.job_ids, "none"),
+    "release": lambda asked: _join(asked.job_ids, "all held jobs"),
+    "reorder": lambda asked: f"{asked.job_id} before {asked.before}",
+    "pause": lambda asked: asked.job_id + " now" * asked.now,
+    "resume": lambda asked: asked.job_id,
+    "prune": lambda asked: f"older than {asked.older_s:g} s, but the newest {asked.keep}",
+    "stop": lambda asked: asked.mode,
+    "acquire-axes": lambda asked: f"{' '.join(asked.axes)}: {asked.what}",
+    "save-position": lambda asked: asked.name,
+    "remove-position": lambda asked: asked.name,
+    "acknowledge": lambda asked: _join(asked.alarm_ids, "all alarms"),
+    "shelve": lambda asked: f"{asked.alarm_id} " + ("no longer" if asked.for_s is None else f"for {asked.for_s:g} s"),
+}
+"""What a request is about, by verb; other verbs are about the whole fleet."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Command:
+    """A command that is being executed."""
+
+    actor: str
+    verb: str
+    subject: str
+
+
+class CommandLog:
+    """Records commands in the journal, and lists them."""
+
+    def __init__(self, services: JobServices) -> None:
+        self._services = services
+
+    def describe_command(self, verb: str, request: Request) -> _Command | None:
+        """What is to be recorded of a request, before it is executed; None for one that changes nothing."""
+        if isinstance(request, RetryJob) and request.dry_run:
+            return None
+        if isinstance(request, AcquireAxes) and self._is_renewal(request):
+            return None
+        subject = _SUBJECTS[verb](request) if verb in _SUBJECTS else ""
+        if isinstance(request, ReleaseAxes):
+            subject = " ".join(self._find_leased(request.holder)) or request.holder
+        return _Command(request.actor, verb, subject)
+
+    async def record_command(self, command: _Command, reply: Model, refused: str) -> None:
+        """Record a command that was executed, or refused with a code. A journal that cannot be written is logged: what
+        was done is done."""
+        services, subject = self._services, command.subject
+        if isinstance(reply, JobSubmitted) and reply.job_id:
+            subject = f"{reply.job_id} {subject}"
+        if isinstance(reply, FleetReloaded):
+            subject = " ".join(reply.changed)
+        if len(subject) > MAX_SUBJECT:
+            subject = f"{subject[: MAX_SUBJECT - 1]}…"
+        record = CommandRecord(
+            utc=services.clock.utc(), actor=command.actor, verb=command.verb, subject=subject, refused=refused
+        )
+        try:
+            await services.execute(services.journal.commands.store_command, record)
+        except JournalError as error:
+            services.log.warning(f"{command.verb} by {command.actor} is not in the journal: {error}")
+
+    async def list_commands(self, request: ListCommands) -> CommandsListed:
+        """The newest commands. Raises `JournalError`."""
+        load = self._services.journal.commands.list_commands
+        return CommandsListed(commands=await self._services.execute(load, request.limit, request.before, request.by))
+
+    def _is_renewal(self, request: AcquireAxes) -> bool:
+        """Whether the holder has these axes already."""
+        leased = self._find_leased(request.holder)
+        with suppress(UnknownName):
+            return bool(leased) and set(self._services.view.fleet.expand_names(request.axes)) <= set(leased)
+        return False
+
+    def _find_leased(self, holder: str) -> tuple[str, ...]:
+        return next((held.axes for held in self._services.leases.all_leases if held.holder == holder), ())
