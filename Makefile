@@ -8,14 +8,16 @@ DEV := .venv-dev$(SUFFIX)
 THIRDPARTY := .venv-thirdparty$(SUFFIX)
 DOCS := .venv-docs$(SUFFIX)
 WHEEL := .venv-wheel$(SUFFIX)
+PAGE := .venv-page$(SUFFIX)
 PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo test test-fast test-live test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
+	@echo "make page             build the operators' page, which tutti up serves"
 	@echo "make test             set up, run all tests (6 to 7 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
@@ -58,7 +60,24 @@ $(WHEEL)/.stamp: requirements.lock
 	$(WHEEL)/bin/python $(PIP) install --require-hashes -r requirements.lock
 	touch $@
 
-demo: $(RUN)/.stamp
+$(PAGE)/.stamp: requirements-page.lock
+	$(PYTHON) -m venv --clear $(PAGE)
+	$(PAGE)/bin/python $(PIP) install --require-hashes -r requirements-page.lock
+	touch $@
+
+# The operators' page, built again when its sources or the locks have changed.
+PAGE_SOURCES := $(shell find orchestrator/gateway/page -name node_modules -prune -o -type f -print)
+PAGE_BUILT := orchestrator/gateway/static/index.html
+$(PAGE_BUILT): $(PAGE)/.stamp tools/build_page.py $(PAGE_SOURCES)
+	$(PAGE)/bin/python tools/build_page.py
+
+page: $(PAGE_BUILT)
+
+# A machine where the page cannot be built still runs everything else.
+page-if-possible:
+	@$(MAKE) --no-print-directory page || echo "the operators' page is not built; tutti up runs without it. To build it: make page"
+
+demo: $(RUN)/.stamp page-if-possible
 	$(RUN)/bin/tutti demo
 
 test: test-fast test-live
@@ -78,7 +97,7 @@ test-docs: $(DEV)/.stamp
 	$(DEV)/bin/pytest tests/live/test_documents.py $(SLOWEST)
 
 # What setuptools has left from another build would come into the wheel.
-test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp
+test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp page
 	rm -rf build/lib build/bdist.* build/wheel
 	$(DEV)/bin/python $(PIP) wheel . --no-deps --no-build-isolation -w build/wheel
 	rm -rf tutti.egg-info # its entry points would hide later ones from what runs in this folder
@@ -109,7 +128,7 @@ docs: $(DOCS)/.stamp
 	$(DOCS)/bin/sphinx-build -W --keep-going -q -b html docs build/site
 	@echo "open build/site/index.html"
 
-# Needs uv; writes the locks again from pyproject.toml and tests/thirdparty/requirements.in.
+# Needs uv; writes the locks again from pyproject.toml and the requirements.in files.
 LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url
 lock:
 	$(LOCK) --extra web -o requirements.lock pyproject.toml
@@ -117,6 +136,7 @@ lock:
 	$(LOCK) --extra record --extra export --extra scanspec --extra web -c requirements-dev.lock -o requirements-full.lock pyproject.toml
 	$(LOCK) --extra docs -c requirements-dev.lock -o requirements-docs.lock pyproject.toml
 	$(LOCK) -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
+	$(LOCK) -c requirements-dev.lock -o requirements-page.lock orchestrator/gateway/page/requirements.in
 
 clean:
-	rm -rf .venv .venv-* build *.egg-info
+	rm -rf .venv .venv-* build *.egg-info orchestrator/gateway/static orchestrator/gateway/page/node_modules

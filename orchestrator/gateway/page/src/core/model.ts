@@ -1,0 +1,387 @@
+/** What the gateway sends: names as on the bus. A field that is absent has no value. */
+
+export type Role = "viewer" | "proposer" | "operator" | "maintainer";
+
+export interface Session {
+  fleet: string;
+  version: string;
+  user: string | null;
+  role: Role;
+  users: boolean;
+  csrf: string;
+  may: string[];
+}
+
+export interface Refusal {
+  code: string;
+  text: string;
+  remedy?: string;
+  controller?: string | null;
+  member?: string | null;
+}
+
+export interface Fault {
+  code: string;
+  text: string;
+  remedy: string;
+  axis?: string | null;
+}
+
+export interface AxisState {
+  position?: number;
+  commanded?: number;
+  velocity?: number;
+  target?: number;
+  unit: string;
+  moving: boolean;
+  homing?: boolean;
+  enabled: boolean;
+  referenced: boolean;
+  limit?: "none" | "forward" | "reverse" | "both";
+  fault?: string | null;
+  offset?: string;
+  min?: number;
+  max?: number;
+  max_velocity?: number;
+  jog_velocity?: number;
+}
+
+export interface ClockQuality {
+  bound_ns: number;
+  age_ns: number;
+  samples: number;
+}
+
+export interface LinkTotals {
+  bytes_out: number;
+  bytes_in: number;
+  errors?: number;
+}
+
+export interface Estop {
+  event: string;
+  actor: string;
+  reason: string;
+  utc: string;
+}
+
+export interface ControllerState {
+  mode: string;
+  age_s?: number;
+  present: boolean;
+  make?: string;
+  epoch?: number;
+  digest?: string;
+  job?: string;
+  step?: number;
+  faults?: Fault[];
+  estop?: Estop;
+  inputs?: Record<string, boolean>;
+  outputs?: Record<string, boolean>;
+  clock?: ClockQuality;
+  link?: LinkTotals;
+  axes: Record<string, AxisState>;
+}
+
+export interface Lease {
+  holder: string;
+  actor: string;
+  what: string;
+  until_utc?: string;
+}
+
+export interface Permit {
+  name: string;
+  axes: string[];
+  text: string;
+}
+
+export interface QueueTerms {
+  priority?: number;
+  repeat?: number;
+  after?: string | null;
+  at?: string | null;
+  missed?: "run" | "skip";
+  held?: boolean;
+  expires?: string | null;
+}
+
+export interface QueueEntry {
+  id: string;
+  name: string;
+  actor: string;
+  state: string;
+  reason: string;
+  submitted_utc: string;
+  place?: number | null;
+  terms?: QueueTerms;
+  held_by?: string;
+  origin?: string | null;
+  from_step?: number;
+  proposed?: boolean;
+}
+
+export interface QueueStop {
+  reason: string;
+  actor: string;
+  utc: string;
+}
+
+export interface QueueState {
+  stopped?: QueueStop | null;
+  waiting?: number;
+  total?: number;
+  jobs?: QueueEntry[];
+}
+
+export interface JobProgress {
+  job_id: string;
+  name: string;
+  actor: string;
+  state: string;
+  step: number;
+  steps: number;
+  step_name: string;
+  point?: number | null;
+  points?: number | null;
+  fraction: number;
+  remaining_s?: number | null;
+  reason: string;
+  utc: string;
+}
+
+export interface Members {
+  step: number;
+  members: Record<string, string>;
+}
+
+export interface Alarm {
+  id: string;
+  kind: string;
+  subject: string;
+  priority: string;
+  text: string;
+  action: string;
+  state: "unacknowledged" | "acknowledged" | "returned" | "normal";
+  raised_utc: string;
+  returned_utc?: string | null;
+  acknowledged_by?: string | null;
+  acknowledged_utc?: string | null;
+  shelved_until_utc?: string | null;
+  shelved_by?: string | null;
+  shelved_why?: string;
+  out_of_service?: string;
+  count?: number;
+}
+
+export interface FleetEvent {
+  n: number;
+  controller: string;
+  kind: string;
+  text: string;
+  utc: string;
+  job?: string | null;
+  step?: number | null;
+}
+
+export interface LastStop {
+  by: string;
+  what: string;
+  utc?: string;
+}
+
+export interface State {
+  fleet: string;
+  utc: string;
+  fleet_s?: number;
+  coordinator: { present: boolean; name?: string; epoch?: number };
+  controllers: Record<string, ControllerState>;
+  leases?: Record<string, Lease>;
+  permits?: Permit[];
+  queue?: QueueState;
+  jobs?: Record<string, JobProgress>;
+  members?: Record<string, Members>;
+  alarms?: Record<string, Alarm>;
+  events?: FleetEvent[];
+  last_stop?: LastStop;
+}
+
+export interface Work {
+  id: number;
+  state: string;
+  job_id?: string;
+  reason?: string;
+  remedy?: string;
+  fraction?: number;
+}
+
+export interface Stopped extends LastStop {
+  answers?: Record<string, Refusal | null>;
+}
+
+/** An answer of the gateway: what it has done, or why not. */
+export type Answer<T = Record<string, unknown>> = { ok: T } | { refused: Refusal };
+
+export interface Interval {
+  earliest_ns: number;
+  latest_ns: number;
+}
+
+export interface Skew {
+  at_least_ns: number;
+  at_most_ns: number;
+}
+
+export interface BudgetTerm extends Interval {
+  name: string;
+}
+
+export interface PredictedSkew {
+  predicted_ns: number;
+  allowed_ns?: number | null;
+  worst_member: string;
+}
+
+export interface SyncBudget {
+  predicted_ns: number;
+  allowed_ns: number;
+  worst_member: string;
+  worst_term: string;
+  members: Record<string, Interval & { terms: BudgetTerm[] }>;
+  end?: PredictedSkew | null;
+  path?: PredictedSkew | null;
+}
+
+export interface AxisEvidence {
+  start: Interval;
+  modelled?: Interval | null;
+  late_ns?: number;
+}
+
+export interface MemberReport {
+  start_class: string;
+  axes: string[];
+  evidence?: Record<string, AxisEvidence>;
+}
+
+export interface StepReport {
+  index: number;
+  do: string;
+  name: string;
+  state: string;
+  reason?: string;
+  planned_s?: number | null;
+  actual_s?: number | null;
+  t0_fleet_ns?: number | null;
+  members?: Record<string, MemberReport>;
+  budget?: SyncBudget | null;
+  start_skew?: Skew | null;
+  promised_skew?: Skew | null;
+  end_skew?: Skew | null;
+  verdict: "green" | "amber" | "red" | "none";
+  deviations?: string[];
+  refused?: Refusal | null;
+}
+
+export interface JobReport {
+  job_id: string;
+  name: string;
+  actor: string;
+  state: string;
+  reason: string;
+  submitted_utc: string;
+  started_utc?: string | null;
+  ended_utc?: string | null;
+  max_start_skew_ns: number;
+  steps?: StepReport[];
+}
+
+export interface JobShown {
+  entry?: QueueEntry | null;
+  report?: JobReport | null;
+  progress?: JobProgress | null;
+}
+
+export interface Curve {
+  t: number[];
+  v: number[];
+}
+
+export interface Recording {
+  t0_fleet_ns: number;
+  axes: Record<string, { unit: string; planned: Curve; actual: Curve }>;
+}
+
+export interface Preview {
+  duration_s: number;
+  steps: { index: number; text: string; t0: number; t1: number }[];
+  axes: Record<string, Curve & { unit: string }>;
+  unknown?: string | null;
+}
+
+export interface StepForecast {
+  index: number;
+  do: string;
+  text: string;
+  least_s?: number;
+  most_s?: number | null;
+  conditions?: string[];
+  budget?: SyncBudget | null;
+}
+
+export interface JobForecast {
+  steps?: StepForecast[];
+  problems?: { place?: (string | number)[]; text: string; remedy?: string; controller?: string | null }[];
+  conditions?: string[];
+}
+
+export interface JobPlan {
+  hash: string;
+  parts?: Record<string, string>;
+}
+
+export interface Parameter {
+  name: string;
+  type: string;
+  unit?: string;
+  default?: unknown;
+  min?: unknown;
+  max?: unknown;
+  choices?: string[] | null;
+  description?: string;
+  required?: boolean;
+}
+
+export interface Template {
+  name: string;
+  file: string;
+  description?: string;
+  parameters: Parameter[];
+}
+
+export interface Checked {
+  problems?: { line?: number | null; place?: string; text: string }[];
+  parameters?: Parameter[];
+  job?: Record<string, unknown> | null;
+  forecast?: JobForecast | null;
+  preview?: Preview | null;
+  dry_run?: JobForecast | null;
+}
+
+export interface NamedPosition {
+  name: string;
+  axes: Record<string, string | number>;
+  description?: string;
+  source: string;
+  actor?: string;
+  utc?: string;
+  problems?: string[];
+}
+
+export interface WireFinding {
+  output: string;
+  input: string;
+  ok: boolean;
+  text: string;
+  remedy?: string;
+}

@@ -1,0 +1,87 @@
+/** The page: head, stop bar, banners, and one of the three views. */
+
+import type { JSX } from "preact";
+import { view } from "../core/look.ts";
+import { connection } from "../core/stream.ts";
+import { T } from "../texts.ts";
+import { AlarmsPanel } from "./alarmlist.tsx";
+import { AxisTable } from "./axes.tsx";
+import { Banners } from "./banners.tsx";
+import { ClocksPanel } from "./clocks.tsx";
+import { CommandsPanel, ConfigurationPanel, RecordingsPanel } from "./configuration.tsx";
+import { EventsPanel } from "./eventlist.tsx";
+import { Header } from "./header.tsx";
+import { HistoryPanel } from "./history.tsx";
+import { IoPanel } from "./io.tsx";
+import { JobPanel } from "./job.tsx";
+import { across, JogPanel } from "./jogpad.tsx";
+import { LinksPanel } from "./links.tsx";
+import { LivePlots } from "./liveplots.tsx";
+import { Login } from "./login.tsx";
+import { DialogHost } from "./parts.tsx";
+import { PositionsPanel } from "./positions.tsx";
+import { PreparePanel } from "./prepare.tsx";
+import { QueuePanel } from "./queue.tsx";
+import { StopBar } from "./stopbar.tsx";
+import { dropping } from "./submit.tsx";
+
+export function App(): JSX.Element {
+  if (connection.value === "signed-out") return <Login />;
+  return (
+    <div class="page">
+      <Header />
+      <StopBar />
+      <main>
+        <Banners />
+        <div class={`view ${view.value}`} data-testid={`view-${view.value}`}>
+          <ViewPanels />
+        </div>
+      </main>
+      <DialogHost />
+      {dropping.value ? <div class="drophint">{T.submit.dropHere}</div> : null}
+    </div>
+  );
+}
+
+function ViewPanels(): JSX.Element {
+  if (view.value === "run")
+    return (
+      <>
+        <div class="column">
+          <AxisTable />
+          <LivePlots />
+        </div>
+        <div class="column right">
+          <JobPanel />
+          <QueuePanel />
+        </div>
+      </>
+    );
+  if (view.value === "setup")
+    return (
+      <>
+        <div class="column">
+          <JogPanel />
+          <PreparePanel />
+        </div>
+        <div class="column">
+          <AxisTable onChoose={(axis) => (across.value = axis)} chosen={across.value} />
+          <PositionsPanel />
+          <IoPanel />
+        </div>
+      </>
+    );
+  return (
+    <>
+      <AlarmsPanel />
+      <ClocksPanel />
+      <LinksPanel />
+      <EventsPanel />
+      <HistoryPanel />
+      <ConfigurationPanel />
+      <RecordingsPanel />
+      <CommandsPanel />
+    </>
+  );
+}
+

@@ -1,0 +1,147 @@
+/** The axis table: where each axis is and goes, why it is not ready and what to do, and who holds it. */
+
+import type { JSX } from "preact";
+import { computed } from "@preact/signals";
+import { useMemo } from "preact/hooks";
+import { formatUnit, formatValue } from "../core/format.ts";
+import { held } from "../core/manual.ts";
+import { plotted } from "../core/look.ts";
+import { readinessOf } from "../core/ready.ts";
+import { controllers, jobs, leases, permits, type AxisStore, type ControllerStore } from "../core/store.ts";
+import { pageAge } from "../core/stream.ts";
+import { T } from "../texts.ts";
+import { AxisMenu } from "./axismenu.tsx";
+import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
+
+export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => void; chosen?: string }): JSX.Element {
+  return (
+    <Panel title={T.axes.title} area="axes">
+      {controllers.value.length === 0 ? (
+        <Empty text={T.axes.none} />
+      ) : (
+        <table class="axistable">
+          <thead>
+            <tr>
+              <th scope="col">{T.axes.axis}</th>
+              <th scope="col" class="num">
+                {T.axes.position}
+              </th>
+              <th scope="col" class="num">
+                {T.axes.target}
+              </th>
+              <th scope="col">{T.axes.state}</th>
+              <th scope="col">{T.axes.holder}</th>
+              <th scope="col">
+                <span class="hidden">{T.axes.menu}</span>
+              </th>
+            </tr>
+          </thead>
+          {controllers.value.map((controller) => (
+            <ControllerRows key={controller.id} controller={controller} onChoose={onChoose} chosen={chosen} />
+          ))}
+        </table>
+      )}
+    </Panel>
+  );
+}
+
+interface RowsProps {
+  controller: ControllerStore;
+  onChoose?: ((axis: string) => void) | undefined;
+  chosen?: string | undefined;
+}
+
+function ControllerRows({ controller, onChoose, chosen }: RowsProps): JSX.Element {
+  const rest = controller.rest.value;
+  const age = Math.max(controller.age.value, pageAge.value);
+  const old = age >= 1;
+  return (
+    <tbody class={old ? "stale" : ""} data-controller={controller.id}>
+      <tr class="controller">
+        <th scope="rowgroup" colSpan={6}>
+          <b>{controller.id}</b> <span>{rest.make}</span> <span>{T.mode(rest.present ? rest.mode : "absent")}</span>
+          {old ? <span class="age">{T.age(age)}</span> : null}
+        </th>
+      </tr>
+      {controller.axes.value.map((axis) => (
+        <AxisRow key={axis.id} axis={axis} controller={controller} onChoose={onChoose} chosen={chosen === axis.id} />
+      ))}
+    </tbody>
+  );
+}
+
+interface RowProps {
+  axis: AxisStore;
+  controller: ControllerStore;
+  onChoose?: ((axis: string) => void) | undefined;
+  chosen: boolean;
+}
+
+function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element {
+  const flags = axis.flags.value;
+  const ready = readinessOf(axis.id, flags, controller.rest.value, permits.value);
+  // Texts that change often are bound to their signals: the row is not rendered again for them.
+  const position = useMemo(() => computed(() => formatValue(axis.position.value, axis.flags.value.unit)), [axis]);
+  const target = useMemo(() => computed(() => formatTarget(axis)), [axis]);
+  return (
+    <tr class={`axis ${ready.level} ${chosen ? "chosen" : ""}`} data-axis={axis.id} data-testid={`axis-${axis.id}`}>
+      <th scope="row">
+        {onChoose ? (
+          <button type="button" class="link" aria-pressed={chosen} onClick={() => onChoose(axis.id)}>
+            {axis.id}
+          </button>
+        ) : (
+          axis.id
+        )}
+      </th>
+      <td class="num position" data-testid={`position-${axis.id}`}>
+        <span class="value">{position}</span> <span class="unit">{formatUnit(flags.unit)}</span>
+      </td>
+      <td class="num target">
+        <span class="value">{target}</span>
+      </td>
+      <td class="state">
+        <Mark level={ready.level} text={ready.text} />
+        {ready.remedy ? <small class="remedy">{ready.remedy}</small> : null}
+      </td>
+      <td class="holder">{holderOf(axis)}</td>
+      <td class="tools">
+        <Act
+          label="⋯"
+          kind="small"
+          name={T.axes.menuOf(axis.id)}
+          onAct={() => openDialog(T.axes.menuTitle(axis.id), <AxisMenu axis={axis} controller={controller} />)}
+        />
+        <Act
+          label="∿"
+          kind="small"
+          name={T.axes.plot(axis.id)}
+          pressed={plotted.value.includes(axis.id)}
+          onAct={() => togglePlot(axis.id)}
+        />
+      </td>
+    </tr>
+  );
+}
+
+function formatTarget(axis: AxisStore): string {
+  const target = axis.target.value;
+  return target === null ? "–" : formatValue(target, axis.flags.value.unit);
+}
+
+const MOST_PLOTS = 6;
+
+export function togglePlot(id: string): void {
+  const now = plotted.value;
+  plotted.value = now.includes(id) ? now.filter((each) => each !== id) : [...now, id].slice(-MOST_PLOTS);
+}
+
+/** Who may move it now: this page, a user, a job. */
+export function holderOf(axis: AxisStore): string {
+  if (held.value.includes(axis.id)) return T.axes.you;
+  const lease = leases.value[axis.id] ?? leases.value[axis.controller];
+  if (!lease?.holder) return "–";
+  const job = jobs.value[lease.holder];
+  if (job) return T.axes.heldByJob(job.name, lease.actor);
+  return lease.what ? `${lease.actor} (${lease.what})` : lease.actor;
+}

@@ -1,0 +1,77 @@
+/** The menu of one axis: what must not sit beside the jog keys, with its value written out. */
+
+import type { JSX } from "preact";
+import { useState } from "preact/hooks";
+import { formatQuantity, formatUnit } from "../core/format.ts";
+import { beginWork, working } from "../core/manual.ts";
+import { firstOf, whyNot } from "../core/rights.ts";
+import type { AxisStore, ControllerStore } from "../core/store.ts";
+import { T } from "../texts.ts";
+import { Act, closeDialog, Field } from "./parts.tsx";
+
+export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: ControllerStore }): JSX.Element {
+  const [text, setText] = useState("");
+  const flags = axis.flags.value;
+  const unit = formatUnit(flags.unit);
+  const why = firstOf(whyNot("work", controller.id), working.value ? T.why.working(working.value.words) : "");
+  const value = readNumber(text);
+  const valueWhy = firstOf(why, value === null ? T.axes.typeNumber : "");
+  const work = (words: string, step: object): void => {
+    void beginWork(words, [axis.id], step);
+    closeDialog();
+  };
+  return (
+    <div class="menu">
+      <p>
+        {T.axes.now}: <b class="num">{formatQuantity(axis.position.value, flags.unit)}</b>{" "}
+        {flags.offset && flags.offset !== "0" ? T.axes.offset(flags.offset) : ""}
+      </p>
+      <div class="row">
+        {flags.enabled ? (
+          <Act label={T.axes.disable(axis.id)} why={why} onAct={() => work(T.axes.disable(axis.id), { do: "disable", axes: [axis.id] })} />
+        ) : (
+          <Act label={T.axes.enable(axis.id)} why={why} motion onAct={() => work(T.axes.enable(axis.id), { do: "enable", axes: [axis.id] })} />
+        )}
+      </div>
+      <div class="row">
+        <Act label={T.axes.home(axis.id)} why={why} motion onAct={() => work(T.axes.home(axis.id), { do: "home", axes: [axis.id] })} />
+        <span class="hint">{T.axes.homeHint}</span>
+      </div>
+      <Field label={T.axes.valueLabel(unit)}>
+        <input
+          type="text"
+          inputMode="decimal"
+          value={text}
+          aria-label={T.axes.valueLabel(unit)}
+          onInput={(event) => setText(event.currentTarget.value)}
+        />
+      </Field>
+      <div class="row">
+        <Act
+          label={T.axes.moveTo(value === null ? "…" : formatQuantity(value, flags.unit))}
+          why={valueWhy}
+          motion
+          onAct={() => work(T.axes.moving(axis.id), { do: "move", to: { [axis.id]: value } })}
+        />
+        <Act
+          label={T.axes.setTo(value === null ? "…" : formatQuantity(value, flags.unit))}
+          why={valueWhy}
+          onAct={() => work(T.axes.setting(axis.id), { do: "set-position", axes: { [axis.id]: value } })}
+        />
+        <Act
+          label={T.axes.removeOffset}
+          why={why}
+          onAct={() => work(T.axes.setting(axis.id), { do: "set-position", axes: { [axis.id]: null } })}
+        />
+      </div>
+      <p class="hint">{T.axes.setHint}</p>
+    </div>
+  );
+}
+
+/** A number as people write it, with a comma or a point; null for anything else. */
+export function readNumber(text: string): number | null {
+  const plain = text.trim().replace(",", ".");
+  if (!/^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain)) return null;
+  return Number(plain);
+}

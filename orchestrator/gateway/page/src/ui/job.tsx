@@ -1,0 +1,106 @@
+/** The running job: progress, the stage of each member, and what the last motion step has shown. */
+
+import type { JSX } from "preact";
+import { formatSeconds, percent, shortId } from "../core/format.ts";
+import { post } from "../core/http.ts";
+import { FINISHED, lastMotion, lastReport } from "../core/lastreport.ts";
+import type { JobProgress } from "../core/model.ts";
+import { accept } from "../core/notices.ts";
+import { whyNot } from "../core/rights.ts";
+import { jobs, members } from "../core/store.ts";
+import { T } from "../texts.ts";
+import { Act, Empty, Panel, Progress } from "./parts.tsx";
+import { StartStrip } from "./strip.tsx";
+import { BudgetTable, VerdictMark } from "./verdict.tsx";
+
+export function JobPanel(): JSX.Element {
+  const running = Object.values(jobs.value).filter((job) => !FINISHED.has(job.state) && job.state !== "queued");
+  return (
+    <Panel title={T.job.title} area="job">
+      {running.length === 0 ? <Empty text={T.job.none} /> : running.map((job) => <RunningJob key={job.job_id} job={job} />)}
+      <LastVerdict />
+    </Panel>
+  );
+}
+
+function RunningJob({ job }: { job: JobProgress }): JSX.Element {
+  const id = job.job_id;
+  const send = (verb: string, body: object = {}): void => {
+    void post(verb, { job_id: id, ...body }).then((answer) => accept(T.job.verb(verb, job.name), answer));
+  };
+  const paused = job.state === "paused";
+  return (
+    <article class="job" aria-label={T.job.name(job.name)}>
+      <div class="rowhead">
+        <b>{job.name}</b> <span>{T.jobState(job.state)}</span> <span class="quiet">{shortId(id)}</span>
+        <span class="quiet">{job.actor}</span>
+      </div>
+      <Progress fraction={job.fraction} label={T.job.progress(job.name)} />
+      <div class="facts num">
+        <span>{percent(job.fraction)}</span>
+        <span>
+          {T.job.step(Math.min(job.step + 1, job.steps), job.steps)} {job.step_name}
+        </span>
+        {job.point ? <span>{T.job.point(job.point, job.points ?? 0)}</span> : null}
+        <span>{T.job.remaining(formatSeconds(job.remaining_s))}</span>
+      </div>
+      {job.reason ? <p class="reason">{job.reason}</p> : null}
+      <Stages id={id} />
+      <div class="row">
+        {paused ? (
+          <Act label={T.job.resume} name={T.job.verb("resume", job.name)} motion why={whyNot("resume")} onAct={() => send("resume")} />
+        ) : (
+          <>
+            <Act label={T.job.pause} name={T.job.verb("pause", job.name)} why={whyNot("pause")} onAct={() => send("pause", { now: false })} />
+            <Act label={T.job.pauseNow} why={whyNot("pause")} onAct={() => send("pause", { now: true })} />
+          </>
+        )}
+        <Act label={T.job.cancel} name={T.job.verb("cancel", job.name)} why={whyNot("cancel")} onAct={() => send("cancel")} />
+      </div>
+    </article>
+  );
+}
+
+const STAGES = ["proposed", "arming", "armed", "committed", "moving", "done"];
+
+function Stages({ id }: { id: string }): JSX.Element | null {
+  const now = members.value[id];
+  if (now === undefined) return null;
+  return (
+    <ul class="stages" aria-label={T.job.stages}>
+      {Object.entries(now.members).map(([member, stage]) => (
+        <li key={member}>
+          <b>{member}</b>
+          <span class="steps" aria-hidden="true">
+            {STAGES.map((each) => (
+              <i key={each} class={STAGES.indexOf(each) <= STAGES.indexOf(stage) ? "past" : ""} />
+            ))}
+          </span>
+          <span>{stage}</span>
+        </li>
+      ))}
+    </ul>
+  );
+}
+
+function LastVerdict(): JSX.Element | null {
+  const report = lastReport.value;
+  const step = lastMotion(report);
+  if (!report || !step) return null;
+  return (
+    <section class="last" aria-label={T.job.last}>
+      <div class="rowhead">
+        <span>{T.job.lastStep(report.name, step.index + 1, step.name)}</span>
+        <VerdictMark verdict={step.verdict} />
+      </div>
+      {report.state === "done" ? null : <p class="reason">{`${T.jobState(report.state)}: ${report.reason}`}</p>}
+      <BudgetTable step={step} />
+      <StartStrip step={step} />
+      {(step.deviations ?? []).map((text) => (
+        <p class="reason" key={text}>
+          {text}
+        </p>
+      ))}
+    </section>
+  );
+}

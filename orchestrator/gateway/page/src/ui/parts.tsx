@@ -1,0 +1,134 @@
+/** Small parts that all panels are made of. */
+
+import type { ComponentChildren, JSX } from "preact";
+import { useEffect, useId, useRef } from "preact/hooks";
+import { effect, signal } from "@preact/signals";
+import { closeAll } from "../core/keys.ts";
+import { showNote } from "../core/notices.ts";
+import type { Level } from "../core/ready.ts";
+import { T } from "../texts.ts";
+
+/** A state's shape: what it means is never told by colour alone. */
+export const MARK: Record<Level, string> = { ok: "○", busy: "▶", off: "◇", bad: "▲" };
+
+export function Panel(props: { title: string; area?: string; tools?: ComponentChildren; children: ComponentChildren }): JSX.Element {
+  const id = useId();
+  return (
+    <section class={`panel ${props.area ?? ""}`} aria-labelledby={id}>
+      <header>
+        <h2 id={id}>{props.title}</h2>
+        {props.tools}
+      </header>
+      <div class="body">{props.children}</div>
+    </section>
+  );
+}
+
+interface ActProps {
+  label: string;
+  onAct: () => void;
+  /** Why it cannot be done now; empty: it can. */
+  why?: string;
+  /** It makes something move: the space bar does not press it. */
+  motion?: boolean;
+  kind?: "plain" | "strong" | "small";
+  name?: string;
+  title?: string;
+  pressed?: boolean;
+}
+
+const swallowSpace = (event: KeyboardEvent): void => {
+  if (event.key === " ") event.preventDefault();
+};
+
+/** A button. One that cannot be used now stays visible and says why, also to the keyboard. */
+export function Act({ label, onAct, why = "", motion = false, kind = "plain", name, title, pressed }: ActProps): JSX.Element {
+  const space = motion ? { onKeyDown: swallowSpace, onKeyUp: swallowSpace } : {};
+  return (
+    <button
+      type="button"
+      class={`act ${kind}`}
+      aria-label={name}
+      aria-pressed={pressed}
+      aria-disabled={why ? "true" : undefined}
+      aria-description={why || undefined}
+      title={why || title}
+      {...space}
+      onClick={() => (why ? showNote(T.why.cannot(name ?? label), why) : onAct())}
+    >
+      {label}
+    </button>
+  );
+}
+
+export function Field(props: { label: string; note?: string; children: ComponentChildren }): JSX.Element {
+  return (
+    <label class="field">
+      <span>{props.label}</span>
+      {props.children}
+      {props.note ? <small>{props.note}</small> : null}
+    </label>
+  );
+}
+
+export function Mark({ level, text }: { level: Level; text: string }): JSX.Element {
+  return (
+    <span class={`mark ${level}`}>
+      <span aria-hidden="true">{MARK[level]}</span> {text}
+    </span>
+  );
+}
+
+export function Empty({ text }: { text: string }): JSX.Element {
+  return <p class="empty">{text}</p>;
+}
+
+export function Progress({ fraction, label }: { fraction: number; label: string }): JSX.Element {
+  const whole = Math.round(Math.min(1, Math.max(0, fraction)) * 100);
+  return (
+    <div class="progress" role="progressbar" aria-label={label} aria-valuenow={whole} aria-valuemin={0} aria-valuemax={100}>
+      <div style={{ width: `${whole}%` }} />
+    </div>
+  );
+}
+
+/** The open dialog. It leaves the stop bar free, and closes at Esc. */
+const dialog = signal<{ title: string; body: ComponentChildren; wide: boolean } | null>(null);
+let opener: HTMLElement | null = null;
+
+export function openDialog(title: string, body: ComponentChildren, wide = false): void {
+  if (dialog.value === null && document.activeElement instanceof HTMLElement) opener = document.activeElement;
+  dialog.value = { title, body, wide };
+}
+
+export function closeDialog(): void {
+  if (dialog.value === null) return;
+  dialog.value = null;
+  opener?.focus();
+  opener = null;
+}
+
+effect(() => {
+  if (closeAll.value > 0) closeDialog();
+});
+
+export function DialogHost(): JSX.Element | null {
+  const now = dialog.value;
+  const box = useRef<HTMLDivElement>(null);
+  const id = useId();
+  useEffect(() => {
+    if (now !== null) box.current?.focus();
+  }, [now?.title]);
+  if (now === null) return null;
+  return (
+    <div class="veil" onPointerDown={(event) => (event.target === event.currentTarget ? closeDialog() : undefined)}>
+      <div class={`dialog ${now.wide ? "wide" : ""}`} role="dialog" aria-labelledby={id} tabIndex={-1} ref={box}>
+        <header>
+          <h2 id={id}>{now.title}</h2>
+          <Act label={T.close} onAct={closeDialog} kind="small" />
+        </header>
+        <div class="body">{now.body}</div>
+      </div>
+    </div>
+  );
+}

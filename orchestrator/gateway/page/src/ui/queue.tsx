@@ -1,0 +1,192 @@
+/** The queue: what waits for what, in which order; moved by dragging, or by "before …". */
+
+import type { JSX } from "preact";
+import { effect, signal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+import { dayAndTime, shortId } from "../core/format.ts";
+import { post } from "../core/http.ts";
+import { closeAll } from "../core/keys.ts";
+import type { QueueEntry } from "../core/model.ts";
+import { accept } from "../core/notices.ts";
+import { whyNot } from "../core/rights.ts";
+import { queue } from "../core/store.ts";
+import { T } from "../texts.ts";
+import { Approval } from "./approval.tsx";
+import { Act, Empty, openDialog, Panel } from "./parts.tsx";
+import { NewJob } from "./submit.tsx";
+
+/** A card that is being dragged, and the index that it would get. */
+const drag = signal<{ id: string; to: number } | null>(null);
+
+export function QueuePanel(): JSX.Element {
+  useEffect(() => effect(() => (closeAll.value > 0 ? void (drag.value = null) : undefined)), []);
+  const { stopped, jobs = [], total = 0 } = queue.value;
+  const waiting = jobs.filter((job) => job.state === "queued");
+  const listed = waiting.length;
+  return (
+    <Panel
+      title={T.queue.title(queue.value.waiting ?? listed)}
+      area="queue"
+      tools={
+        <div class="chips">
+          {stopped ? (
+            <Act label={T.queue.start} kind="small" motion why={whyNot("start-queue")} onAct={() => send("start-queue", {}, T.queue.start)} />
+          ) : (
+            <Act label={T.queue.stop} kind="small" why={whyNot("stop-queue")} onAct={() => send("stop-queue", {}, T.queue.stop)} />
+          )}
+          <Act label={T.queue.add} kind="small" onAct={() => openDialog(T.submit.title, <NewJob />, true)} />
+        </div>
+      }
+    >
+      {stopped ? (
+        <p class="reason warn">
+          <span aria-hidden="true">■</span> {T.queue.stopped(stopped.reason, stopped.actor, dayAndTime(stopped.utc))}
+        </p>
+      ) : null}
+      {listed === 0 ? <Empty text={T.queue.none} /> : null}
+      <ol class="cards" aria-label={T.queue.list}>
+        {waiting.map((job, index) => (
+          <Card key={job.id} job={job} index={index} waiting={waiting} />
+        ))}
+      </ol>
+      {total > jobs.length ? <p class="hint">{T.queue.more(total - jobs.length)}</p> : null}
+    </Panel>
+  );
+}
+
+function send(verb: string, body: object, what: string): Promise<boolean> {
+  return post(verb, body).then((answer) => accept(what, answer) !== null);
+}
+
+function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting: QueueEntry[] }): JSX.Element {
+  const dragged = drag.value;
+  const whyOrder = whyNot("reorder");
+  const id = [job.id];
+  const held = Boolean(job.held_by);
+  const shift = dragged && dragged.id !== job.id ? shiftOf(index, waiting, dragged) : "";
+  const others = waiting.filter((each) => each.id !== job.id);
+  return (
+    <li class={`card ${dragged?.id === job.id ? "dragged" : ""} ${shift} ${held ? "held" : ""}`} data-job={job.id}>
+      <span
+        class="handle"
+        title={whyOrder || T.queue.dragHint}
+        aria-hidden="true"
+        onPointerDown={(event) => (whyOrder ? undefined : beginDrag(event, job, waiting))}
+        onContextMenu={(event) => event.preventDefault()}
+      >
+        ⠿
+      </span>
+      <div class="cardtext">
+        <div class="rowhead">
+          <span class="num place">{index + 1}.</span> <b>{job.name}</b> <span class="quiet">{shortId(job.id)}</span>
+          <span class="quiet">{job.actor}</span>
+        </div>
+        <div class="facts">
+          {termsOf(job).map((text) => (
+            <span key={text} class="term">
+              {text}
+            </span>
+          ))}
+        </div>
+        <p class="reason">{job.reason || T.queue.next}</p>
+      </div>
+      <div class="cardtools">
+        {job.proposed ? (
+          <Act label={T.approval.review} name={T.approval.reviewOf(job.name)} kind="small" onAct={() => openDialog(T.approval.title(job.name), <Approval job={job} />, true)} />
+        ) : held ? (
+          <Act label={T.queue.release} name={T.queue.releaseOf(job.name)} kind="small" motion why={whyNot("release")} onAct={() => void send("release", { job_ids: id }, T.queue.releaseOf(job.name))} />
+        ) : (
+          <Act label={T.queue.hold} name={T.queue.holdOf(job.name)} kind="small" why={whyNot("hold")} onAct={() => void send("hold", { job_ids: id }, T.queue.holdOf(job.name))} />
+        )}
+        <select
+          aria-label={T.queue.beforeOf(job.name)}
+          value=""
+          disabled={whyOrder !== "" || others.length === 0}
+          title={whyOrder || undefined}
+          onChange={(event) => void moveTo(job, event.currentTarget.value, waiting)}
+        >
+          <option value="">{T.queue.before}</option>
+          {others.map((each) => (
+            <option key={each.id} value={each.id}>
+              {`${each.name} ${shortId(each.id)}`}
+            </option>
+          ))}
+          <option value={LAST}>{T.queue.last}</option>
+        </select>
+        <Act label="✕" name={T.job.verb("cancel", job.name)} kind="small" why={whyNot("cancel")} onAct={() => void send("cancel", { job_id: job.id }, T.job.verb("cancel", job.name))} />
+      </div>
+    </li>
+  );
+}
+
+const LAST = "-";
+
+function termsOf(job: QueueEntry): string[] {
+  const terms = job.terms ?? {};
+  const texts: string[] = [];
+  if (job.proposed) texts.push(T.queue.proposed);
+  if (terms.priority) texts.push(T.queue.priority(terms.priority));
+  if ((terms.repeat ?? 1) > 1) texts.push(T.queue.repeat(terms.repeat ?? 1));
+  if (terms.at) texts.push(T.queue.at(dayAndTime(terms.at)));
+  if (terms.after) texts.push(T.queue.after(shortId(terms.after)));
+  if (terms.expires) texts.push(T.queue.expires(dayAndTime(terms.expires)));
+  if (job.held_by) texts.push(T.queue.held(job.held_by));
+  if (job.from_step) texts.push(T.queue.fromStep(job.from_step + 1));
+  return texts;
+}
+
+function shiftOf(index: number, waiting: QueueEntry[], dragged: { id: string; to: number }): string {
+  const from = waiting.findIndex((each) => each.id === dragged.id);
+  if (from < index && index <= dragged.to) return "shiftup";
+  if (dragged.to <= index && index < from) return "shiftdown";
+  return "";
+}
+
+/** Drag by pointer events, so that it is the same for mouse, pen and finger. */
+function beginDrag(event: PointerEvent, job: QueueEntry, waiting: QueueEntry[]): void {
+  const handle = event.currentTarget as HTMLElement;
+  const list = handle.closest("ol");
+  if (event.button !== 0 || list === null) return;
+  event.preventDefault();
+  handle.setPointerCapture(event.pointerId);
+  const middles = [...list.children].map((card) => {
+    const box = card.getBoundingClientRect();
+    return box.top + box.height / 2;
+  });
+  const from = waiting.indexOf(job);
+  drag.value = { id: job.id, to: from };
+  const move = (moved: PointerEvent): void => {
+    if (drag.value === null) return;
+    const above = middles.filter((middle, index) => index !== from && middle < moved.clientY).length;
+    if (above !== drag.value.to) drag.value = { id: job.id, to: above };
+  };
+  const finish = (done: boolean): void => {
+    handle.removeEventListener("pointermove", move);
+    handle.removeEventListener("pointerup", drop);
+    handle.removeEventListener("pointercancel", lose);
+    handle.removeEventListener("lostpointercapture", lose);
+    const now = drag.value;
+    drag.value = null;
+    if (!done || now === null || now.to === from) return;
+    const rest = waiting.filter((each) => each.id !== job.id);
+    void moveTo(job, rest[now.to]?.id ?? LAST, waiting);
+  };
+  const drop = (): void => finish(true);
+  const lose = (): void => finish(false);
+  handle.addEventListener("pointermove", move);
+  handle.addEventListener("pointerup", drop);
+  handle.addEventListener("pointercancel", lose);
+  handle.addEventListener("lostpointercapture", lose);
+}
+
+/** Move a job before another one. To the end: those behind it go before it, one after the other. */
+async function moveTo(job: QueueEntry, before: string, waiting: QueueEntry[]): Promise<void> {
+  if (before === "") return;
+  const what = T.queue.moveOf(job.name);
+  if (before !== LAST) {
+    await send("reorder", { job_id: job.id, before }, what);
+    return;
+  }
+  for (const behind of waiting.slice(waiting.indexOf(job) + 1))
+    if (!(await send("reorder", { job_id: behind.id, before: job.id }, what))) return;
+}

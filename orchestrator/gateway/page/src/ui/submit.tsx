@@ -1,0 +1,256 @@
+/** A new job: from a template's form or a dropped file; checked, previewed, submitted. */
+
+import type { JSX } from "preact";
+import { useEffect, useRef, useState } from "preact/hooks";
+import { signal } from "@preact/signals";
+import { get, newKey, post } from "../core/http.ts";
+import type { Checked, Parameter, QueueTerms, Refusal, Template } from "../core/model.ts";
+import { accept, showNote, showRefusal } from "../core/notices.ts";
+import { firstOf, whyNot } from "../core/rights.ts";
+import { session } from "../core/stream.ts";
+import { T } from "../texts.ts";
+import { Act, closeDialog, Empty, Field, openDialog } from "./parts.tsx";
+import { ForecastSteps, PreviewPlots } from "./preview.tsx";
+
+/** Larger job files are for the command line: `tutti submit`. */
+const LARGEST_FILE = 1_000_000;
+const CHECK_MS = 400;
+
+type Source = { text: string } | { template: string };
+
+/** The templates, and a place for a file. */
+export function NewJob(): JSX.Element {
+  const [templates, setTemplates] = useState<Template[] | null>(null);
+  useEffect(() => {
+    void get<{ templates: Template[] }>("templates").then((answer) => setTemplates(accept(T.submit.templates, answer)?.templates ?? []));
+  }, []);
+  return (
+    <div>
+      <div class="dropplace">
+        <p>{T.submit.drop}</p>
+        <label class="act file">
+          {T.submit.choose}
+          <input
+            type="file"
+            accept=".yaml,.yml,.json"
+            onChange={(event) => {
+              const file = event.currentTarget.files?.[0];
+              if (file) void openFile(file);
+            }}
+          />
+        </label>
+      </div>
+      <h3>{T.submit.templates}</h3>
+      {templates === null ? <Empty text={T.loading} /> : null}
+      {templates?.length === 0 ? <Empty text={T.submit.noTemplates} /> : null}
+      <ul class="cards">
+        {templates?.map((template) => (
+          <li class="card" key={template.file}>
+            <div class="cardtext">
+              <b>{template.name}</b>
+              <p class="reason">{template.description || template.file}</p>
+            </div>
+            <Act
+              label={T.submit.use}
+              name={T.submit.useOf(template.name)}
+              onAct={() =>
+                openDialog(
+                  T.submit.of(template.name),
+                  <JobForm key={template.file} source={{ template: template.file }} parameters={template.parameters} name={template.name} />,
+                  true,
+                )
+              }
+            />
+          </li>
+        ))}
+      </ul>
+    </div>
+  );
+}
+
+/** Read a job file that was dropped or chosen. */
+export async function openFile(file: File): Promise<void> {
+  if (file.size > LARGEST_FILE) {
+    showRefusal(file.name, { code: "too-large", text: T.submit.tooLarge, remedy: T.submit.tooLargeRemedy });
+    return;
+  }
+  const text = await file.text();
+  openDialog(T.submit.of(file.name), <JobForm key={newKey()} source={{ text }} parameters={[]} name={file.name} />, true);
+}
+
+/** Whether a file is being dragged over the page. */
+export const dropping = signal(false);
+
+export function watchDrops(): void {
+  let depth = 0;
+  const withFile = (event: DragEvent): boolean => event.dataTransfer?.types.includes("Files") ?? false;
+  window.addEventListener("dragenter", (event) => {
+    if (!withFile(event)) return;
+    depth += 1;
+    dropping.value = true;
+  });
+  window.addEventListener("dragleave", () => {
+    depth = Math.max(0, depth - 1);
+    if (depth === 0) dropping.value = false;
+  });
+  window.addEventListener("dragover", (event) => {
+    if (withFile(event)) event.preventDefault();
+  });
+  window.addEventListener("drop", (event) => {
+    depth = 0;
+    dropping.value = false;
+    const file = event.dataTransfer?.files[0];
+    if (!file) return;
+    event.preventDefault();
+    void openFile(file);
+  });
+}
+
+export function JobForm({ source, parameters, name }: { source: Source; parameters: Parameter[]; name: string }): JSX.Element {
+  const [values, setValues] = useState<Record<string, string>>({});
+  const [checked, setChecked] = useState<Checked | null>(null);
+  const [refused, setRefused] = useState<Refusal | null>(null);
+  const [terms, setTerms] = useState<QueueTerms>({});
+  const [busy, setBusy] = useState(false);
+  const key = useRef(newKey());
+  const round = useRef(0);
+  const declared = parameters.length > 0 ? parameters : (checked?.parameters ?? []);
+  useEffect(() => {
+    const mine = (round.current += 1);
+    const timer = setTimeout(
+      () =>
+        void post<Checked>("check-job", { ...source, values }).then((answer) => {
+          if (mine !== round.current) return; // there are newer values
+          setRefused("refused" in answer ? answer.refused : null);
+          setChecked("ok" in answer ? answer.ok : null);
+        }),
+      checked === null && refused === null ? 0 : CHECK_MS,
+    );
+    return () => clearTimeout(timer);
+  }, [values]);
+  const proposes = !(session.value?.may.includes("approve") ?? false);
+  const problems = checked?.problems ?? [];
+  const why = firstOf(
+    whyNot("submit"),
+    checked?.job ? "" : T.submit.notChecked,
+    problems.length > 0 ? T.submit.hasProblems : "",
+    busy ? T.submit.underWay : "",
+  );
+  const submit = async (): Promise<void> => {
+    setBusy(true);
+    const answer = await post<{ job_id: string }>("submit", { job: checked?.job, client_key: key.current, terms }, key.current);
+    setBusy(false);
+    const done = accept(T.submit.of(name), answer);
+    if (done === null) return;
+    closeDialog();
+    showNote(proposes ? T.submit.proposed(name) : T.submit.submitted(name), done.job_id);
+  };
+  return (
+    <div class="jobform">
+      {declared.length > 0 ? (
+        <fieldset class="form">
+          <legend>{T.submit.parameters}</legend>
+          {declared.map((parameter) => (
+            <ParameterField
+              key={parameter.name}
+              parameter={parameter}
+              value={values[parameter.name]}
+              onValue={(value) => {
+                const next = { ...values, [parameter.name]: value };
+                if (value === "") delete next[parameter.name];
+                setValues(next);
+                setChecked(checked ? { ...checked, job: null } : null);
+              }}
+            />
+          ))}
+        </fieldset>
+      ) : null}
+      {refused ? <p class="reason bad">{`▲ ${refused.text} ${refused.remedy ?? ""}`}</p> : null}
+      {problems.length > 0 ? (
+        <ul class="problems" role="alert" aria-label={T.submit.problems}>
+          {problems.map((problem) => (
+            <li key={`${problem.place} ${problem.text}`}>
+              {problem.line ? <span class="num">{T.submit.line(problem.line)} </span> : null}
+              {problem.place ? <code>{problem.place}</code> : null} {problem.text}
+            </li>
+          ))}
+        </ul>
+      ) : null}
+      {checked === null && refused === null ? <Empty text={T.submit.checking} /> : null}
+      {checked?.preview ? <PreviewPlots preview={checked.preview} /> : null}
+      <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} />
+      <TermsForm terms={terms} onTerms={setTerms} />
+      <div class="row">
+        <Act label={proposes ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
+        {why ? <span class="hint">{why}</span> : null}
+      </div>
+    </div>
+  );
+}
+
+/** A field for one parameter; what it allows is written beside it, and the gateway checks it. */
+function ParameterField(props: { parameter: Parameter; value: string | undefined; onValue: (value: string) => void }): JSX.Element {
+  const { parameter, value, onValue } = props;
+  const preset = parameter.default === null || parameter.default === undefined ? "" : String(parameter.default);
+  const choices = parameter.type === "boolean" ? ["true", "false"] : (parameter.choices ?? []);
+  const note = [parameter.description, rangeOf(parameter), preset ? "" : T.submit.needed].filter(Boolean).join(" · ");
+  return (
+    <Field label={`${parameter.name}${parameter.unit ? ` (${parameter.unit})` : ""}`} note={note}>
+      {choices.length > 0 ? (
+        <select value={value ?? preset} onChange={(event) => onValue(event.currentTarget.value)}>
+          {preset ? null : <option value="">–</option>}
+          {choices.map((choice) => (
+            <option key={choice}>{choice}</option>
+          ))}
+        </select>
+      ) : (
+        <input type="text" value={value ?? ""} placeholder={preset} onInput={(event) => onValue(event.currentTarget.value)} />
+      )}
+    </Field>
+  );
+}
+
+function rangeOf({ min, max }: Parameter): string {
+  const has = (value: unknown): boolean => value !== null && value !== undefined;
+  if (has(min) && has(max)) return `${String(min)} … ${String(max)}`;
+  if (has(min)) return `≥ ${String(min)}`;
+  return has(max) ? `≤ ${String(max)}` : "";
+}
+
+function TermsForm({ terms, onTerms }: { terms: QueueTerms; onTerms: (terms: QueueTerms) => void }): JSX.Element {
+  const set = (change: QueueTerms): void => onTerms({ ...terms, ...change });
+  const number = (text: string, least: number, most: number, first: number): number => {
+    const value = Math.round(Number(text));
+    return Number.isFinite(value) && text !== "" ? Math.max(least, Math.min(most, value)) : first;
+  };
+  return (
+    <fieldset class="form">
+      <legend>{T.submit.terms}</legend>
+      <Field label={T.submit.priority} note={T.submit.priorityNote}>
+        <input type="number" min={-100} max={100} value={terms.priority ?? 0} onInput={(event) => set({ priority: number(event.currentTarget.value, -100, 100, 0) })} />
+      </Field>
+      <Field label={T.submit.repeat}>
+        <input type="number" min={1} max={10000} value={terms.repeat ?? 1} onInput={(event) => set({ repeat: number(event.currentTarget.value, 1, 10000, 1) })} />
+      </Field>
+      <Field label={T.submit.at} note={T.submit.atNote}>
+        <input
+          type="datetime-local"
+          onInput={(event) => {
+            const instant = new Date(event.currentTarget.value);
+            set({ at: Number.isNaN(instant.getTime()) ? null : instant.toISOString() });
+          }}
+        />
+      </Field>
+      <label class="check">
+        <input type="checkbox" checked={terms.held ?? false} onChange={(event) => set({ held: event.currentTarget.checked })} />
+        {T.submit.held}
+      </label>
+      {terms.at ? (
+        <label class="check">
+          <input type="checkbox" checked={terms.missed === "run"} onChange={(event) => set({ missed: event.currentTarget.checked ? "run" : "skip" })} />
+          {T.submit.missed}
+        </label>
+      ) : null}
+    </fieldset>
+  );
+}
