@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import click
 
+from orchestrator.cli.approval.command import approve, plan
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.jobs import job_argument, load_report, name_jobs
@@ -34,7 +35,7 @@ _FILE = click.argument("file", type=click.Path(path_type=Path))
 
 @click.group(epilog="Example: tutti job submit move.job.yaml --wait")
 def job() -> None:
-    """Submit, list, show, reorder, pause, cancel and retry jobs, and read their reports."""
+    """Submit, list, show, approve, reorder, pause, cancel and retry jobs, and read their reports."""
 
 
 @click.command("submit", epilog="Example: tutti job submit scan.job.yaml --repeat 3 --at 22:30")
@@ -123,6 +124,8 @@ for command in (
     prune,
     hold,
     release,
+    plan,
+    approve,
     reorder,
     pause,
     resume,

@@ -30,6 +30,7 @@ class TermsOptions(TypedDict):
     at: datetime | None
     missed: str
     held: bool
+    proposed: bool
     now: bool
     expires: float | None
 
@@ -64,7 +65,8 @@ class InstantType(click.ParamType[datetime]):
 
 
 def terms_options(command: F) -> F:
-    """Add the options `--priority`, `--repeat`, `--after`, `--at`, `--missed`, `--hold`, `--now` and `--expires`."""
+    """Add the options `--priority`, `--repeat`, `--after`, `--at`, `--missed`, `--hold`, `--proposed`, `--now` and
+    `--expires`."""
     options = (
         click.option(
             "--priority", default=0, show_default=True, type=click.IntRange(-100, 100), help="Higher ones come first."
@@ -86,6 +88,7 @@ def terms_options(command: F) -> F:
             help="What to do if no coordinator leads at that time.",
         ),
         click.option("--hold", "held", is_flag=True, help="Hold it until `tutti job release`."),
+        click.option("--proposed", is_flag=True, help="Hold it until its plan is approved: `tutti job approve`."),
         click.option("--now", is_flag=True, help="Refuse it instead of letting it wait: for scripts."),
         click.option(
             "--expires", default=None, type=DurationType(), metavar="DURATION", help="Cancel it if it waits longer: 8h."
@@ -139,7 +142,9 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
         lines.append(f"{terms.repeat} times")
     if terms.priority:
         lines.append(f"priority {terms.priority}")
-    if entry.held_by:
+    if entry.proposed:
+        lines.append(f"proposed; its plan: `tutti job plan {entry.id}`")
+    elif entry.held_by:
         lines.append(f"held by {entry.held_by}: `tutti job release {entry.id}`")
     if entry.place is not None:
         lines.append(f"place {entry.place} in the queue: {localize_times(entry.reason)}")

@@ -19,7 +19,8 @@ from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertak
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse_document
 from orchestrator.model.job import Job
-from orchestrator.model.queue import QueueStop, QueueTerms
+from orchestrator.model.operation.approval import JobApproval, JobPlan
+from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition
 
 JOB = parse_document("schema: tutti.job/1\nname: scan\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
@@ -157,6 +158,55 @@ def test_upgrade_from_older_versions(tmp_path: Path, version: int) -> None:
     assert journal._db.execute("PRAGMA user_version").fetchone() == (VERSION,)  # pyright: ignore[reportPrivateUsage]
     journal.close()
     assert [row.id for row in Journal(path).list_unfinished()] == ["j2", "j3", "j4"]
+
+
+def test_jobs_of_an_older_version_keep_their_checksums(tmp_path: Path) -> None:
+    """Those of version 9 were made without the column `proposed`."""
+    path = tmp_path / "journal.db"
+    journal = Journal(path)
+    journal.accept_job("a", "a", JOB, utc(1))
+    for statement in ("DROP TABLE approvals", "DROP TABLE commands", "ALTER TABLE jobs DROP COLUMN proposed"):
+        journal.database.execute(statement)
+    journal.database.execute("PRAGMA user_version=9")
+    journal.close()
+    journal = Journal(path)
+    assert journal.load_job("a") == JOB
+    row = journal.load_record("a")
+    assert row is not None and not row.proposed
+    journal.database.execute("UPDATE jobs SET proposed = 1")
+    with pytest.raises(DamagedRecord, match="its checksum is wrong"):
+        journal.load_job("a")
+
+
+def approval(job_id: str) -> JobApproval:
+    return JobApproval(job_id=job_id, plan=JobPlan.of({"job": "test"}), actor="anna", utc=utc(2))
+
+
+def test_an_approval_releases_its_job_and_is_deleted_with_it() -> None:
+    journal = Journal(":memory:")
+    proposed = QueueEntryOptions(QueueTerms(proposed=True))
+    journal.accept_job("a", "a", JOB, utc(1), proposed)
+    row = journal.load_record("a")
+    assert row is not None and row.terms.proposed and (row.held_by, row.reason) == (APPROVAL, WAITS_FOR_APPROVAL)
+    approved = JobTransition(state="queued", reason="approved", actor="anna", utc=utc(2))
+    assert journal.approvals.load_approval("a") is None
+    assert journal.approvals.approve_job(approval("a"), approved)
+    row = journal.load_record("a")
+    assert row is not None and (row.held_by, row.reason) == ("", "approved")
+    changed = JobTransition(state="queued", reason="held again: x", actor="coordinator", utc=utc(3))
+    journal.approvals.void_approval("a", changed)
+    found, row = journal.approvals.load_approval("a"), journal.load_record("a")
+    assert found == approval("a").model_copy(update={"void": "held again: x"})
+    assert row is not None and row.held_by == APPROVAL
+    journal.database.execute("UPDATE approvals SET body = replace(body, 'anna', 'anne')")
+    with pytest.raises(DamagedRecord, match="the approval of job a is damaged"):
+        journal.approvals.load_approval("a")
+    end(journal, "a", "cancelled")
+    assert not journal.approvals.approve_job(approval("a"), approved)
+    journal.approvals.void_approval("a", changed)
+    row = journal.load_record("a")
+    assert row is not None and row.state == "cancelled"
+    assert journal.prune_jobs(utc(9), 0) == 1 and journal.approvals.load_approval("a") is None
 
 
 def refused(path: Path) -> str:

@@ -1,0 +1,1 @@
+"""Plans of proposed jobs: shown and approved."""
