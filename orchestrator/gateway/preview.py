@@ -50,12 +50,15 @@ async def draw_job(
 ) -> dict[str, Any]:
     """The preview of a job that begins with `axes`; see the HTTP reference for its fields."""
     drawing = _Drawing(fleet, axes)
-    order = StepOrder(job.steps, repeat)
-    resolver = PositionResolver(fleet, positions)
+    try:
+        order = StepOrder(PositionResolver(fleet, positions).resolve_steps(job.steps), repeat)
+    except Refusal as error:
+        drawing.note_gap(0, error.text)
+        return drawing.finish()
     for index in range(min(len(order), MAX_STEPS)):
         place = order.locate(index)
         try:
-            drawing.take(index, resolver.resolve_step(_find_step(fleet, place.step, place.point, place.part)))
+            drawing.take(index, _find_step(fleet, place.step, place.point, place.part))
         except Refusal as error:
             drawing.note_gap(index, error.text)
         if index % STEPS_AT_ONCE == 0:

@@ -21,7 +21,7 @@ from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.queue import format_utc
+from orchestrator.model.queue import format_utc, shift_utc
 from orchestrator.model.report import AxisRecording, StepRecording
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.runtime.trace_frames import FrameList
@@ -29,6 +29,7 @@ from orchestrator.runtime.trace_frames import FrameList
 MAX_RECORDINGS = 1000
 MAX_TRACE_FRAMES = 2000
 PLAN_POINTS = 400
+STATISTICS_S = 30 * 24 * 3600  # unless a day is given
 DIGITS = 6
 RECORDED = ".mcap"
 
@@ -162,8 +163,8 @@ class FleetReads:
     # Service
 
     async def _read_statistics(self, request: ReadRequest) -> Response:
-        since = request.values.get("since")
-        return await self._ask(request, "statistics", **({"since": since} if since else {}))
+        since = request.values.get("since") or shift_utc(self._hub.clock.utc(), -STATISTICS_S)[:10]
+        return await self._ask(request, "statistics", since=since)
 
     async def _list_recordings(self, _: ReadRequest) -> Response:
         return JSONResponse({"files": await self._execute(self._find_recordings)})

@@ -9,7 +9,6 @@ import os
 import secrets
 from collections.abc import Generator
 from contextlib import contextmanager
-from datetime import timedelta
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -23,7 +22,7 @@ from orchestrator.gateway.roles import Role
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.private_files import UnsafePath, open_private_file, read_private_file, replace_private_file
-from orchestrator.model.queue import Utc, format_utc, parse_utc
+from orchestrator.model.queue import Utc
 
 USERS_FILE = "users.json"
 MIN_PASSWORD, MAX_PASSWORD = 8, 1000
@@ -208,11 +207,6 @@ def find_token(table: UserTable, secret: str, utc: str) -> tuple[str, str, Store
                 raise Refusal("token-expired", text, f"make another one: `tutti user token {name}`")
             return name, token, stored
     return None
-
-
-def find_expiry(utc: str, seconds: float) -> str:
-    """The instant so many seconds after another one."""
-    return format_utc(parse_utc(utc) + timedelta(seconds=seconds))
 
 
 def _digest_token(secret: str) -> str:

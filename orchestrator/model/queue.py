@@ -1,6 +1,6 @@
 """A job's place in the queue: when it may begin, and its order. The job itself describes the motion."""
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
@@ -38,6 +38,11 @@ def parse_utc(text: str) -> datetime:
 def format_utc(instant: datetime) -> str:
     """Format as RFC 3339 UTC with microseconds, like `Clock.utc`: the texts sort in the order of their instants."""
     return instant.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ").rjust(27, "0")
+
+
+def shift_utc(utc: str, seconds: float) -> str:
+    """The RFC 3339 instant so many seconds after `utc`."""
+    return format_utc(parse_utc(utc) + timedelta(seconds=seconds))
 
 
 def _in_utc(value: object) -> object:

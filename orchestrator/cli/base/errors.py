@@ -34,6 +34,12 @@ _NAME_CODES = {
     "bad-unit",
     "bad-name",
     "which-fleet",
+    "no-user",
+    "no-token",
+    "bad-user",
+    "user-exists",
+    "token-exists",
+    "weak-password",
 }
 _PLAIN_CODES = {FAILED: "failed", BAD_INPUT: "bad-input", UNREACHABLE: "unreachable", INTERRUPTED: "interrupted"}
 

@@ -15,6 +15,7 @@ from orchestrator.cli.base.completion import complete_controllers
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import errors, exit_with_error, refusal_exit_code
 from orchestrator.cli.base.jobs import JobReferenceType
+from orchestrator.cli.base.state import choose_state
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 FOLLOW_S = 0.25  # between two readings of the files
 PRINTED_AT_ONCE = 200  # lines
-_NAME_FOLDER = "name the folder, if the fleet was started with --state: `tutti log --state FOLDER`"
 
 
 @click.command(
@@ -71,7 +71,7 @@ def log(
     from orchestrator.monitor.logs.filter import LogFilter
     from orchestrator.monitor.logs.words import LineLayout
 
-    folder = _choose_state(state, fleet)
+    folder = choose_state(state, fleet, "log", "logs")
     since_ns = None if since is None else time.time_ns() - round(since * 1e9)
     wanted = LogFilter(None if job is None else _resolve_job(folder, job), controller, level, since_ns)
     with closing(LogFolder(folder / "log")) as files:
@@ -94,27 +94,6 @@ def _read(read: "Callable[[], list[PlacedLine]]") -> "list[PlacedLine]":
     except OSError as error:
         text = f"{error.filename or 'the log'} cannot be read: {error.strerror}"
         exit_with_error(text, BAD_INPUT, "choose another folder with --state, or run this as the user of the fleet")
-
-
-def _choose_state(state: Path | None, fleet: str | None) -> Path:
-    """The state folder; a choice that is not unique ends the command."""
-    from orchestrator.runtime.state_folder import default_state, find_running_fleets
-
-    base = default_state("any").parent
-    if state is None and fleet is None:
-        running = [each.folder for each in find_running_fleets()]
-        there = running or [path.parent for path in sorted(base.glob("*/log"))]
-        if len(there) > 1:
-            names = ", ".join(each.name for each in there)
-            text = f"several fleets {'run' if running else 'have logs'}: {names}"
-            exit_with_error(text, BAD_INPUT, "choose one with --fleet or --state", code="which-fleet")
-        if not there:
-            exit_with_error(f"no fleet has logs below {base}", BAD_INPUT, _NAME_FOLDER)
-        state = there[0]
-    folder = state or default_state(fleet or "")
-    if not (folder / "log").is_dir():
-        exit_with_error(f"{folder} has no logs", BAD_INPUT, _NAME_FOLDER)
-    return folder
 
 
 def _resolve_job(folder: Path, reference: str) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.gateway.stream.merge_patch import drop_nulls
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import AxisState, ControllerState
@@ -29,7 +30,9 @@ def show_controller(state: ControllerState, config: Controller | None, targets: 
     if state.estop is not None:
         shown["estop"] = state.estop.to_plain()
     if state.clock is not None:
-        shown["clock"] = state.clock.to_plain()
+        # In whole seconds: an age that is other in every state would be half of the stream.
+        age_ns = state.clock.age_ns // NS_PER_S * NS_PER_S
+        shown["clock"] = {"bound_ns": state.clock.bound_ns, "age_ns": age_ns, "samples": state.clock.samples}
     if config is not None:
         shown["make"] = config.adapter
     return shown

@@ -71,7 +71,7 @@ class StreamHub:
         self.clock_history = ClockHistory()
         self.number = 0
         self.patch = ""
-        self._tutti, self._clock = tutti, clock
+        self._tutti, self.clock = tutti, clock
         self._shown: dict[str, Any] = {}
         self._readers: set[StreamReader] = set()
         self._changed = True
@@ -137,7 +137,7 @@ class StreamHub:
     def _receive_mapping(self, sample: BusSample) -> None:
         with contextlib.suppress(ValidationError):
             mapping = ClockMapping.model_validate_json(sample.payload)
-            self.clock_history.take_mapping(mapping, self._clock.now_ns())
+            self.clock_history.take_mapping(mapping, self.clock.now_ns())
 
     def _receive_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus
         self.state.take_presence(key, present)
@@ -145,8 +145,8 @@ class StreamHub:
 
     async def _make_frames(self) -> None:
         while True:
-            await sleep_ns(self._clock, TICK_NS)
-            is_due = self._clock.now_ns() - self._framed_ns >= QUIET_NS
+            await sleep_ns(self.clock, TICK_NS)
+            is_due = self.clock.now_ns() - self._framed_ns >= QUIET_NS
             if not self._readers or not (self._changed or is_due):
                 continue
             self._changed = False
@@ -157,7 +157,7 @@ class StreamHub:
 
     def _advance(self, patch: dict[str, Any], shown: dict[str, Any] | None = None) -> None:
         self._shown = self.state.compose() if shown is None else shown
-        self._framed_ns = self._clock.now_ns()
+        self._framed_ns = self.clock.now_ns()
         self.number += 1
         self.patch = encode({"n": self.number, "patch": patch})
         for reader in list(self._readers):
@@ -173,7 +173,7 @@ class StreamHub:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(LOOK_NS / NS_PER_S):
                     await self._look_now.wait()
-            await sleep_ns(self._clock, NS_PER_S)
+            await sleep_ns(self.clock, NS_PER_S)
 
     async def _ask_leader(self) -> None:
         tutti, fields = self._tutti, self._tutti.request_fields()
