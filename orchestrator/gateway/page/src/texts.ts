@@ -66,15 +66,18 @@ export const T = {
   },
 
   link: {
-    fresh: (time: string) => `${time} UTC`,
+    fresh: (time: string) => time,
     old: (seconds: number) => `no news for ${seconds} s`,
     lost: (seconds: number) => `not connected, ${seconds} s old`,
     noCoordinator: "no coordinator",
   },
 
-  banner: {
+  messages: {
+    title: "Messages",
+    none: "No messages.",
+    more: (count: number) => `${count} more`,
     lost: (seconds: number) =>
-      `No connection to the gateway. What is shown is ${seconds} s old. The page connects again by itself; Stop is still sent. If it does not connect, use the E-stop button of the machine.`,
+      `No connection to the gateway: what is shown is ${seconds} s old. It connects again by itself. Stop is still tried; if in doubt, use the E-stop button of the machine.`,
     noCoordinator: "The coordinator is away: jobs, homing and jogging wait for it. Stop and E-stop work. To start it again: tutti up",
     estop: (controllers: string, actor: string, reason: string, time: string) =>
       `E-stop of ${controllers} by ${actor} at ${time} UTC${reason ? `: ${reason}` : ""}. Remove the cause, then reset.`,

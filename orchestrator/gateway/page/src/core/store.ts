@@ -54,8 +54,12 @@ export class AxisStore {
   take(state: AxisState, changed: string[] | null): void {
     let slow = changed === null;
     for (const key of changed ?? FAST) {
-      if (isFast(key)) this[key].value = state[key] ?? null;
-      else slow = true;
+      if (isFast(key)) {
+        const before = this[key].peek();
+        const now = state[key] ?? null;
+        this[key].value = now;
+        if ((before === null) !== (now === null)) slow = true; // a row without a target looks different
+      } else slow = true;
     }
     if (slow) this.flags.value = state;
   }

@@ -1,4 +1,4 @@
-/** The page: head, stop bar, banners, and one of the three views. */
+/** The page: head, stop bar, messages, and one of the three views. */
 
 import type { JSX } from "preact";
 import { view } from "../core/look.ts";
@@ -6,7 +6,6 @@ import { connection } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AlarmsPanel } from "./alarmlist.tsx";
 import { AxisTable } from "./axes.tsx";
-import { Banners } from "./banners.tsx";
 import { ClocksPanel } from "./clocks.tsx";
 import { CommandsPanel, ConfigurationPanel, RecordingsPanel } from "./configuration.tsx";
 import { EventsPanel } from "./eventlist.tsx";
@@ -18,6 +17,7 @@ import { across, JogPanel } from "./jogpad.tsx";
 import { LinksPanel } from "./links.tsx";
 import { LivePlots } from "./liveplots.tsx";
 import { Login } from "./login.tsx";
+import { Messages } from "./messages.tsx";
 import { DialogHost } from "./parts.tsx";
 import { PositionsPanel } from "./positions.tsx";
 import { PreparePanel } from "./prepare.tsx";
@@ -31,8 +31,8 @@ export function App(): JSX.Element {
     <div class="page">
       <Header />
       <StopBar />
+      <Messages />
       <main>
-        <Banners />
         <div class={`view ${view.value}`} data-testid={`view-${view.value}`}>
           <ViewPanels />
         </div>

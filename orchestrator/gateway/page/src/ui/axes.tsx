@@ -82,6 +82,7 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
   const ready = readinessOf(axis.id, flags, controller.rest.value, permits.value);
   // Texts that change often are bound to their signals: the row is not rendered again for them.
   const position = useMemo(() => computed(() => formatValue(axis.position.value, axis.flags.value.unit)), [axis]);
+  const holder = holderOf(axis);
   const target = useMemo(() => computed(() => formatTarget(axis)), [axis]);
   return (
     <tr class={`axis ${ready.level} ${chosen ? "chosen" : ""}`} data-axis={axis.id} data-testid={`axis-${axis.id}`}>
@@ -97,14 +98,14 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
       <td class="num position" data-testid={`position-${axis.id}`}>
         <span class="value">{position}</span> <span class="unit">{formatUnit(flags.unit)}</span>
       </td>
-      <td class="num target">
+      <td class={`num target ${flags.target === undefined ? "none" : ""}`}>
         <span class="value">{target}</span>
       </td>
       <td class="state">
         <Mark level={ready.level} text={ready.text} />
         {ready.remedy ? <small class="remedy">{ready.remedy}</small> : null}
       </td>
-      <td class="holder">{holderOf(axis)}</td>
+      <td class={`holder ${holder === NOBODY ? "none" : ""}`}>{holder}</td>
       <td class="tools">
         <Act
           label="⋯"
@@ -136,11 +137,13 @@ export function togglePlot(id: string): void {
   plotted.value = now.includes(id) ? now.filter((each) => each !== id) : [...now, id].slice(-MOST_PLOTS);
 }
 
+const NOBODY = "–";
+
 /** Who may move it now: this page, a user, a job. */
 export function holderOf(axis: AxisStore): string {
   if (held.value.includes(axis.id)) return T.axes.you;
   const lease = leases.value[axis.id] ?? leases.value[axis.controller];
-  if (!lease?.holder) return "–";
+  if (!lease?.holder) return NOBODY;
   const job = jobs.value[lease.holder];
   if (job) return T.axes.heldByJob(job.name, lease.actor);
   return lease.what ? `${lease.actor} (${lease.what})` : lease.actor;

@@ -2,6 +2,7 @@
 
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
+import { dayAndTime } from "../core/format.ts";
 import { get, post } from "../core/http.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
@@ -150,7 +151,7 @@ function Changes({ changes, name }: { changes: NonNullable<FleetChecked["changes
 
 /** Ask for a file of the gateway by name: which recordings there are. */
 export function RecordingsPanel(): JSX.Element {
-  const shown = usePolled<{ files?: { name: string; bytes: number; begin_utc: string; end_utc?: string | null }[] }>("recordings", REFRESH_MS);
+  const shown = usePolled<{ files?: { name: string; bytes: number; changed_utc?: string; begin_utc?: string }[] }>("recordings", REFRESH_MS);
   const files = shown?.files ?? [];
   return (
     <Panel title={T.recordings.title} area="recordings">
@@ -161,7 +162,7 @@ export function RecordingsPanel(): JSX.Element {
             <tr key={file.name}>
               <th scope="row">{file.name}</th>
               <td>{`${(file.bytes / 1e6).toFixed(1)} MB`}</td>
-              <td>{file.begin_utc.slice(0, 19).replace("T", " ")}</td>
+              <td>{dayAndTime(file.changed_utc ?? file.begin_utc)}</td>
             </tr>
           ))}
         </tbody>
@@ -189,7 +190,7 @@ export function CommandsPanel(): JSX.Element {
         <tbody>
           {commands?.map((command, index) => (
             <tr key={index}>
-              <td class="num">{command.utc.slice(0, 19).replace("T", " ")}</td>
+              <td class="num when">{dayAndTime(command.utc)}</td>
               <td>{command.actor}</td>
               <td>{command.verb}</td>
               <td>{command.subject}</td>

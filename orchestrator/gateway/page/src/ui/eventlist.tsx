@@ -39,7 +39,7 @@ export function EventsPanel(): JSX.Element {
         <tbody>
           {shown.slice(0, MOST_ROWS).map((event) => (
             <tr key={event.n}>
-              <td class="num">{dayAndTime(event.utc)}</td>
+              <td class="num when">{dayAndTime(event.utc)}</td>
               <td>{event.controller}</td>
               <td>{event.kind}</td>
               <td>{event.text}</td>

@@ -82,6 +82,7 @@ function Link(): JSX.Element {
   return (
     <span class={`linkline num ${bad ? "bad" : ""}`}>
       <span aria-hidden="true">{bad ? "▲" : "●"}</span> {text}
+      {bad ? "" : <span class="wideonly"> UTC</span>}
       {coordinator.value.present || bad ? "" : ` · ${T.link.noCoordinator}`}
     </span>
   );
@@ -112,6 +113,9 @@ function Settings(): JSX.Element {
         <input type="checkbox" checked={soundOn.value} onChange={(event) => (soundOn.value = event.currentTarget.checked)} />
         {T.settings.sound}
       </label>
+      <p>
+        {session.value?.user ?? T.user.nobody}, {session.value ? T.role[session.value.role] : ""}
+      </p>
       <p class="quiet">{T.settings.version(session.value?.version ?? "–")}</p>
       <p class="hint">{T.settings.keys}</p>
       {session.value?.user ? <Act label={T.user.signOut} onAct={() => void signOut()} /> : null}

@@ -46,7 +46,7 @@ export function HistoryPanel(): JSX.Element {
         <tbody>
           {ended?.map((job) => (
             <tr key={job.id}>
-              <td class="num">{dayAndTime(job.submitted_utc)}</td>
+              <td class="num when">{dayAndTime(job.submitted_utc)}</td>
               <th scope="row">
                 <button type="button" class="link" onClick={() => openDialog(T.history.of(job.name), <JobDetails job={job} />, true)}>
                   {job.name}

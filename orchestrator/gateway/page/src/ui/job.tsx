@@ -42,7 +42,7 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
           {T.job.step(Math.min(job.step + 1, job.steps), job.steps)} {job.step_name}
         </span>
         {job.point ? <span>{T.job.point(job.point, job.points ?? 0)}</span> : null}
-        <span>{T.job.remaining(formatSeconds(job.remaining_s))}</span>
+        {typeof job.remaining_s === "number" ? <span>{T.job.remaining(formatSeconds(job.remaining_s))}</span> : null}
       </div>
       {job.reason ? <p class="reason">{job.reason}</p> : null}
       <Stages id={id} />

@@ -2,7 +2,7 @@
 
 import type { JSX } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { formatBytes, timeOfDay } from "../core/format.ts";
+import { formatBytes } from "../core/format.ts";
 import { get } from "../core/http.ts";
 import { accept } from "../core/notices.ts";
 import { controllers } from "../core/store.ts";
@@ -11,6 +11,7 @@ import { T } from "../texts.ts";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 
 interface TraceFrame {
+  /** Seconds, negative: before the answer. Kept as an instant on this page's own clock. */
   at_s: number;
   direction: string;
   text: string;
@@ -85,7 +86,9 @@ function Trace({ controller }: { controller: string }): JSX.Element {
       const part = accept(T.links.traceOf(controller), answer);
       if (part === null) return setFrames((before) => before ?? []);
       newest.current = part.newest;
-      setFrames((before) => [...(before ?? []), ...part.frames].slice(-MOST_FRAMES));
+      const now = performance.now() / 1000;
+      const fresh = part.frames.map((frame) => ({ ...frame, at_s: now + frame.at_s }));
+      setFrames((before) => [...(before ?? []), ...fresh].slice(-MOST_FRAMES));
       timer = setTimeout(() => void load(), REFRESH_MS);
     };
     void load();
@@ -94,15 +97,16 @@ function Trace({ controller }: { controller: string }): JSX.Element {
       clearTimeout(timer);
     };
   }, [controller]);
+  const now = performance.now() / 1000;
   if (frames === null) return <Empty text={T.loading} />;
   if (frames.length === 0) return <Empty text={T.links.noTrace} />;
   return (
     <div class="scroll trace" role="log" aria-label={T.links.traceOf(controller)} tabIndex={0}>
       <table>
         <tbody>
-          {frames.map((frame, index) => (
+          {[...frames].reverse().map((frame, index) => (
             <tr key={`${frame.at_s} ${index}`}>
-              <td class="num">{formatInstant(frame.at_s)}</td>
+              <td class="num when">{`${(frame.at_s - now).toFixed(4)} s`}</td>
               <td>{frame.direction === "out" ? "→" : "←"}</td>
               <td>
                 <code>{frame.text}</code>
@@ -114,11 +118,4 @@ function Trace({ controller }: { controller: string }): JSX.Element {
       </table>
     </div>
   );
-}
-
-/** Unix time as the time of day; anything smaller as plain seconds. */
-function formatInstant(seconds: number): string {
-  if (seconds < 1e9) return seconds.toFixed(4);
-  const text = new Date(seconds * 1000).toISOString();
-  return `${timeOfDay(text)}.${text.slice(20, 23)}`;
 }

@@ -40,10 +40,15 @@ export function Plot({ series, data, height, name, range, feed }: PlotProps): JS
   useEffect(() => {
     const place = box.current;
     if (place === null) return;
-    const size = (): { width: number; height: number } => ({ width: Math.max(120, place.clientWidth), height: Math.max(80, height || place.clientHeight) });
+    let legend = 24;
+    const size = (): { width: number; height: number } => ({
+      width: Math.max(120, place.clientWidth),
+      height: Math.max(80, height || place.clientHeight - legend),
+    });
     const made = new uPlot({ ...size(), ...optionsOf(place, series, range) }, data as uPlot.AlignedData, place);
     chart.current = made;
     const watch = new ResizeObserver(() => {
+      legend = made.root.querySelector<HTMLElement>(".u-legend")?.offsetHeight ?? legend;
       const now = size();
       if (now.width !== made.width || now.height !== made.height) made.setSize(now);
     });
@@ -64,6 +69,8 @@ export function Plot({ series, data, height, name, range, feed }: PlotProps): JS
 
 function optionsOf(place: Element, series: PlotSeries[], range?: [number, number]): Omit<uPlot.Options, "width" | "height"> {
   const ink = colourOf(place, "--ink-2");
+  const root = parseFloat(getComputedStyle(document.documentElement).fontSize) / 16;
+  const font = `${Math.round(12 * root)}px system-ui, sans-serif`;
   const grid = { stroke: colourOf(place, "--line"), width: 1 };
   const units = [...new Set(series.map((each) => each.unit))];
   const scales: uPlot.Scales = { x: range ? { time: false, range: () => range } : { time: false } };
@@ -73,20 +80,21 @@ function optionsOf(place: Element, series: PlotSeries[], range?: [number, number
     legend: { live: false },
     scales,
     axes: [
-      { stroke: ink, grid, ticks: grid, size: 28, font: FONT, values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(3)} s`) },
+      { stroke: ink, grid, ticks: grid, space: 60 * root, size: 30 * root, font, values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(3)} s`) },
       ...units.slice(0, 2).map(
         (unit, index): uPlot.Axis => ({
           scale: unit,
+          space: 36 * root,
           side: index === 0 ? 3 : 1,
           stroke: ink,
           grid: { ...grid, show: index === 0 },
           ticks: grid,
-          size: 62,
-          font: FONT,
+          size: 62 * root,
+          font,
           values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(placesOf(unit))}`),
           label: formatUnit(unit),
-          labelSize: 16,
-          labelFont: FONT,
+          labelSize: 18 * root,
+          labelFont: font,
         }),
       ),
     ],
@@ -108,8 +116,6 @@ function optionsOf(place: Element, series: PlotSeries[], range?: [number, number
     ],
   };
 }
-
-const FONT = "12px system-ui, sans-serif";
 
 /** A range that a resting axis does not fill with its noise. */
 function widen(low: number | null, high: number | null, unit: string): [number, number] {

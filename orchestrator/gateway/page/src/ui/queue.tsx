@@ -66,7 +66,7 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
   const shift = dragged && dragged.id !== job.id ? shiftOf(index, waiting, dragged) : "";
   const others = waiting.filter((each) => each.id !== job.id);
   return (
-    <li class={`card ${dragged?.id === job.id ? "dragged" : ""} ${shift} ${held ? "held" : ""}`} data-job={job.id}>
+    <li class={`card queued ${dragged?.id === job.id ? "dragged" : ""} ${shift} ${held ? "held" : ""}`} data-job={job.id}>
       <span
         class="handle"
         title={whyOrder || T.queue.dragHint}
@@ -88,7 +88,6 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
             </span>
           ))}
         </div>
-        <p class="reason">{job.reason || T.queue.next}</p>
       </div>
       <div class="cardtools">
         {job.proposed ? (
@@ -115,6 +114,7 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
         </select>
         <Act label="✕" name={T.job.verb("cancel", job.name)} kind="small" why={whyNot("cancel")} onAct={() => void send("cancel", { job_id: job.id }, T.job.verb("cancel", job.name))} />
       </div>
+      <p class="reason">{job.reason || T.queue.next}</p>
     </li>
   );
 }
@@ -149,15 +149,16 @@ function beginDrag(event: PointerEvent, job: QueueEntry, waiting: QueueEntry[]):
   if (event.button !== 0 || list === null) return;
   event.preventDefault();
   handle.setPointerCapture(event.pointerId);
-  const middles = [...list.children].map((card) => {
-    const box = card.getBoundingClientRect();
-    return box.top + box.height / 2;
-  });
+  // Places within the list: neither scrolling nor cards that make room change them.
+  const middles = [...list.children].map((card) => (card as HTMLElement).offsetTop - list.offsetTop + (card as HTMLElement).offsetHeight / 2);
+  const scroller = list.parentElement;
   const from = waiting.indexOf(job);
   drag.value = { id: job.id, to: from };
   const move = (moved: PointerEvent): void => {
     if (drag.value === null) return;
-    const above = middles.filter((middle, index) => index !== from && middle < moved.clientY).length;
+    if (scroller) scrollNear(scroller, moved.clientY);
+    const at = moved.clientY - list.getBoundingClientRect().top;
+    const above = middles.filter((middle, index) => index !== from && middle < at).length;
     if (above !== drag.value.to) drag.value = { id: job.id, to: above };
   };
   const finish = (done: boolean): void => {
@@ -177,6 +178,15 @@ function beginDrag(event: PointerEvent, job: QueueEntry, waiting: QueueEntry[]):
   handle.addEventListener("pointerup", drop);
   handle.addEventListener("pointercancel", lose);
   handle.addEventListener("lostpointercapture", lose);
+}
+
+const NEAR_PX = 40;
+
+/** Scroll a list whose edge the pointer has reached. */
+function scrollNear(scroller: Element, y: number): void {
+  const box = scroller.getBoundingClientRect();
+  if (y < box.top + NEAR_PX) scroller.scrollTop -= NEAR_PX / 2;
+  else if (y > box.bottom - NEAR_PX) scroller.scrollTop += NEAR_PX / 2;
 }
 
 /** Move a job before another one. To the end: those behind it go before it, one after the other. */

@@ -132,8 +132,8 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
   const problems = checked?.problems ?? [];
   const why = firstOf(
     whyNot("submit"),
+    problems.length > 0 || refused ? T.submit.hasProblems : "",
     checked?.job ? "" : T.submit.notChecked,
-    problems.length > 0 ? T.submit.hasProblems : "",
     busy ? T.submit.underWay : "",
   );
   const submit = async (): Promise<void> => {
@@ -143,7 +143,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
     const done = accept(T.submit.of(name), answer);
     if (done === null) return;
     closeDialog();
-    showNote(proposes ? T.submit.proposed(name) : T.submit.submitted(name), done.job_id);
+    showNote(proposes ? T.submit.proposed(name) : T.submit.submitted(name));
   };
   return (
     <div class="jobform">
