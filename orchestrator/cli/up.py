@@ -20,7 +20,7 @@ from orchestrator.cli.job_terms import DurationType
 from orchestrator.cli.records.folder import metrics_option
 
 if TYPE_CHECKING:
-    from orchestrator.runtime.live import LiveFleet
+    from orchestrator.runtime.live import LiveFleet, WebOptions
 
 REACH_S = 3.0  # for controllers to be reached before `up` says which are not
 POLL_S = 0.1
@@ -80,6 +80,15 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
     default=None,
     help="Port of the operators' page on this machine; default: the first free one of 8080 to 8089.",
 )
+@click.option("--web-host", default="127.0.0.1", show_default=True, help="Address of the page: one of this machine.")
+@click.option(
+    "--web-cert",
+    nargs=2,
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    default=None,
+    metavar="CERT KEY",
+    help="Serve the page by TLS, with a certificate and its key (PEM files).",
+)
 @click.option(
     "--jobs",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
@@ -114,6 +123,8 @@ def up(
     metrics_port: int | None,
     no_web: bool,
     web_port: int | None,
+    web_host: str,
+    web_cert: tuple[Path, Path] | None,
     jobs: Path | None,
     wait: bool,
     detach: bool,
@@ -125,8 +136,13 @@ def up(
     named; they are taken in whenever they answer.
     """
     from orchestrator.runtime.checked import load_checked_fleet
-    from orchestrator.runtime.live import LiveFleet
+    from orchestrator.runtime.live import LiveFleet, WebOptions
+    from orchestrator.runtime.own_address import require_own_address
     from orchestrator.runtime.state_folder import default_state
+
+    web = None if no_web else WebOptions(web_host, web_port, web_cert, jobs or file.parent)
+    if web is not None:
+        require_own_address(web.host)
 
     def print_line(line: str) -> None:
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
@@ -137,7 +153,7 @@ def up(
         live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
         live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
         live.metrics_port = metrics_port
-        live.web, live.web_port, live.jobs = _has_web(print_line, wanted=not no_web), web_port, jobs or file.parent
+        live.web = _choose_web(web, print_line)
         await _run_until_ended(live, print_line, limit_s if wait else REACH_S, required=wait, as_json=as_json)
 
     if not detach:
@@ -147,10 +163,9 @@ def up(
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
     options += ["--record-quota", f"{record_quota}B"]
     options += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
-    options += [] if web_port is None else ["--web-port", str(web_port)]
-    options += [] if jobs is None else ["--jobs", str(jobs)]
+    options += _list_web_options(web)
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
-    flags |= {"--new-journal": new_journal, "--no-record": no_record, "--no-web": no_web}
+    flags |= {"--new-journal": new_journal, "--no-record": no_record}
     options += [name for name, given in flags.items() if given]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 
@@ -165,14 +180,27 @@ def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) 
     return quota if wanted and missing is None else None
 
 
-def _has_web(print_line: Callable[[str], None], *, wanted: bool) -> bool:
-    """Whether the page can be served, which is said if it was wanted."""
+def _choose_web(web: "WebOptions | None", print_line: Callable[[str], None]) -> "WebOptions | None":
+    """The page as it was wanted; None if it cannot be served, which is said."""
     from orchestrator.cli.base.extras import find_missing
 
-    missing = find_missing("web") if wanted else None
+    if web is None:
+        return None
+    missing = find_missing("web")
     if missing is not None:
         print_line(f"no page: {'; '.join(missing)}")
-    return wanted and missing is None
+        return None
+    return web
+
+
+def _list_web_options(web: "WebOptions | None") -> list[str]:
+    """The options of the page again, for a detached start."""
+    if web is None:
+        return ["--no-web"]
+    options = ["--web-host", web.host]
+    options += [] if web.port is None else ["--web-port", str(web.port)]
+    options += [] if web.certificate is None else ["--web-cert", *map(str, web.certificate)]
+    return [*options, *([] if web.jobs is None else ["--jobs", str(web.jobs)])]
 
 
 async def _run_until_ended(

@@ -1,7 +1,6 @@
 """The HTTP server of the gateway: its port, and its limits of connections."""
 
 import errno
-import ipaddress
 import socket
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,8 @@ from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from orchestrator.gateway.stream.socket import MAX_FRAME_CHARS
-from orchestrator.model.errors import TuttiError
+from orchestrator.model.errors import Refusal, TuttiError
+from orchestrator.runtime.own_address import require_own_address
 
 FIRST_PORT, PORTS = 8080, 10
 ADDRESS = "127.0.0.1"
@@ -25,22 +25,12 @@ class NotServed(TuttiError):
     """The page is not served. The text says why, and what to do."""
 
 
-def require_own_address(address: str) -> None:
-    """Raises `NotServed` for an address that other machines reach."""
-    try:
-        is_own = address == "localhost" or ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        is_own = False
-    if not is_own:
-        raise NotServed(
-            f"the page is not served on {address[:100]}: other machines could reach it there, and the fleet has no "
-            f"keys by which it knows them; serve it on {ADDRESS}, and reach it by `ssh -L 8080:{ADDRESS}:8080`"
-        )
-
-
 def open_port(address: str, port: int | None) -> socket.socket:
     """Listen on a port of this machine. port: None: the first free one from 8080 on. Raises `NotServed`."""
-    require_own_address(address)
+    try:
+        require_own_address(address)
+    except Refusal as error:
+        raise NotServed(f"{error.text}; {error.remedy}") from None
     ports = [port] if port is not None else list(range(FIRST_PORT, FIRST_PORT + PORTS))
     for each in ports:
         try:

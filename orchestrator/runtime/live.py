@@ -96,6 +96,17 @@ class ChildProcess:
         return said[-1] if said else ""
 
 
+@dataclass(frozen=True, slots=True)
+class WebOptions:
+    """host: the address of the page, of this machine. port: None: the first free one from 8080 on. certificate: PEM
+    files of a certificate and its key, for TLS. jobs: the folder of job files that the page offers."""
+
+    host: str = "127.0.0.1"
+    port: int | None = None
+    certificate: tuple[Path, Path] | None = None
+    jobs: Path | None = None
+
+
 @dataclass(slots=True)
 class LiveFleet:
     """All processes that `tutti up` runs. `say` receives lines for people.
@@ -108,7 +119,7 @@ class LiveFleet:
     new_journal: a journal is begun although the fleet had one, which is missing.
     record_quota: bytes of recordings in `state`/recordings; None: nothing is recorded, and there are no metrics.
     metrics_port: of the metrics; None: the first free one; 0: none.
-    web: the operators' page is served, on `web_port`; None: the first free one. jobs: the folder of its templates.
+    web: how the operators' page is served; None: it is not.
     """
 
     fleet: Fleet
@@ -124,16 +135,14 @@ class LiveFleet:
     first_port: int = 0
     record_quota: int | None = None
     metrics_port: int | None = None
-    web: bool = False
-    web_port: int | None = None
-    jobs: Path | None = None
+    web: WebOptions | None = None
     page: str = ""
     """The address of the operators' page; empty: it is not served."""
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
     _rotation: "asyncio.Task[None] | None" = None
-    _recording: "asyncio.Task[None] | None" = None
+    _beside: "asyncio.Future[tuple[None, None]] | None" = None
 
     async def start(self) -> None:
         """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
@@ -144,7 +153,7 @@ class LiveFleet:
             await self._start_router()
             self._lock.describe_fleet(self.fleet.fleet, self.connect)
             file = self.state / FLEET_FILE
-            self._recording = asyncio.create_task(self._start_recorder(file))
+            self._beside = asyncio.gather(self._start_recorder(file), self._start_gateway())
             if self.simulated:
                 await self._start_simulators()
             replace_private_file(file, self.fleet.to_json())
@@ -157,8 +166,7 @@ class LiveFleet:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
-            await self._start_gateway()
-            await self._recording
+            await self._beside
         except BaseException:
             await self.close()
             raise
@@ -184,10 +192,10 @@ class LiveFleet:
 
     async def close(self) -> None:
         """End all children, the coordinator first and the router last."""
-        if self._recording is not None:
-            # Not while it starts: it would come into being behind this.
-            self._recording.cancel()
-            await asyncio.wait([self._recording])
+        if self._beside is not None:
+            # Not while they start: they would come into being behind this.
+            self._beside.cancel()
+            await asyncio.wait([self._beside])
         # Both coordinators at once: the standby must not take over from the other.
         both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end_child(child) for child in both))
@@ -269,13 +277,16 @@ class LiveFleet:
 
     async def _start_gateway(self) -> None:
         """Start the gateway; a fleet runs without it as well."""
-        if not self.web:
+        web = self.web
+        if web is None:
             return
         command = [sys.executable, "-m", "orchestrator.gateway.process", "--fleet", self.fleet.fleet]
         command += ["--connect", self.connect, "--state", str(self.state), "--parent", str(os.getpid())]
         command += ["--log", str(self.state / "log" / "gateway.jsonl")]
-        command += [] if self.jobs is None else ["--jobs", str(self.jobs)]
-        chosen = [] if self.web_port is None else ["--port", str(self.web_port)]
+        command += ["--address", web.host, *([] if web.jobs is None else ["--jobs", str(web.jobs)])]
+        if web.certificate is not None:
+            command += ["--ssl-certfile", str(web.certificate[0]), "--ssl-keyfile", str(web.certificate[1])]
+        chosen = [] if web.port is None else ["--port", str(web.port)]
         try:
             gateway = await self._start_child(GATEWAY, [*command, *chosen])
         except UpFailed as error:

@@ -43,11 +43,16 @@ def free_port() -> int:
 
 
 class RunningFleet:
-    """The demo fleet, or one of that name, under `tutti up --sim`, with everything it writes in `folder`. recorded: with a
-    recorder, which takes a process more."""
+    """The demo fleet, or one of that name, under `tutti up --sim`, with everything it writes in `folder`. recorded, web:
+    with a recorder, a gateway, which take a process more each."""
 
     def __init__(
-        self, folder: Path, fleet: Path = EXAMPLES / "demo.fleet.yaml", *options: str, recorded: bool = False
+        self,
+        folder: Path,
+        fleet: Path = EXAMPLES / "demo.fleet.yaml",
+        *options: str,
+        recorded: bool = False,
+        web: bool = False,
     ) -> None:
         self.folder = folder
         self.state = folder / "state"
@@ -57,6 +62,7 @@ class RunningFleet:
         command = [*COMMAND, "up", str(fleet), "--sim", "--truth"]
         command += ["--state", str(self.state), "--port", str(self.port), *options]
         command += [] if recorded else ["--no-record"]
+        command += [] if web else ["--no-web"]
         with self.said.open("w") as out:
             self.up = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
         self._known: set[int] = set()

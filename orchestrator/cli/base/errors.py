@@ -40,6 +40,7 @@ _NAME_CODES = {
     "user-exists",
     "token-exists",
     "weak-password",
+    "not-own-address",
 }
 _PLAIN_CODES = {FAILED: "failed", BAD_INPUT: "bad-input", UNREACHABLE: "unreachable", INTERRUPTED: "interrupted"}
 
