@@ -29,6 +29,8 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "clock": ("clock", "Show the estimates of the controllers' clocks."),
     "repair": ("repair", "Repair what needs a person's decision: epochs."),
     "log": ("looking.log", "Show the logs of all processes, by fleet time."),
+    "command": ("looking.commands", "Commands of users, as the journal has them."),
+    "user": ("users.command", "Users of the page: roles, passwords, tokens."),
     "raw": ("controller", "Send a command in a controller's own language."),
     "trace": ("looking.trace", "Show the last frames on a controller's link."),
     "record": ("records.command", "Recordings: list and repair them, record a fleet."),

@@ -187,6 +187,11 @@ async def move_x(fleet: VirtualFleet) -> None:
     await outcome(fleet, job("[{do: move, to: {gantry.x: 7}}]"))
 
 
+async def shift_and_move(fleet: VirtualFleet) -> None:
+    """The axis stands elsewhere, at the same user position."""
+    await outcome(fleet, job("[{do: move, to: {gantry.x: 7}}, {do: set-position, axes: {gantry.x: 0}}]"))
+
+
 def reload(change: Callable[[dict[str, Any]], Any]) -> Callable[[VirtualFleet], Awaitable[None]]:
     async def act(fleet: VirtualFleet) -> None:
         plain = FLEET.to_plain()
@@ -216,6 +221,9 @@ CHANGES = {
     "a position": Change("[{do: move, to: sample}]", save_anew, "position sample of gantry.x was 12 mm, is 13 mm"),
     "a position that is gone": Change("[{do: move, to: other}]", remove, "the fleet has no position other"),
     "an offset": Change(TO_20, shift, "offset of gantry.x was 0 mm, is 5 mm"),
+    "an offset that hides a move": Change(
+        "[{do: move, by: {gantry.x: 1}}]", shift_and_move, "offset of gantry.x was 0 mm, is -7 mm"
+    ),
     "a start": Change("[{do: move, by: {gantry.x: 1}}]", move_x, "start of gantry.x was 0 mm, is 7 mm"),
     "a start in a repeat": Change(
         "[{do: repeat, times: 2, steps: [{do: move, by: {gantry.x: 1}}]}]", move_x, "start of gantry.x was 0 mm, is 7 mm"

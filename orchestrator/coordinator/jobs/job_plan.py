@@ -175,7 +175,7 @@ def _describe_places(fleet: Fleet, uses: _JobUses, states: Mapping[str, Controll
     for name in uses.axes:
         axis, (controller, short) = fleet.axis(name), split_name(name)
         state = states[controller].axes[short]
-        if name in uses.absolute:
+        if name in uses.absolute or name in uses.started:
             parts[f"offset of {name}"] = f"{_format_exact(state.offset)} {axis.unit}"
         if name in uses.started:
             parts[f"start of {name}"] = _describe_start(name, axis, state)

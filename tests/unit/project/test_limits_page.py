@@ -6,8 +6,11 @@ import pytest
 
 from adapters.controller.tracing import MAX_TRACE_PART_BYTES
 from orchestrator.bus import answers, limits, log, logfile
+from orchestrator.coordinator.command_log import MAX_SUBJECT
+from orchestrator.coordinator.jobs.approval import MAX_SHOWN
 from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
 from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES
+from orchestrator.coordinator.journal.command_table import MAX_COMMANDS
 from orchestrator.coordinator.journal.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
 from orchestrator.coordinator.journal.point_store import QUOTA_BYTES
 from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
@@ -37,6 +40,8 @@ ROWS = {
     "points or values": [MAX_LISTED, MAX_SCAN_AXES, MAX_AT_EACH],
     "steps inside a repeat": [MAX_REPEATED, MAX_REPEAT_DEPTH],
     "points of scans that are stored": [QUOTA_BYTES],
+    "commands of users": [MAX_COMMANDS, MAX_SUBJECT],
+    "plans that a coordinator": [MAX_SHOWN],
     "jobs without axes": [MAX_JOBS_WITHOUT_AXES],
     "jobs in the published queue": [MAX_PUBLISHED_JOBS],
     "samples of an axis": [MAX_SAMPLES, MAX_RECORDED_STEPS, MAX_RECORDED_JOBS],
