@@ -2,7 +2,7 @@
  * All texts of the page, in one catalogue.
  *
  * Messages say what is, and what to do. Tests find parts of the page by role and by these names:
- *   group "Stop bar" with buttons "Stop" and "E-stop"; navigation "Views" with "Run", "Set-up", "Service";
+ *   region "Stop bar" with buttons "Stop" and "E-stop"; navigation "Views" with "Run", "Set-up", "Service";
  *   region "Axes" with `axis-gantry.x` and `position-gantry.x` (data-testid), button "Menu of gantry.x";
  *   region "Jog" with group "Jog pad" (arrow keys) and buttons "Jog gantry.x +" and "Jog gantry.x −";
  *   region "Queue …" with list "Waiting jobs", whose items have `data-job`; status "State of the fleet";
@@ -93,7 +93,7 @@ export const T = {
   },
 
   why: {
-    cannot: (what: string) => `Not possible now: ${what}`,
+    cannot: (what: string) => `Not now: ${what}`,
     noConnection: "there is no connection to the gateway",
     stale: (seconds: number) => `what is shown is ${seconds} s old; wait until it is fresh`,
     role: (role: string) => `the role ${role} may not do this; ask a maintainer for another role`,
@@ -146,7 +146,7 @@ export const T = {
     menuTitle: (axis: string) => `Axis ${axis}`,
     plot: (axis: string) => `Plot ${axis}`,
     you: "this page",
-    heldByJob: (job: string, actor: string) => `job ${job} (${actor})`,
+    heldByJob: (job: string) => `job ${job}`,
     now: "Now at",
     offset: (offset: string) => `(offset ${offset})`,
     enable: (axis: string) => `Enable ${axis}`,
@@ -171,7 +171,7 @@ export const T = {
     noAdapterRemedy: (controller: string) => `start the adapter host of ${controller}`,
     offline: "offline",
     offlineRemedy: "look at power and cable; the adapter connects again by itself",
-    estop: (actor: string, reason: string) => `E-stop by ${actor}${reason ? `: ${reason}` : ""}`,
+    estop: (actor: string) => `E-stop by ${actor}`,
     estopRemedy: "remove the cause, then reset",
     faultRemedy: "look at the alarms",
     limit: (limit: string) => (limit === "both" ? "at both limit switches" : `at the ${limit} limit switch`),
@@ -237,8 +237,8 @@ export const T = {
     passive: "passive",
     on: "Switch on",
     off: "Switch off",
-    switchOn: (name: string) => `Switch ${name} on`,
-    switchOff: (name: string) => `Switch ${name} off`,
+    switchOn: (name: string) => `Switch on ${name}`,
+    switchOff: (name: string) => `Switch off ${name}`,
   },
 
   wiring: {

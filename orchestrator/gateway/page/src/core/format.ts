@@ -81,3 +81,16 @@ export function shortId(id: string): string {
 export function percent(fraction: number): string {
   return `${Math.round(fraction * 100)} %`;
 }
+
+/** A user without the address behind the name; where there is room, the whole is shown. */
+export function withoutAddress(actor: string): string {
+  return actor.replace(/@[^@]*$/, "");
+}
+
+/** Why not, and what to do, as one sentence; with the controller that refuses before it. */
+export function explain(problem: { text: string; remedy?: string; controller?: string | null; member?: string | null }): string {
+  const who = problem.controller ?? problem.member;
+  const text = who && !problem.text.startsWith(who) ? `${who}: ${problem.text}` : problem.text;
+  if (!problem.remedy) return text;
+  return /[.!?;:]$/.test(text) ? `${text} ${problem.remedy}` : `${text}; ${problem.remedy}`;
+}

@@ -1,5 +1,6 @@
 /** Whether an axis could move now: if not, why, and what to do about it. */
 
+import { withoutAddress } from "./format.ts";
 import type { ControllerRest } from "./store.ts";
 import type { AxisState, Permit } from "./model.ts";
 import { T } from "../texts.ts";
@@ -18,7 +19,7 @@ export function readinessOf(id: string, axis: AxisState, controller: ControllerR
   const bad = (text: string, remedy: string): Readiness => ({ level: "bad", text, remedy });
   if (!controller.present) return bad(T.ready.noAdapter, T.ready.noAdapterRemedy(owner));
   if (controller.mode === "offline") return bad(T.ready.offline, firstFault(controller, name)?.remedy || T.ready.offlineRemedy);
-  if (controller.estop) return bad(T.ready.estop(controller.estop.actor, controller.estop.reason), T.ready.estopRemedy);
+  if (controller.estop) return bad(T.ready.estop(withoutAddress(controller.estop.actor)), T.ready.estopRemedy);
   const fault = firstFault(controller, name);
   if (fault) return bad(fault.text, fault.remedy);
   if (axis.fault) return bad(axis.fault, T.ready.faultRemedy);

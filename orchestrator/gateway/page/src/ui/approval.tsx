@@ -2,6 +2,7 @@
 
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
+import { explain } from "../core/format.ts";
 import { get, post } from "../core/http.ts";
 import type { JobForecast, JobPlan, Preview, QueueEntry, Refusal } from "../core/model.ts";
 import { accept, showNote } from "../core/notices.ts";
@@ -43,12 +44,12 @@ export function Approval({ job }: { job: QueueEntry }): JSX.Element {
     <div class="approval">
       <p>{T.approval.by(job.actor)}</p>
       {job.reason ? <p class="reason">{job.reason}</p> : null}
-      {refused ? <p class="reason bad">{`▲ ${refused.text} ${refused.remedy ?? ""}`}</p> : null}
+      {refused ? <p class="reason bad">{`▲ ${explain(refused)}`}</p> : null}
       {reviewed === null && refused === null ? <Empty text={T.approval.loading} /> : null}
       {reviewed?.preview ? <PreviewPlots preview={reviewed.preview} /> : null}
       <ForecastSteps forecast={reviewed?.forecast} dryRun={reviewed?.dry_run} />
       {plan ? (
-        <details open>
+        <details>
           <summary>
             {T.approval.plan} <code>{plan.hash}</code>
           </summary>
@@ -64,11 +65,11 @@ export function Approval({ job }: { job: QueueEntry }): JSX.Element {
           </table>
         </details>
       ) : null}
-      <div class="row">
+      <p class="hint">{T.approval.hint}</p>
+      <div class="row finish">
         <Act label={T.approval.release} kind="strong" motion why={why} onAct={() => void approve()} />
         <Act label={T.approval.reject} why={whyNot("cancel")} onAct={() => void reject()} />
       </div>
-      <p class="hint">{T.approval.hint}</p>
     </div>
   );
 }

@@ -3,7 +3,7 @@
 import type { JSX } from "preact";
 import { computed } from "@preact/signals";
 import { useMemo } from "preact/hooks";
-import { formatUnit, formatValue } from "../core/format.ts";
+import { formatUnit, formatValue, withoutAddress } from "../core/format.ts";
 import { held } from "../core/manual.ts";
 import { plotted } from "../core/look.ts";
 import { readinessOf } from "../core/ready.ts";
@@ -105,7 +105,10 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
         <Mark level={ready.level} text={ready.text} />
         {ready.remedy ? <small class="remedy">{ready.remedy}</small> : null}
       </td>
-      <td class={`holder ${holder === NOBODY ? "none" : ""}`}>{holder}</td>
+      <td class={`holder ${holder.who === NOBODY ? "none" : ""}`} title={holder.whole}>
+        {holder.who}
+        {holder.by ? <small class="remedy">{holder.by}</small> : null}
+      </td>
       <td class="tools">
         <Act
           label="⋯"
@@ -139,12 +142,20 @@ export function togglePlot(id: string): void {
 
 const NOBODY = "–";
 
+export interface Holder {
+  who: string;
+  by: string;
+  whole: string;
+}
+
 /** Who may move it now: this page, a user, a job. */
-export function holderOf(axis: AxisStore): string {
-  if (held.value.includes(axis.id)) return T.axes.you;
+export function holderOf(axis: AxisStore): Holder {
+  if (held.value.includes(axis.id)) return { who: T.axes.you, by: "", whole: "" };
   const lease = leases.value[axis.id] ?? leases.value[axis.controller];
-  if (!lease?.holder) return NOBODY;
+  if (!lease?.holder) return { who: NOBODY, by: "", whole: "" };
   const job = jobs.value[lease.holder];
-  if (job) return T.axes.heldByJob(job.name, lease.actor);
-  return lease.what ? `${lease.actor} (${lease.what})` : lease.actor;
+  const by = withoutAddress(lease.actor);
+  const whole = [lease.holder, lease.actor, lease.what].filter(Boolean).join(", ");
+  if (job) return { who: T.axes.heldByJob(job.name), by, whole };
+  return lease.what ? { who: by, by: lease.what, whole } : { who: by, by: "", whole };
 }

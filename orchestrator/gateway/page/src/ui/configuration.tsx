@@ -154,7 +154,7 @@ export function RecordingsPanel(): JSX.Element {
   const shown = usePolled<{ files?: { name: string; bytes: number; changed_utc?: string; begin_utc?: string }[] }>("recordings", REFRESH_MS);
   const files = shown?.files ?? [];
   return (
-    <Panel title={T.recordings.title} area="recordings">
+    <Panel title={T.recordings.title} area="recordings" scrolls>
       {files.length === 0 ? <Empty text={T.recordings.none} /> : null}
       <table class="num">
         <tbody>
@@ -184,7 +184,7 @@ export function CommandsPanel(): JSX.Element {
   const [commands, setCommands] = useState<CommandShown[] | null>(null);
   const load = async (): Promise<void> => setCommands(accept(T.commands.title, await get<{ commands?: CommandShown[] }>("commands?limit=100"))?.commands ?? null);
   return (
-    <Panel title={T.commands.title} area="commands" tools={<Act label={commands === null ? T.commands.show : T.commands.again} kind="small" onAct={() => void load()} />}>
+    <Panel title={T.commands.title} area="commands" scrolls tools={<Act label={commands === null ? T.commands.show : T.commands.again} kind="small" onAct={() => void load()} />}>
       {commands?.length === 0 ? <Empty text={T.commands.none} /> : null}
       <table>
         <tbody>

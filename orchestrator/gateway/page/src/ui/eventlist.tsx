@@ -26,6 +26,7 @@ export function EventsPanel(): JSX.Element {
     <Panel
       title={T.events.title}
       area="events"
+      scrolls
       tools={
         <div class="chips">
           <Filter label={T.controller} any={T.events.anyController} value={controller} choices={choices(all.map((event) => event.controller))} onChange={setController} />

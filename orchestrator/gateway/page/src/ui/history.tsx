@@ -2,7 +2,7 @@
 
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { dayAndTime, formatSeconds, shortId } from "../core/format.ts";
+import { dayAndTime, explain, formatSeconds, shortId } from "../core/format.ts";
 import { get, newKey, post } from "../core/http.ts";
 import { FINISHED } from "../core/lastreport.ts";
 import type { JobReport, JobShown, QueueEntry, QueueState, Recording, StepReport } from "../core/model.ts";
@@ -106,7 +106,7 @@ function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Elem
         {moved && recording === null ? <Act label={T.history.recording} kind="small" onAct={() => void load()} /> : null}
       </div>
       {step.reason ? <p class="reason">{step.reason}</p> : null}
-      {step.refused ? <p class="reason bad">{`▲ ${step.refused.member ? `${step.refused.member}: ` : ""}${step.refused.text} ${step.refused.remedy ?? ""}`}</p> : null}
+      {step.refused ? <p class="reason bad">{`▲ ${explain(step.refused)}`}</p> : null}
       {(step.deviations ?? []).map((text) => (
         <p class="reason" key={text}>
           {text}

@@ -16,6 +16,7 @@ import { showNote } from "../core/notices.ts";
 import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { allAxes, findAxis, findController, permits, type AxisStore } from "../core/store.ts";
+import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { holderOf } from "./axes.tsx";
 import { Act, Empty, Mark, Panel, Progress } from "./parts.tsx";
@@ -252,10 +253,12 @@ function AxisReadout({ axis }: { axis: AxisStore }): JSX.Element {
   const position = useMemo(() => computed(() => formatValue(axis.position.value, axis.flags.value.unit)), [axis]);
   const controller = findController(axis.controller);
   const ready = controller ? readinessOf(axis.id, flags, controller.rest.value, permits.value) : null;
+  const age = Math.max(controller?.age.value ?? 0, pageAge.value);
   return (
-    <div class="readout">
+    <div class={`readout ${age >= 1 ? "stale" : ""}`}>
       <div class="rowhead">
-        <b>{axis.id}</b> <span>{holderOf(axis)}</span>
+        <b>{axis.id}</b> <span class="quiet">{holderOf(axis).who}</span>
+        {age >= 1 ? <span class="age">{T.age(age)}</span> : null}
       </div>
       <div class="big num">
         <span class="value">{position}</span> <span class="unit">{formatUnit(flags.unit)}</span>

@@ -2,6 +2,7 @@
 
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
+import { explain } from "../core/format.ts";
 import { post } from "../core/http.ts";
 import type { Refusal, Session } from "../core/model.ts";
 import { reconnect, session } from "../core/stream.ts";
@@ -42,7 +43,7 @@ export function Login(): JSX.Element {
         </label>
         {refused ? (
           <p class="reason bad" role="alert">
-            <span aria-hidden="true">▲</span> {refused.text} {refused.remedy}
+            <span aria-hidden="true">▲</span> {explain(refused)}
           </p>
         ) : null}
         <button type="submit" class="act strong" disabled={busy}>

@@ -6,7 +6,7 @@
  */
 
 import type { JSX } from "preact";
-import { timeOfDay } from "../core/format.ts";
+import { explain, timeOfDay } from "../core/format.ts";
 import { isText, remembered } from "../core/look.ts";
 import { dismiss, notices, type Notice } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
@@ -57,12 +57,12 @@ function AllMessages(): JSX.Element {
 }
 
 function Line({ message, brief = false }: { message: Message; brief?: boolean }): JSX.Element {
-  const whole = [message.title, message.text, message.remedy].filter(Boolean).join(" ");
+  const whole = [message.title, explain(message)].filter(Boolean).join(": ");
   return (
     <div class={`message ${message.level} ${brief ? "brief" : ""}`} role={message.level === "bad" ? "alert" : undefined} title={brief ? whole : undefined}>
       <span class="text">
-        <span aria-hidden="true">{message.sign}</span> {message.title ? <b>{message.title}. </b> : null}
-        {message.text} {message.remedy} {message.code ? <code>{message.code}</code> : null}
+        <span aria-hidden="true">{message.sign}</span> {message.title ? <b>{message.text ? `${message.title}: ` : message.title}</b> : null}
+        {explain(message)} {message.code ? <code>{message.code}</code> : null}
       </span>
       {message.act ? <Act label={message.act.label} kind="small" why={message.act.why} onAct={message.act.onAct} /> : null}
     </div>

@@ -11,7 +11,16 @@ import { T } from "../texts.ts";
 /** A state's shape: what it means is never told by colour alone. */
 export const MARK: Record<Level, string> = { ok: "○", busy: "▶", off: "◇", bad: "▲" };
 
-export function Panel(props: { title: string; area?: string; tools?: ComponentChildren; children: ComponentChildren }): JSX.Element {
+interface PanelProps {
+  title: string;
+  area?: string;
+  tools?: ComponentChildren;
+  /** Long, with nothing in it that takes the focus: the keyboard scrolls the panel itself. */
+  scrolls?: boolean;
+  children: ComponentChildren;
+}
+
+export function Panel(props: PanelProps): JSX.Element {
   const id = useId();
   return (
     <section class={`panel ${props.area ?? ""}`} aria-labelledby={id}>
@@ -19,7 +28,9 @@ export function Panel(props: { title: string; area?: string; tools?: ComponentCh
         <h2 id={id}>{props.title}</h2>
         {props.tools}
       </header>
-      <div class="body">{props.children}</div>
+      <div class="body" {...(props.scrolls ? { tabIndex: 0, role: "group", "aria-labelledby": id } : {})}>
+        {props.children}
+      </div>
     </section>
   );
 }
@@ -123,10 +134,10 @@ export function DialogHost(): JSX.Element | null {
   return (
     <div class="veil" onPointerDown={(event) => (event.target === event.currentTarget ? closeDialog() : undefined)}>
       <div class={`dialog ${now.wide ? "wide" : ""}`} role="dialog" aria-labelledby={id} tabIndex={-1} ref={box}>
-        <header>
+        <div class="head">
           <h2 id={id}>{now.title}</h2>
           <Act label={T.close} onAct={closeDialog} kind="small" />
-        </header>
+        </div>
         <div class="body">{now.body}</div>
       </div>
     </div>

@@ -2,7 +2,7 @@
 
 import type { JSX } from "preact";
 import { useMemo, useState } from "preact/hooks";
-import { formatNs, formatSeconds, formatUnit } from "../core/format.ts";
+import { explain, formatNs, formatSeconds, formatUnit } from "../core/format.ts";
 import type { JobForecast, Preview } from "../core/model.ts";
 import { T } from "../texts.ts";
 import { alignCurves, Plot } from "./plot.tsx";
@@ -104,8 +104,7 @@ export function ForecastSteps({ forecast, dryRun }: { forecast?: JobForecast | n
     <div>
       {problems.map((problem) => (
         <p class="reason bad" key={problem.text}>
-          <span aria-hidden="true">▲</span> {problem.controller ? `${problem.controller}: ` : ""}
-          {problem.text} {problem.remedy}
+          <span aria-hidden="true">▲</span> {explain(problem)}
         </p>
       ))}
       {conditions.map((text) => (

@@ -3,13 +3,13 @@
 import type { JSX } from "preact";
 import { effect, signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { dayAndTime, shortId } from "../core/format.ts";
+import { dayAndTime, shortId, withoutAddress } from "../core/format.ts";
 import { post } from "../core/http.ts";
 import { closeAll } from "../core/keys.ts";
 import type { QueueEntry } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
-import { queue } from "../core/store.ts";
+import { jobs, queue } from "../core/store.ts";
 import { T } from "../texts.ts";
 import { Approval } from "./approval.tsx";
 import { Act, Empty, openDialog, Panel } from "./parts.tsx";
@@ -20,12 +20,14 @@ const drag = signal<{ id: string; to: number } | null>(null);
 
 export function QueuePanel(): JSX.Element {
   useEffect(() => effect(() => (closeAll.value > 0 ? void (drag.value = null) : undefined)), []);
-  const { stopped, jobs = [], total = 0 } = queue.value;
-  const waiting = jobs.filter((job) => job.state === "queued");
+  const { stopped, jobs: list = [], total = 0 } = queue.value;
+  // A job's progress is newer than the list in which it waited.
+  const waiting = list.filter((job) => job.state === "queued" && (jobs.value[job.id]?.state ?? "queued") === "queued");
   const listed = waiting.length;
+  const unlisted = total - list.length;
   return (
     <Panel
-      title={T.queue.title(queue.value.waiting ?? listed)}
+      title={T.queue.title(listed + Math.max(0, unlisted))}
       area="queue"
       tools={
         <div class="chips">
@@ -49,7 +51,7 @@ export function QueuePanel(): JSX.Element {
           <Card key={job.id} job={job} index={index} waiting={waiting} />
         ))}
       </ol>
-      {total > jobs.length ? <p class="hint">{T.queue.more(total - jobs.length)}</p> : null}
+      {unlisted > 0 ? <p class="hint">{T.queue.more(unlisted)}</p> : null}
     </Panel>
   );
 }
@@ -79,7 +81,7 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
       <div class="cardtext">
         <div class="rowhead">
           <span class="num place">{index + 1}.</span> <b>{job.name}</b> <span class="quiet">{shortId(job.id)}</span>
-          <span class="quiet">{job.actor}</span>
+          <span class="quiet">{withoutAddress(job.actor)}</span>
         </div>
         <div class="facts">
           {termsOf(job).map((text) => (

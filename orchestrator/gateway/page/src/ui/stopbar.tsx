@@ -30,9 +30,9 @@ function StopButton({ kind }: { kind: StopKind }): JSX.Element {
 
 export function StopBar(): JSX.Element {
   return (
-    <div class="stopbar" role="group" aria-label={T.stop.bar}>
+    <section class="stopbar" aria-label={T.stop.bar}>
       <StopButton kind="stop" />
       <StopButton kind="estop" />
-    </div>
+    </section>
   );
 }

@@ -3,7 +3,9 @@
 import type { JSX } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { signal } from "@preact/signals";
+import { explain } from "../core/format.ts";
 import { get, newKey, post } from "../core/http.ts";
+import { view } from "../core/look.ts";
 import type { Checked, Parameter, QueueTerms, Refusal, Template } from "../core/model.ts";
 import { accept, showNote, showRefusal } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
@@ -143,7 +145,8 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
     const done = accept(T.submit.of(name), answer);
     if (done === null) return;
     closeDialog();
-    showNote(proposes ? T.submit.proposed(name) : T.submit.submitted(name));
+    if (proposes) showNote(T.submit.proposed(name));
+    else if (view.value !== "run") showNote(T.submit.submitted(name)); // there the queue shows it
   };
   return (
     <div class="jobform">
@@ -165,7 +168,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
           ))}
         </fieldset>
       ) : null}
-      {refused ? <p class="reason bad">{`▲ ${refused.text} ${refused.remedy ?? ""}`}</p> : null}
+      {refused ? <p class="reason bad">{`▲ ${explain(refused)}`}</p> : null}
       {problems.length > 0 ? (
         <ul class="problems" role="alert" aria-label={T.submit.problems}>
           {problems.map((problem) => (
@@ -180,7 +183,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
       {checked?.preview ? <PreviewPlots preview={checked.preview} /> : null}
       <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} />
       <TermsForm terms={terms} onTerms={setTerms} />
-      <div class="row">
+      <div class="row finish">
         <Act label={proposes ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
         {why ? <span class="hint">{why}</span> : null}
       </div>
