@@ -9,18 +9,19 @@ from orchestrator.bench.truth import POLL_S, TIMEOUT_S, NothingHappened
 from orchestrator.client import Tutti
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
-from orchestrator.runtime.live import LiveFleet, find_free_port
+from orchestrator.runtime.live import LiveFleet, WebOptions, find_free_port
 
 Steps = list[dict[str, object]]
 
 
 @contextlib.asynccontextmanager
 async def run_measured_fleet(
-    fleet: Fleet, state: Path, *, standby: bool = False
+    fleet: Fleet, state: Path, *, standby: bool = False, web: WebOptions | None = None
 ) -> AsyncGenerator[tuple[LiveFleet, Tutti]]:
     """Run `fleet` while the context is open, with its controllers adopted. Raises `UpFailed`, `Refusal`,
     `NothingHappened`."""
     live = LiveFleet(fleet, state, lambda _: None, port=find_free_port(), simulated=True, truth=True, standby=standby)
+    live.web = web
     await live.start()
     try:
         async with Tutti(live.connect, fleet.fleet, "bench") as tutti:

@@ -56,7 +56,7 @@ class RecordFigures(NamedTuple):
 async def bench_record(folder: Path, seconds: float, cuts: int, show_progress: Callable[[str], None]) -> RecordFigures:
     """Measure. Raises `NothingHappened`."""
     endpoint = f"tcp/127.0.0.1:{find_free_port()}"
-    router = await _start("orchestrator.bus.zenoh.router", endpoint, str(os.getpid()))
+    router = await start_part("orchestrator.bus.zenoh.router", endpoint, str(os.getpid()))
     try:
         show_progress(f"{CONTROLLERS * AXES} axes at {HZ:g} Hz for {seconds:g} s")
         place = folder / "run"
@@ -126,7 +126,8 @@ class _BusWatcher:
         return dict(self._counted)
 
 
-async def _start(module: str, *arguments: str) -> asyncio.subprocess.Process:
+async def start_part(module: str, *arguments: str) -> asyncio.subprocess.Process:
+    """Start a process, and wait until it is ready. Raises `NothingHappened`."""
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", module, *arguments, stdout=asyncio.subprocess.PIPE
     )
@@ -138,13 +139,13 @@ async def _start(module: str, *arguments: str) -> asyncio.subprocess.Process:
 
 async def _start_recorder(endpoint: str, place: Path) -> asyncio.subprocess.Process:
     options = ["--fleet", FLEET, "--connect", endpoint, "--folder", str(place), "--quota", str(2 * 10**9)]
-    return await _start("orchestrator.monitor.recording.process", *options, "--log", str(place / "recorder.jsonl"))
+    return await start_part("orchestrator.monitor.recording.process", *options, "--log", str(place / "recorder.jsonl"))
 
 
 async def _publish(endpoint: str, seconds: float) -> int:
     module, arguments = "orchestrator.bench.recording.publisher", [endpoint, FLEET, str(CONTROLLERS), f"{HZ}"]
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", module, *arguments, f"{seconds}", stdout=asyncio.subprocess.PIPE
+        sys.executable, "-m", module, *arguments, f"{seconds}", "2", stdout=asyncio.subprocess.PIPE
     )
     output, _ = await process.communicate()
     return int(output)
@@ -152,13 +153,14 @@ async def _publish(endpoint: str, seconds: float) -> int:
 
 async def _end_recorder(process: asyncio.subprocess.Process) -> float:
     """End it; return the processor time that it has used, with its start."""
-    used_s = _cpu_s(process.pid)
+    used_s = read_cpu_s(process.pid)
     process.terminate()
     await process.wait()
     return used_s
 
 
-def _cpu_s(pid: int) -> float:
+def read_cpu_s(pid: int) -> float:
+    """The processor time that a process has used, s."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

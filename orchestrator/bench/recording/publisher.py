@@ -1,5 +1,5 @@
 """A process that publishes the states of many axes: `python -m orchestrator.bench.recording.publisher ENDPOINT FLEET
-CONTROLLERS HZ SECONDS`. At the end it prints how many it has published."""
+CONTROLLERS HZ SECONDS MOVING`. At the end it prints how many it has published."""
 
 import asyncio
 import sys
@@ -17,22 +17,22 @@ COUNTS_PER_MM = 1000
 HEARTBEAT_S = 0.5
 
 
-def make_state(controller: str, number: int, at_ns: int, utc: str) -> ControllerState:
-    """The state of a controller of four axes, of which two move. at_ns: fleet time."""
+def make_state(controller: str, number: int, at_ns: int, utc: str, moving: int = 2) -> ControllerState:
+    """The state of a controller of four axes, of which the first `moving` ones move. at_ns: fleet time."""
     axes: dict[str, AxisState] = {}
     for place, name in enumerate(AXES):
-        moving = place < 2
-        counts = number * 123 * (place + 1) % 400_000 if moving else 12_500 * place
-        following = 2 if moving else 0
+        moves = place < moving
+        counts = number * 123 * (place + 1) % 400_000 if moves else 12_500 * place
+        following = 2 if moves else 0
         axes[name] = AxisState(
             position=counts / COUNTS_PER_MM,
             commanded=(counts + following) / COUNTS_PER_MM,
-            velocity=12.3 * (place + 1) if moving else 0.0,
+            velocity=12.3 * (place + 1) if moves else 0.0,
             motor_position=counts / COUNTS_PER_MM,
             raw_counts=counts,
             commanded_counts=counts + following,
             unit="mm",
-            moving=moving,
+            moving=moves,
             enabled=True,
             referenced=True,
         )
@@ -56,8 +56,9 @@ def make_state(controller: str, number: int, at_ns: int, utc: str) -> Controller
     )
 
 
-async def publish_states(endpoint: str, fleet: str, controllers: int, hz: float, seconds: float) -> int:
-    """Publish for a time; return how many states."""
+async def publish_states(place: tuple[str, str], controllers: int, hz: float, seconds: float, moving: int = 2) -> int:
+    """Publish for a time; return how many states. place: endpoint and fleet. moving: axes of each controller."""
+    endpoint, fleet = place
     bus, clock, keys = await open_bus(endpoint), LiveClock(), FleetKeys(fleet)
     origin_ns = clock.now_ns()
     names = [f"c{number:02}" for number in range(controllers)]
@@ -78,7 +79,7 @@ async def publish_states(endpoint: str, fleet: str, controllers: int, hz: float,
             bus.put(keys.leader, beat.to_json(), Priority.STATE)
         utc = clock.utc()
         for name in names:
-            state = make_state(name, number, clock.now_ns() - origin_ns, utc)
+            state = make_state(name, number, clock.now_ns() - origin_ns, utc, moving)
             bus.put(keys.state(name), state.to_json(), Priority.EVENT)  # so that none is lost on the way
             sent += 1
     while bus.backlog:
@@ -89,7 +90,6 @@ async def publish_states(endpoint: str, fleet: str, controllers: int, hz: float,
 
 
 if __name__ == "__main__":
-    sent = asyncio.run(
-        publish_states(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4]), float(sys.argv[5]))
-    )
+    endpoint, fleet, controllers, hz, seconds, moving = sys.argv[1:]
+    sent = asyncio.run(publish_states((endpoint, fleet), int(controllers), float(hz), float(seconds), int(moving)))
     sys.stdout.write(f"{sent}\n")

@@ -200,6 +200,22 @@ LIVE_BENCHMARKS = (
         has_failed=lambda document: bool(document["lost"] or document["doubled"] or document["moved_on"]),
     ),
     Benchmark(
+        "page",
+        """Measure the gateway and the operators' page in a real browser (Chromium), live, for some minutes.
+
+        The gateway's processor time with 20 sockets and a page, 64 axes moving; script time and heap of the page; and
+        how quickly a jog ends when it is let go, or when the browser is killed, by the simulator's truth.
+        """,
+        "tutti bench page --json",
+        (
+            BenchOption("seconds", "int", "Of load.", 20, 5, 600),
+            BenchOption("rounds", "int", "Jogs that are let go.", 30, 1, 1000),
+        ),
+        runs.run_page,
+        (BenchTable("rows", (BenchColumn("figure", "what"), BenchColumn("value>", "value", "g")), has_targets=True),),
+        has_failed=lambda document: not all(row.met for row in document["rows"]),
+    ),
+    Benchmark(
         "record",
         """Measure the recorder, live: 64 axes on 16 controllers, published 100 times a second by a process of its own.
 

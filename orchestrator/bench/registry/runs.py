@@ -5,6 +5,7 @@ A benchmark's own module is imported only when it runs.
 
 import sys
 from collections.abc import Callable, Coroutine
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,7 +19,6 @@ ShowProgress = Callable[[str], None]
 Fields = dict[str, Any]
 
 _TUTTI_CODE = "from orchestrator.cli.main import main; main(prog_name='tutti')"
-_DEMO_FLEET = Path(__file__).resolve().parents[2] / "deploy" / "examples" / "demo.fleet.yaml"
 
 
 class InvalidOption(TuttiError):
@@ -35,8 +35,9 @@ class BenchFailed(TuttiError):
 
 def _load_demo_fleet() -> "Fleet":
     from orchestrator.model.files import load_fleet
+    from orchestrator.runtime.examples import find_example
 
-    return load_fleet(_DEMO_FLEET)
+    return load_fleet(find_example("demo.fleet.yaml"))
 
 
 def _measure_live(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
@@ -199,6 +200,15 @@ def run_kills(show_progress: ShowProgress, rounds: int) -> Fields:
 
     fleet = _load_demo_fleet()
     return _measure_live(lambda folder: bench_kills(fleet, folder, rounds, show_progress))._asdict()
+
+
+def run_page(show_progress: ShowProgress, seconds: int, rounds: int) -> Fields:
+    if find_spec("playwright") is None:
+        raise BenchFailed("playwright is not installed; use the environment of the tests: make test-browser")
+    from orchestrator.bench.page.measure import bench_page
+
+    fleet = _load_demo_fleet()
+    return {"rows": _measure_live(lambda folder: bench_page(fleet, folder, seconds, rounds, show_progress))}
 
 
 def run_record(show_progress: ShowProgress, seconds: int, cuts: int) -> Fields:

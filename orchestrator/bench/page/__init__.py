@@ -1,0 +1,1 @@
+"""Measures the gateway and the operators' page."""
