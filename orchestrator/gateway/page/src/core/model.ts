@@ -264,6 +264,17 @@ export interface MemberReport {
   evidence?: Record<string, AxisEvidence>;
 }
 
+export interface ScanSummary {
+  points: number;
+  done: number;
+  verdicts?: Record<string, number>;
+  start_skew_worst_ns?: number | null;
+  not_green?: { point: number; verdict: string; text: string }[];
+  least_s?: number | null;
+  mean_s?: number | null;
+  most_s?: number | null;
+}
+
 export interface StepReport {
   index: number;
   do: string;
@@ -281,6 +292,8 @@ export interface StepReport {
   verdict: "green" | "amber" | "red" | "none";
   deviations?: string[];
   refused?: Refusal | null;
+  scan?: ScanSummary | null;
+  feed_holds?: { by: string; utc: string }[];
 }
 
 export interface JobReport {

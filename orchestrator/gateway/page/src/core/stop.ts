@@ -5,7 +5,7 @@ import { post } from "./http.ts";
 import { cancelWork, endJog } from "./manual.ts";
 import type { Answer, Stopped } from "./model.ts";
 import { showNote, showRefusal } from "./notices.ts";
-import { ask, isOpen, listen } from "./stream.ts";
+import { ask, isOpen, listen, noConnection } from "./stream.ts";
 import { T } from "../texts.ts";
 
 export type StopKind = "stop" | "estop";
@@ -20,11 +20,30 @@ const STOP = { do: "stop" };
 
 export function stopFleet(kind: StopKind): void {
   // Nothing comes before it: the frame is on its way when `ask` returns.
-  const answer = isOpen() ? ask(kind === "stop" ? STOP : ESTOP) : post<Record<string, unknown>>(kind, kind === "stop" ? {} : { reason: T.stop.estopReason });
+  const asked = isOpen() ? ask(kind === "stop" ? STOP : ESTOP) : null;
+  const answer = asked === null ? request(kind) : orRequest(asked, kind);
   endJog();
   cancelWork();
   pendingStop.value = kind;
   void answer.then((done) => finish(kind, done));
+}
+
+/** How long a socket that looks open may take before a request goes beside it. A stop twice is no harm. */
+const PATIENCE_MS = 1000;
+
+function orRequest(asked: Promise<Answer>, kind: StopKind): Promise<Answer> {
+  return new Promise((resolve) => {
+    const timer = setTimeout(() => resolve(request(kind)), PATIENCE_MS);
+    void asked.then((answer) => {
+      clearTimeout(timer);
+      // A socket that was closed meanwhile has carried nothing for certain.
+      resolve("refused" in answer && answer.refused.code === noConnection().code ? request(kind) : answer);
+    });
+  });
+}
+
+function request(kind: StopKind): Promise<Answer> {
+  return post<Record<string, unknown>>(kind, kind === "stop" ? {} : { reason: T.stop.estopReason });
 }
 
 function finish(kind: StopKind, answer: Answer): void {

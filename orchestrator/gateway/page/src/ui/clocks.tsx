@@ -88,23 +88,38 @@ function learnedBy(clock: ClockShown | null | undefined): string {
   return parts.join("; ") || "–";
 }
 
-const HISTORY_PLOTS: { field: "bound_us" | "rate_ppm" | "offset_us"; unit: string }[] = [
-  { field: "bound_us", unit: "µs" },
-  { field: "rate_ppm", unit: "ppm" },
-];
+type Plotted = "bound" | "offset";
+
+const CURVES: Record<Plotted, { field: "bound_us" | "offset_us" | "rate_ppm"; unit: string }[]> = {
+  bound: [
+    { field: "bound_us", unit: "µs" },
+    { field: "rate_ppm", unit: "ppm" },
+  ],
+  offset: [
+    { field: "offset_us", unit: "µs" },
+    { field: "rate_ppm", unit: "ppm" },
+  ],
+};
 
 function ClockPlot({ name, history }: { name: string; history: ClockHistory | undefined }): JSX.Element {
+  const [plotted, setPlotted] = useState<Plotted>("bound");
   if (!history || history.t.length < 2) return <Empty text={T.clocks.noHistory} />;
   const newest = history.t.at(-1) ?? 0;
   const times = history.t.map((time) => time - newest);
-  const series = HISTORY_PLOTS.filter(({ field }) => history[field]);
+  const series = CURVES[plotted].filter(({ field }) => history[field]);
   return (
-    <Plot
-      key={name}
-      series={series.map(({ field, unit }) => ({ label: `${name} ${T.clocks.curve[field]}`, unit }))}
-      data={[times, ...series.map(({ field }) => history[field] ?? [])]}
-      height={170}
-      name={T.clocks.plot(name)}
-    />
+    <div>
+      <select aria-label={T.clocks.plotted} value={plotted} onChange={(event) => setPlotted(event.currentTarget.value === "offset" ? "offset" : "bound")}>
+        <option value="bound">{T.clocks.plots.bound}</option>
+        <option value="offset">{T.clocks.plots.offset}</option>
+      </select>
+      <Plot
+        key={`${name} ${plotted}`}
+        series={series.map(({ field, unit }) => ({ label: `${name} ${T.clocks.curve[field]}`, unit }))}
+        data={[times, ...series.map(({ field }) => history[field] ?? [])]}
+        height={170}
+        name={T.clocks.plot(name)}
+      />
+    </div>
   );
 }

@@ -156,13 +156,13 @@ export function RecordingsPanel(): JSX.Element {
   return (
     <Panel title={T.recordings.title} area="recordings" scrolls>
       {files.length === 0 ? <Empty text={T.recordings.none} /> : null}
-      <table class="num">
+      <table class="num files">
         <tbody>
           {files.map((file) => (
             <tr key={file.name}>
               <th scope="row">{file.name}</th>
               <td>{`${(file.bytes / 1e6).toFixed(1)} MB`}</td>
-              <td>{dayAndTime(file.changed_utc ?? file.begin_utc)}</td>
+              <td class="when">{dayAndTime(file.changed_utc ?? file.begin_utc)}</td>
             </tr>
           ))}
         </tbody>

@@ -93,7 +93,8 @@ function AlarmButton(): JSX.Element {
   const open = openAlarms.value.length;
   return (
     <button type="button" class={`alarmbutton ${fresh > 0 ? "fresh" : open > 0 ? "open" : ""}`} onClick={() => openDialog(T.alarms.title, <AlarmList />, true)}>
-      <span aria-hidden="true">{fresh > 0 ? "▲" : "△"}</span> {T.alarms.count(open, fresh)}
+      <span aria-hidden="true">{fresh > 0 ? "▲" : "△"}</span> {T.alarms.count(open)}
+      {fresh > 0 ? <span class="wideonly">{T.alarms.fresh(fresh)}</span> : null}
     </button>
   );
 }

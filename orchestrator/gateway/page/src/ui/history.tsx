@@ -2,10 +2,10 @@
 
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { dayAndTime, explain, formatSeconds, shortId } from "../core/format.ts";
+import { dayAndTime, explain, formatNs, formatSeconds, shortId } from "../core/format.ts";
 import { get, newKey, post } from "../core/http.ts";
 import { FINISHED } from "../core/lastreport.ts";
-import type { JobReport, JobShown, QueueEntry, QueueState, Recording, StepReport } from "../core/model.ts";
+import type { JobReport, JobShown, QueueEntry, QueueState, Recording, ScanSummary, StepReport } from "../core/model.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { T } from "../texts.ts";
@@ -112,6 +112,7 @@ function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Elem
           {text}
         </p>
       ))}
+      {step.scan ? <ScanDetails scan={step.scan} /> : null}
       {moved ? (
         <details>
           <summary>{T.history.evidence}</summary>
@@ -122,6 +123,28 @@ function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Elem
       ) : null}
       {recording ? <RecordingPlot recording={recording} /> : null}
     </section>
+  );
+}
+
+function ScanDetails({ scan }: { scan: ScanSummary }): JSX.Element {
+  return (
+    <>
+      <p class="facts num">
+        <span>{T.history.scan(scan.done, scan.points)}</span>
+        {Object.entries(scan.verdicts ?? {}).map(([verdict, count]) => (
+          <span key={verdict}>{T.history.verdicts(count, verdict)}</span>
+        ))}
+        {typeof scan.start_skew_worst_ns === "number" ? <span>{T.history.worstStart(formatNs(scan.start_skew_worst_ns))}</span> : null}
+        {typeof scan.mean_s === "number" ? (
+          <span>{T.history.perPoint(formatSeconds(scan.least_s), formatSeconds(scan.mean_s), formatSeconds(scan.most_s))}</span>
+        ) : null}
+      </p>
+      {(scan.not_green ?? []).map((finding) => (
+        <p class="reason" key={finding.point}>
+          {T.history.pointFinding(finding.point, finding.verdict, finding.text)}
+        </p>
+      ))}
+    </>
   );
 }
 

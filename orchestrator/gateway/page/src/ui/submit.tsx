@@ -180,8 +180,8 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
         </ul>
       ) : null}
       {checked === null && refused === null ? <Empty text={T.submit.checking} /> : null}
-      {checked?.preview ? <PreviewPlots preview={checked.preview} /> : null}
-      <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} />
+      {checked?.preview && problems.length === 0 ? <PreviewPlots preview={checked.preview} /> : null}
+      {problems.length === 0 ? <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} /> : null}
       <TermsForm terms={terms} onTerms={setTerms} />
       <div class="row finish">
         <Act label={proposes ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
