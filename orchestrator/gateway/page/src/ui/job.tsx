@@ -61,7 +61,8 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
   );
 }
 
-const STAGES = ["proposed", "arming", "armed", "committed", "moving", "done"];
+/** The stages of a member, in their order; any other mode is before the first. */
+const STAGES = ["armed", "committed", "moving"];
 
 function Stages({ id }: { id: string }): JSX.Element | null {
   const now = members.value[id];
@@ -76,7 +77,7 @@ function Stages({ id }: { id: string }): JSX.Element | null {
               <i key={each} class={STAGES.indexOf(each) <= STAGES.indexOf(stage) ? "past" : ""} />
             ))}
           </span>
-          <span>{stage}</span>
+          <span>{T.mode(stage)}</span>
         </li>
       ))}
     </ul>

@@ -132,7 +132,7 @@ function termsOf(job: QueueEntry): string[] {
   if (terms.at) texts.push(T.queue.at(dayAndTime(terms.at)));
   if (terms.after) texts.push(T.queue.after(shortId(terms.after)));
   if (terms.expires) texts.push(T.queue.expires(dayAndTime(terms.expires)));
-  if (job.held_by) texts.push(T.queue.held(job.held_by));
+  if (job.held_by && !job.reason.includes("held")) texts.push(T.queue.held(job.held_by));
   if (job.from_step) texts.push(T.queue.fromStep(job.from_step + 1));
   return texts;
 }
