@@ -144,7 +144,7 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
     if terms.priority:
         lines.append(f"priority {terms.priority}")
     if entry.proposed:
-        lines.append(f"proposed; its plan: `tutti job plan {entry.id}`")
+        lines.append("proposed" + (f"; its plan: `tutti job plan {entry.id}`" if entry.state == "queued" else ""))
     if entry.held_by and not (entry.proposed and entry.held_by == APPROVAL):
         lines.append(f"held by {entry.held_by}: `tutti job release {entry.id}`")
     if entry.place is not None:
