@@ -111,7 +111,7 @@ export const T = {
     bar: "Stop bar",
     label: { stop: "Stop", estop: "E-stop" },
     title: { stop: "Stop all axes by their ramps (Esc or Pause)", estop: "Stop all axes as fast as they can, and latch" },
-    estopReason: "by an operator on the page",
+    estopReason: "pressed on the operators' page",
     failed: { stop: "The stop was not sent", estop: "The E-stop was not sent" },
     failedRemedy: "Use the E-stop button of the machine now.",
     notStopped: (controller: string) => `${controller} has not confirmed the stop`,

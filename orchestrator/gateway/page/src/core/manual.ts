@@ -3,7 +3,7 @@
 import { computed, signal } from "@preact/signals";
 import type { Refusal, Work } from "./model.ts";
 import { accept, showNote, showRefusal } from "./notices.ts";
-import { ask, listen, send } from "./stream.ts";
+import { ask, listen, send, takeId } from "./stream.ts";
 import { T } from "../texts.ts";
 
 const RENEW_MS = 100;
@@ -130,14 +130,11 @@ export async function beginWork(words: string, axes: string[], step: object): Pr
   if (held.value.length > 0) release();
   working.value = { words, axes, fraction: null };
   keepAlive();
-  const answer = await ask({ do: "work", step });
-  const ok = accept(words, answer);
-  if (ok === null) {
-    working.value = null;
-    return false;
-  }
-  if (typeof ok["id"] === "number") workId = ok["id"];
-  return true;
+  const id = takeId();
+  workId = id;
+  if (accept(words, await ask({ do: "work", step }, id)) !== null) return true;
+  if (workId === id) working.value = null;
+  return false;
 }
 
 export function cancelWork(): void {
@@ -148,7 +145,7 @@ const ENDED = new Set(["done", "failed", "cancelled", "aborted", "interrupted", 
 
 function takeWork(work: Work): void {
   const now = working.value;
-  if (now === null || (workId !== 0 && work.id !== undefined && work.id < workId)) return;
+  if (now === null || work.id !== workId) return; // an earlier work may end late
   if (!ENDED.has(work.state)) {
     working.value = { ...now, fraction: work.fraction ?? now.fraction };
     return;
@@ -199,6 +196,7 @@ listen({
 export function watchPage(): void {
   window.addEventListener("blur", endJog);
   window.addEventListener("pagehide", endJog);
+  document.addEventListener("freeze", endJog);
   document.addEventListener("visibilitychange", () => {
     if (document.visibilityState !== "visible") endJog();
   });

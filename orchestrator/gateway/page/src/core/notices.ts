@@ -12,6 +12,8 @@ export interface Notice {
   code: string;
   controller: string;
   count: number;
+  /** It comes before everything else: somebody has to act now. */
+  urgent: boolean;
 }
 
 const MOST = 6;
@@ -19,7 +21,7 @@ const MOST = 6;
 export const notices = signal<Notice[]>([]);
 let lastKey = 0;
 
-export function showRefusal(what: string, refusal: Refusal): void {
+export function showRefusal(what: string, refusal: Refusal, urgent = false): void {
   add({
     kind: "refusal",
     title: what,
@@ -27,11 +29,12 @@ export function showRefusal(what: string, refusal: Refusal): void {
     remedy: refusal.remedy ?? "",
     code: refusal.code,
     controller: refusal.controller ?? refusal.member ?? "",
+    urgent,
   });
 }
 
 export function showNote(title: string, text = ""): void {
-  add({ kind: "note", title, text, remedy: "", code: "", controller: "" });
+  add({ kind: "note", title, text, remedy: "", code: "", controller: "", urgent: false });
 }
 
 /** The result of `answer`, or null after its refusal has been shown. */

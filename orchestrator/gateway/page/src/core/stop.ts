@@ -48,14 +48,14 @@ function request(kind: StopKind): Promise<Answer> {
 
 function finish(kind: StopKind, answer: Answer): void {
   pendingStop.value = null;
-  if ("refused" in answer) showRefusal(T.stop.failed[kind], { ...answer.refused, remedy: T.stop.failedRemedy });
+  if ("refused" in answer) showRefusal(T.stop.failed[kind], { ...answer.refused, remedy: T.stop.failedRemedy }, true);
 }
 
 listen({
   onStopped(stopped) {
     stoppedBy.value = stopped;
     for (const [controller, refusal] of Object.entries(stopped.answers ?? {}))
-      if (refusal) showRefusal(T.stop.notStopped(controller), { ...refusal, controller });
+      if (refusal) showRefusal(T.stop.notStopped(controller), { ...refusal, controller }, true);
   },
 });
 

@@ -86,9 +86,14 @@ export function send(frame: object): boolean {
   return true;
 }
 
+/** A new number for a frame. */
+export function takeId(): number {
+  lastId += 1;
+  return lastId;
+}
+
 /** Send a frame that is answered. It is on its way when this returns; the answer comes later. */
-export function ask(frame: object): Promise<Answer> {
-  const id = (lastId += 1);
+export function ask(frame: object, id = takeId()): Promise<Answer> {
   if (!send({ id, ...frame })) return Promise.resolve({ refused: noConnection() });
   return new Promise((resolve) => waiting.set(id, resolve));
 }

@@ -69,10 +69,11 @@ function Line({ message, brief = false }: { message: Message; brief?: boolean })
   );
 }
 
-/** Conditions first, the worst before; then what has been answered, the newest before. */
+/** What is urgent, then conditions, the worst before; then what has been answered, the newest before. */
 function listMessages(): Message[] {
   const all: Message[] = [];
   const add = (key: string, level: Message["level"], sign: string, text: string): number => all.push({ key, level, sign, text });
+  all.push(...notices.value.filter((notice) => notice.urgent).map(messageOf));
   if (connection.value !== "open") add("lost", "bad", "▲", T.messages.lost(pageAge.value));
   else if (loaded.value && !coordinator.value.present) add("coordinator", "bad", "▲", T.messages.noCoordinator);
   const estopped = controllers.value.filter((controller) => controller.rest.value.estop);
@@ -88,7 +89,7 @@ function listMessages(): Message[] {
     });
   }
   const stopped = stoppedBy.value ?? undismissed();
-  if (stopped)
+  if (stopped && !(estop && stopped.what === "estop"))
     all.push({
       key: "stopped",
       level: "warn",
@@ -103,7 +104,7 @@ function listMessages(): Message[] {
         },
       },
     });
-  all.push(...notices.value.map(messageOf));
+  all.push(...notices.value.filter((notice) => !notice.urgent).map(messageOf));
   if (session.value && !session.value.users) add("users", "quiet", "ℹ", T.messages.noUsers);
   return all;
 }
@@ -119,7 +120,7 @@ function undismissed(): typeof lastStop.value {
 function messageOf(notice: Notice): Message {
   return {
     key: `notice ${notice.key}`,
-    level: notice.kind === "refusal" ? "warn" : "quiet",
+    level: notice.urgent ? "bad" : notice.kind === "refusal" ? "warn" : "quiet",
     sign: notice.kind === "refusal" ? "▲" : "ℹ",
     title: notice.count > 1 ? `${notice.title} (${notice.count}×)` : notice.title,
     text: notice.controller ? `${notice.controller}: ${notice.text}` : notice.text,

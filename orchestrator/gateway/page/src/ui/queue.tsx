@@ -104,6 +104,7 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
           value=""
           disabled={whyOrder !== "" || others.length === 0}
           title={whyOrder || undefined}
+          onKeyDown={openFirst}
           onChange={(event) => void moveTo(job, event.currentTarget.value, waiting)}
         >
           <option value="">{T.queue.before}</option>
@@ -122,6 +123,13 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
 }
 
 const LAST = "-";
+
+/** A key opens the list; it must not choose from it unseen, as keys do in a closed list. */
+function openFirst(event: KeyboardEvent & { currentTarget: HTMLSelectElement }): void {
+  if (["Tab", "Enter", "Shift", "Control", "Alt", "Meta"].includes(event.key)) return;
+  event.preventDefault();
+  event.currentTarget.showPicker();
+}
 
 function termsOf(job: QueueEntry): string[] {
   const terms = job.terms ?? {};
@@ -144,6 +152,10 @@ function shiftOf(index: number, waiting: QueueEntry[], dragged: { id: string; to
   return "";
 }
 
+function middleOf(box: DOMRect): number {
+  return box.top + box.height / 2;
+}
+
 /** Drag by pointer events, so that it is the same for mouse, pen and finger. */
 function beginDrag(event: PointerEvent, job: QueueEntry, waiting: QueueEntry[]): void {
   const handle = event.currentTarget as HTMLElement;
@@ -152,7 +164,8 @@ function beginDrag(event: PointerEvent, job: QueueEntry, waiting: QueueEntry[]):
   event.preventDefault();
   handle.setPointerCapture(event.pointerId);
   // Places within the list: neither scrolling nor cards that make room change them.
-  const middles = [...list.children].map((card) => (card as HTMLElement).offsetTop - list.offsetTop + (card as HTMLElement).offsetHeight / 2);
+  const top = list.getBoundingClientRect().top;
+  const middles = [...list.children].map((card) => middleOf(card.getBoundingClientRect()) - top);
   const scroller = list.parentElement;
   const from = waiting.indexOf(job);
   drag.value = { id: job.id, to: from };
