@@ -104,6 +104,7 @@ export const T = {
     offline: (id: string) => `${id} is offline; look at its power and cable`,
     estop: (id: string) => `${id} has an E-stop; reset it first`,
     working: (words: string) => `first wait for this, or stop it: ${words}`,
+    held: (axis: string, job: string) => `${axis} is held by the job ${job}; wait for its end, or stop it`,
     disabled: (axis: string) => `the motor of ${axis} is off; enable it first`,
   },
 

@@ -9,13 +9,14 @@ import type { JSX } from "preact";
 import { computed, effect, signal } from "@preact/signals";
 import { useEffect, useMemo } from "preact/hooks";
 import { formatQuantity, formatUnit, formatValue, percent, plainNumber } from "../core/format.ts";
+import { FINISHED } from "../core/lastreport.ts";
 import { isNumber, isText, remembered } from "../core/look.ts";
 import { beginJog, beginWork, cancelWork, endJog, held, jogging, release, working } from "../core/manual.ts";
 import { closeAll } from "../core/keys.ts";
 import { showNote } from "../core/notices.ts";
 import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { allAxes, findAxis, findController, permits, type AxisStore } from "../core/store.ts";
+import { allAxes, findAxis, findController, jobs, leases, permits, type AxisStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { holderOf } from "./axes.tsx";
@@ -41,11 +42,19 @@ function jogSpeed(axis: AxisStore): number {
   return flags.referenced ? most / 4 : most / 50;
 }
 
+/** An axis of a running job is not for jogging; whether another user has it, the gateway knows best. */
+function whyHeld(axis: AxisStore): string {
+  const holder = (leases.value[axis.id] ?? leases.value[axis.controller])?.holder;
+  const job = holder ? jobs.value[holder] : undefined;
+  return job && !FINISHED.has(job.state) ? T.why.held(axis.id, job.name) : "";
+}
+
 function whyNotJog(axis: AxisStore): string {
   const flags = axis.flags.value;
   return firstOf(
     whyNot("jog", axis.controller),
     working.value ? T.why.working(working.value.words) : "",
+    whyHeld(axis),
     flags.enabled ? "" : T.why.disabled(axis.id),
   );
 }
