@@ -8,7 +8,7 @@ import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.durations import DurationType
-from orchestrator.cli.job_terms import InstantType
+from orchestrator.cli.base.instants import InstantType
 from orchestrator.cli.queue import print_queue_stop
 
 if TYPE_CHECKING:

@@ -1,6 +1,5 @@
-"""Options for a job's place in the queue, and times in user notation."""
+"""Options for a job's place in the queue."""
 
-import re
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
@@ -8,7 +7,8 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from orchestrator.cli.base.common import console
-from orchestrator.cli.base.durations import DURATION, DurationType
+from orchestrator.cli.base.durations import DurationType
+from orchestrator.cli.base.instants import InstantType
 from orchestrator.cli.base.jobs import JobReferenceType, name_jobs
 
 if TYPE_CHECKING:
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from orchestrator.model.report import QueueEntry
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-_CLOCK = re.compile(r"^\d{1,2}:\d{2}(:\d{2})?$")
 
 
 class TermsOptions(TypedDict):
@@ -33,35 +31,6 @@ class TermsOptions(TypedDict):
     proposed: bool
     now: bool
     expires: float | None
-
-
-class InstantType(click.ParamType[datetime]):
-    """An RFC 3339 time; without an offset it is local, and `22:30` is the next such time. Aware, in local time."""
-
-    name = "time"
-
-    def __init__(self, *, past: bool = False) -> None:
-        self._past = past
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime:
-        if isinstance(value, datetime):
-            return value
-        text, now = str(value), datetime.now().astimezone()
-        if self._past and DURATION.match(text):
-            return now - timedelta(seconds=DurationType().convert(text, param, ctx))
-        try:
-            if _CLOCK.match(text):
-                clock = datetime.strptime(text, "%H:%M:%S" if text.count(":") == 2 else "%H:%M").time()
-                day = now.date()
-                wanted = datetime.combine(day, clock).astimezone()
-                if not self._past and wanted <= now:
-                    wanted = datetime.combine(day + timedelta(days=1), clock).astimezone()
-                return wanted
-            return datetime.fromisoformat(text).astimezone()
-        except (ValueError, OverflowError):
-            also = ", or an age as 7d" if self._past else ""
-            known = "2026-11-21T22:30:00+01:00, or 2026-11-21T22:30 or 22:30 in local time"
-            self.fail(f"{text!r}: write e.g. {known}{also}", param, ctx)
 
 
 def terms_options(command: F) -> F:

@@ -1,13 +1,14 @@
 """Requests of users to the leader: one table of verbs, and one place where an error becomes a reply."""
 
-from collections.abc import Awaitable, Callable
-from typing import Any, NamedTuple
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
 
 from pydantic import ValidationError
 
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
@@ -24,28 +25,8 @@ from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import RefusalDetails, Reply, Request
-from orchestrator.model.operation.alarms import (
-    AcknowledgeAlarms,
-    AlarmsAcknowledged,
-    AlarmShelved,
-    AlarmsListed,
-    ListAlarms,
-    ShelveAlarm,
-)
-from orchestrator.model.operation.approval import ApproveJob, JobPlanned
-from orchestrator.model.operation.commands import CommandsListed, ListCommands
-from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
-from orchestrator.model.positions.entries import (
-    PositionRemoved,
-    PositionSaved,
-    PositionsListed,
-    RemovePosition,
-    SavePosition,
-)
 from orchestrator.model.report import QueueState
 from orchestrator.model.service import (
-    AcquireAxes,
-    AxesAcquired,
     DryRun,
     DryRunDone,
     EpochRepaired,
@@ -55,40 +36,27 @@ from orchestrator.model.service import (
     FleetReloaded,
     JobReference,
     JobReferences,
-    JobRetried,
     JobsFound,
     JobShown,
     JobsPruned,
-    JobSubmitted,
     ListJobs,
     PauseJob,
-    PointsPut,
     PointsRead,
     PruneJobs,
-    PutPoints,
     ReadPoints,
     RecordingReference,
     RecordingReply,
     ReleaseAxes,
     ReloadFleet,
     ReorderJob,
-    RetryJob,
     StopFleet,
-    SubmitJob,
     WiringChecked,
 )
 
 ANSWERED_FIRST = frozenset({"stop", "stop-queue"})  # before they are in the journal, which may be slow
 
 
-class Verb(NamedTuple):
-    """One verb of `svc/{verb}`. cached: a repeated request gets the first answer, and the command is in the journal.
-    Not so where a verb only reads: its answers are large, and it may be executed twice."""
-
-    request: type[Request]
-    reply: type[Model]
-    handler: Callable[[Any], Awaitable[Model]]
-    cached: bool = True
+Handler = Callable[[Any], Awaitable[Model]]
 
 
 class UserRequests:
@@ -112,65 +80,66 @@ class UserRequests:
         self._rehearsal = JobRehearsal(services)
         self._commands = CommandLog(services)
         approvals = JobApprovals(services, scheduler)
-        self._verbs = {
-            "submit": Verb(SubmitJob, JobSubmitted, intake.submit_job),
-            "dry-run": Verb(DryRun, DryRunDone, self._dry_run, cached=False),
-            "list": Verb(ListJobs, QueueState, self._list_jobs, cached=False),
-            "find": Verb(FindJob, JobsFound, self._find_job, cached=False),
-            "show": Verb(JobReference, JobShown, self._show_job, cached=False),
-            "points": Verb(ReadPoints, PointsRead, self._read_points, cached=False),
-            "put-points": Verb(PutPoints, PointsPut, intake.points.put_points, cached=False),
-            "recording": Verb(RecordingReference, RecordingReply, self._load_recording, cached=False),
-            "cancel": Verb(JobReference, Reply, self._cancel_job),
-            "retry": Verb(RetryJob, JobRetried, intake.retry_job),
-            "hold": Verb(JobReferences, Reply, self._hold_jobs),
-            "release": Verb(JobReferences, Reply, self._release_jobs),
-            "plan": Verb(JobReference, JobPlanned, approvals.plan_job, cached=False),
-            "approve": Verb(ApproveJob, Reply, approvals.approve_job),
-            "reorder": Verb(ReorderJob, Reply, self._reorder_job),
-            "pause": Verb(PauseJob, Reply, self._pause_job),
-            "resume": Verb(JobReference, Reply, self._resume_job),
-            "prune": Verb(PruneJobs, JobsPruned, self._prune_jobs),
-            "stop": Verb(StopFleet, Reply, self._stop_fleet),
-            "start-queue": Verb(Request, Reply, self._start_queue),
-            "stop-queue": Verb(Request, Reply, self._stop_queue),
-            "acquire-axes": Verb(AcquireAxes, AxesAcquired, manual.acquire),
-            "release-axes": Verb(ReleaseAxes, Reply, self._release_axes),
-            "reload": Verb(ReloadFleet, FleetReloaded, self._reload_fleet),
-            "check-wiring": Verb(Request, WiringChecked, self._check_wiring),
-            "repair-epoch": Verb(Request, EpochRepaired, self._repair_epoch),
-            "positions": Verb(Request, PositionsListed, services.positions.list_positions, cached=False),
-            "save-position": Verb(SavePosition, PositionSaved, services.positions.save_position),
-            "remove-position": Verb(RemovePosition, PositionRemoved, services.positions.remove_position),
-            "alarms": Verb(ListAlarms, AlarmsListed, services.alarms.list_alarms, cached=False),
-            "acknowledge": Verb(AcknowledgeAlarms, AlarmsAcknowledged, services.alarms.acknowledge_alarms),
-            "shelve": Verb(ShelveAlarm, AlarmShelved, services.alarms.shelve_alarm),
-            "statistics": Verb(ReadStatistics, StatisticsRead, services.statistics.read_statistics, cached=False),
-            "commands": Verb(ListCommands, CommandsListed, self._commands.list_commands, cached=False),
-            "names": Verb(Request, FleetNames, self._list_names, cached=False),
-            "configuration": Verb(Request, FleetLoaded, self._show_configuration, cached=False),
+        self._handlers: Mapping[str, Handler] = {
+            "submit": intake.submit_job,
+            "dry-run": self._dry_run,
+            "list": self._list_jobs,
+            "find": self._find_job,
+            "show": self._show_job,
+            "points": self._read_points,
+            "put-points": intake.points.put_points,
+            "recording": self._load_recording,
+            "cancel": self._cancel_job,
+            "retry": intake.retry_job,
+            "hold": self._hold_jobs,
+            "release": self._release_jobs,
+            "plan": approvals.plan_job,
+            "approve": approvals.approve_job,
+            "reorder": self._reorder_job,
+            "pause": self._pause_job,
+            "resume": self._resume_job,
+            "prune": self._prune_jobs,
+            "stop": self._stop_fleet,
+            "start-queue": self._start_queue,
+            "stop-queue": self._stop_queue,
+            "acquire-axes": manual.acquire,
+            "release-axes": self._release_axes,
+            "reload": self._reload_fleet,
+            "check-wiring": self._check_wiring,
+            "repair-epoch": self._repair_epoch,
+            "positions": services.positions.list_positions,
+            "save-position": services.positions.save_position,
+            "remove-position": services.positions.remove_position,
+            "alarms": services.alarms.list_alarms,
+            "acknowledge": services.alarms.acknowledge_alarms,
+            "shelve": services.alarms.shelve_alarm,
+            "statistics": services.statistics.read_statistics,
+            "commands": self._commands.list_commands,
+            "names": self._list_names,
+            "configuration": self._show_configuration,
         }
 
     async def answer(self, sample: BusSample) -> bytes:
         """Answer one request. Raises `RequestRefused` for one that is not valid, and when the leadership is lost."""
         name = self._keys.verb_of(sample.key)
-        verb = self._verbs.get(name)
+        verb = SERVICE_VERBS.get(name)
         if verb is None:
-            raise RequestRefused(f"unknown verb {name!r}; known verbs: {', '.join(sorted(self._verbs))}")
+            raise RequestRefused(f"unknown verb {name!r}; known verbs: {', '.join(sorted(SERVICE_VERBS))}")
         try:
             request = verb.request.model_validate_json(sample.payload)
         except ValidationError as error:
             raise RequestRefused(f"{name}: {_first_problem(error)}") from None
         if self._services.leadership.over:
             raise RequestRefused("this coordinator is no longer the leader; send the request again")
-        if not verb.cached:
-            return (await self._execute(verb, request)).to_json()
+        if verb.reads:  # its answers are large, and are not kept
+            return (await self._execute(name, request)).to_json()
+        # A repeated request gets the first answer.
         return await self._answers.answer_once(name, request.request_id, lambda: self._execute_command(name, request))
 
     async def _execute_command(self, name: str, request: Request) -> bytes:
         """Execute a request that changes something, and record it, before it is answered as a rule."""
         command = self._commands.describe_command(name, request)
-        reply = await self._execute(self._verbs[name], request)
+        reply = await self._execute(name, request)
         if command is not None:
             refused = reply.refused.code if isinstance(reply, Reply) and reply.refused is not None else ""
             recorded = self._commands.record_command(command, reply, refused)
@@ -180,9 +149,9 @@ class UserRequests:
                 await recorded
         return reply.to_json()
 
-    async def _execute(self, verb: Verb, request: Request) -> Model:
+    async def _execute(self, name: str, request: Request) -> Model:
         try:
-            return await verb.handler(request)
+            return await self._handlers[name](request)
         except Refusal as error:
             refused = RefusalDetails.of(error)
         except UnknownName as error:
@@ -190,9 +159,10 @@ class UserRequests:
         except JournalError as error:
             self._services.log.warning(str(error))
             refused = RefusalDetails(code="journal", text=error.text, remedy=error.remedy)
-        if not issubclass(verb.reply, Reply):  # it has no field for a refusal
+        reply = SERVICE_VERBS[name].reply
+        if not issubclass(reply, Reply):  # it has no field for a refusal
             raise RequestRefused(f"{refused.text}; {refused.remedy}")
-        return verb.reply(refused=refused)
+        return reply(refused=refused)
 
     # Jobs
 

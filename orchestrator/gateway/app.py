@@ -1,4 +1,4 @@
-"""The gateway as an ASGI application: routes, and who may use them. It runs on any event loop, also in virtual time."""
+"""The gateway as an ASGI application: routes, and the rights that they need. It also runs in virtual time."""
 
 import asyncio
 import json
@@ -17,23 +17,23 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from orchestrator.bus.log import ProcessLog
+from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.client import Tutti
 from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor
-from orchestrator.gateway.authentication import COOKIE, Authentication, NotSignedIn
+from orchestrator.gateway.access.authentication import COOKIE, Authentication, NotSignedIn
+from orchestrator.gateway.access.identity import Identity
+from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.commands import CONTROLLER_VERBS, FleetCommands
 from orchestrator.gateway.fleet_files import compare_fleet
 from orchestrator.gateway.guard import Guard
-from orchestrator.gateway.identity import Identity
 from orchestrator.gateway.job_files import JobFiles
 from orchestrator.gateway.reads import FleetReads, Reader, ReadRequest
 from orchestrator.gateway.replies import RefusedRequest, make_model_response, make_refusal_response
 from orchestrator.gateway.stream.acts import FleetActs
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.gateway.stream.socket import UserSocket
-from orchestrator.gateway.users import UserFile
 from orchestrator.model.errors import Refusal
-from orchestrator.model.service_verbs import SERVICE_VERBS
 
 MAX_SOCKETS = 200
 LONG_BODY = 100_000  # bytes; a longer one is parsed in a thread
@@ -51,10 +51,11 @@ Act = Callable[[Identity, Mapping[str, Any]], Awaitable[Any]]
 @dataclass(frozen=True, slots=True)
 class GatewayOptions:
     """port: under which it is addressed. secure: with TLS. users: their file. jobs: the folder of templates.
-    recordings: their folder. page: the folder of the built page."""
+    recordings: their folder. page: the folder of the built page. new_secret: returns 32 random bytes as text."""
 
     port: int
     users: Path
+    new_secret: Callable[[], str]
     jobs: Path | None = None
     recordings: Path | None = None
     secure: bool = False
@@ -69,7 +70,7 @@ class Gateway:
         self.hub = StreamHub(tutti, clock)
         self._clock, self._log, self._execute, self._options = clock, log, execute, options
         self._fleet = tutti.keys.fleet
-        self._authentication = Authentication(UserFile(options.users), clock, execute)
+        self._authentication = Authentication(UserFile(options.users), clock, execute, options.new_secret)
         self._commands = FleetCommands(tutti, log, execute, self._note_stop)
         self._commands.known_controllers = lambda: self.hub.state.controllers
         self._files = JobFiles(options.jobs, execute)

@@ -11,15 +11,15 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from orchestrator.bus.log import ProcessLog
+from orchestrator.bus.service_verbs import SERVICE_VERBS, ServiceVerb
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
-from orchestrator.gateway.identity import Identity
-from orchestrator.gateway.replies import describe_refusal
+from orchestrator.gateway.access.identity import Identity
+from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ForgetRequest, RawReply, RawRequest, Reply, Request
 from orchestrator.model.service import SubmitJob
-from orchestrator.model.service_verbs import SERVICE_VERBS, ServiceVerb
 
 MAX_CONNECTIONS = 256  # actors whose connection is kept
 MAX_KEYS = 10_000  # idempotency keys

@@ -9,11 +9,11 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
+from orchestrator.bus.service_verbs import SERVICE_VERBS, ServiceVerb
+from orchestrator.gateway.access.roles import LEAST_ROLES
 from orchestrator.gateway.commands import CONTROLLER_VERBS
-from orchestrator.gateway.roles import LEAST_ROLES
 from orchestrator.model.base import Model
 from orchestrator.model.messages import RefusalDetails
-from orchestrator.model.service_verbs import SERVICE_VERBS, ServiceVerb
 
 _PLACE = "#/components/schemas/{model}"
 _GIVEN = ("request_id", "actor")  # by the gateway

@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from secrets import token_urlsafe
 
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
@@ -22,9 +23,9 @@ from orchestrator.client import Tutti
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
+from orchestrator.gateway.access.users import USERS_FILE
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.server import ADDRESS, NotServed, make_server, open_port
-from orchestrator.gateway.users import USERS_FILE
 from orchestrator.model.private_files import UnsafePath
 from orchestrator.runtime.state_folder import RECORDINGS
 
@@ -59,7 +60,8 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         clock, keys = LiveClock(), FleetKeys(place.fleet)
         log = ProcessLog("gateway", place.fleet, clock, make_file_sink(place.log), (bus, keys))
         secure = place.certificate is not None
-        options = GatewayOptions(port, place.state / USERS_FILE, place.jobs, place.state / RECORDINGS, secure=secure)
+        files = place.state / USERS_FILE, token_urlsafe, place.jobs, place.state / RECORDINGS
+        options = GatewayOptions(port, *files, secure=secure)
         gateway = Gateway(Tutti(bus, place.fleet, "gateway"), clock, log, ThreadExecutor("gateway"), options)
         server = make_server(gateway.app, place.certificate, place.key)
         loop = asyncio.get_running_loop()

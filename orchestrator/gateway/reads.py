@@ -13,8 +13,8 @@ from starlette.responses import JSONResponse, Response
 from orchestrator.client import Tutti
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.executor import Executor
+from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.commands import FleetCommands
-from orchestrator.gateway.identity import Identity
 from orchestrator.gateway.job_files import JobFiles
 from orchestrator.gateway.openapi import make_openapi
 from orchestrator.gateway.replies import make_model_response

@@ -1,12 +1,10 @@
 """Answers in JSON, and refusals with the HTTP status that fits them."""
 
-from typing import Any
-
 from starlette.responses import JSONResponse, Response
 
+from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal, TuttiError
-from orchestrator.model.messages import RefusalDetails
 
 # Everything else that a fleet refuses is a conflict with its present state.
 _STATUS = {
@@ -39,12 +37,6 @@ class RefusedRequest(TuttiError):
 def make_refusal_response(refusal: Refusal, status: int | None = None) -> Response:
     """The answer for a refusal: `{"refused": {code, text, remedy, controller}}`."""
     return JSONResponse({"refused": describe_refusal(refusal)}, status or _STATUS.get(refusal.code, 409))
-
-
-def describe_refusal(refusal: Refusal) -> dict[str, Any]:
-    """A refusal for programs."""
-    plain = RefusalDetails.of(refusal).to_plain()
-    return {"code": plain["code"], "text": plain["text"], "remedy": plain["remedy"], "controller": refusal.controller}
 
 
 def make_model_response(model: Model) -> Response:

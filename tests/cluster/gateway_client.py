@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,10 @@ from orchestrator.bus.log import ProcessLog
 from orchestrator.client.api import Tutti
 from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualProcess
+from orchestrator.gateway.access.roles import Role
+from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.app import Gateway, GatewayOptions
-from orchestrator.gateway.roles import Role
 from orchestrator.gateway.stream.merge_patch import apply_patch
-from orchestrator.gateway.users import UserFile
 from orchestrator.runtime.virtual import VirtualFleet
 
 PORT = 8080
@@ -138,7 +138,9 @@ class VirtualGateway:
         bus = fleet.net.join_process("gateway")
         self.process.add_death_callback(lambda: fleet.net.kill_process("gateway"))
         log = ProcessLog("gateway", "test", fleet.clock, self.lines.append)
-        options = GatewayOptions(PORT, self.users.path, jobs=folder, recordings=folder, page=folder / "page")
+        options = GatewayOptions(
+            PORT, self.users.path, fleet.draw_id, jobs=folder, recordings=folder, page=folder / "page"
+        )
         tutti = Tutti(bus, fleet.fleet.fleet, "gateway", fleet.draw_id)
         self.gateway = self.process.run_inside(lambda: Gateway(tutti, fleet.clock, log, run_inline, options))
 
@@ -205,7 +207,7 @@ class VirtualGateway:
         await done
 
 
-async def _ignore_result(work: Coroutine[Any, Any, Any]) -> None:
+async def _ignore_result(work: Awaitable[Any]) -> None:
     await work
 
 

@@ -10,6 +10,7 @@ import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import RequestRefused
+from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.journal import command_table
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.errors import Refusal
@@ -75,16 +76,14 @@ def test_a_repeated_request_is_one_command_and_what_only_reads_is_none() -> None
             await client.bus.request(f"{client.keys.prefix}/svc/submit", request.to_json(), 5.0)
         assert len(await commands(fleet, "anna")) == 1
         # Every verb that changes something is recorded, also when it is refused.
-        (_, coordinator), *_ = fleet.coordinators.values()
-        verbs = coordinator._requests._verbs
-        for name in verbs:
+        for name in SERVICE_VERBS:
             head = {"request_id": f"r-{name}", "actor": f"by {name}"}
             with suppress(RequestRefused):  # it needs more fields
                 await client.bus.request(f"{client.keys.prefix}/svc/{name}", json.dumps(head).encode(), 5.0)
         await asyncio.sleep(0.1)
         recorded = {each.verb for each in await client.list_commands(1000) if each.actor == f"by {each.verb}"}
         assert {"start-queue", "stop-queue", "stop", "release", "check-wiring", "acknowledge"} <= recorded
-        assert not [name for name in recorded if not verbs[name].cached]
+        assert not [name for name in recorded if SERVICE_VERBS[name].reads]
 
     run_fleet(main)
 

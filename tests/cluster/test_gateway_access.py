@@ -9,11 +9,11 @@ import pytest
 from cluster.gateway_client import OWN, PASSWORD, VirtualGateway
 from cluster.worlds import EXAMPLES, PREPARE, outcome, run_fleet
 
+from orchestrator.bus.service_verbs import SERVICE_VERBS
+from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
+from orchestrator.gateway.access.users import StoredToken
 from orchestrator.gateway.commands import CONTROLLER_VERBS
-from orchestrator.gateway.roles import LEAST_ROLES, ROLES, Role, may
-from orchestrator.gateway.users import StoredToken
 from orchestrator.model.queue import shift_utc
-from orchestrator.model.service_verbs import SERVICE_VERBS
 from orchestrator.runtime.virtual import VirtualFleet
 
 USERS: dict[str, Role] = {"vera": "viewer", "paul": "proposer", "olga": "operator", "mia": "maintainer"}
@@ -173,7 +173,7 @@ def test_a_token_has_its_own_limits(tmp_path: Path) -> None:
         stored = StoredToken(
             digest="", role="maintainer", verbs=["submit"], created_utc=utc, expires_utc=shift_utc(utc, 5)
         )
-        secret = gateway.users.add_token("olga", "ci", stored)
+        secret = gateway.users.add_token("olga", "ci", stored, "secret")
         await asyncio.sleep(1.0)
         headers = {"authorization": f"Bearer {secret}"}
         session = await gateway.get("/v1/session", headers)

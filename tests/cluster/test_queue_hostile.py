@@ -9,6 +9,7 @@ import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.bus.base import RequestRefused
+from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.model.errors import Refusal
@@ -165,7 +166,7 @@ def test_no_payload_ends_the_service(verb: str) -> None:
 def test_every_key_of_the_service_is_tried() -> None:
     async def main(fleet: VirtualFleet) -> None:
         coordinator: Coordinator = fleet.coordinators["first"][1]
-        assert set(SERVICE) == set(coordinator._requests._verbs)  # pyright: ignore[reportPrivateUsage]
+        assert set(SERVICE) == SERVICE_VERBS.keys() == coordinator._requests._handlers.keys()
         with pytest.raises(RequestRefused, match="unknown verb 'nothing'; known verbs: acknowledge, acquire-axes"):
             await fleet.make_client().bus.request(fleet.keys.service("nothing"), b"{}", timeout_s=1.0)
 

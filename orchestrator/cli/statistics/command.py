@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
-from orchestrator.cli.job_terms import InstantType
+from orchestrator.cli.base.instants import InstantType
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from secrets import token_urlsafe
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -14,11 +15,11 @@ from orchestrator.cli.base.errors import exit_with_error, expected_errors
 from orchestrator.cli.records.folder import require_extra
 
 if TYPE_CHECKING:
-    from orchestrator.gateway.users import UserFile
+    from orchestrator.gateway.access.users import UserFile
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# As in `orchestrator.gateway.roles`, which is not imported for the help.
+# As in `orchestrator.gateway.access.roles`, which is not imported for the help.
 ROLES = ("viewer", "proposer", "operator", "maintainer")
 _NAME = click.argument("name")
 _ROLE_HELP = (
@@ -185,8 +186,8 @@ def token(
 def _make_token(
     users: "UserFile", name: str, token: str, rights: tuple[Any, tuple[str, ...], float], *, as_json: bool
 ) -> None:
-    from orchestrator.gateway.roles import LEAST_ROLES
-    from orchestrator.gateway.users import StoredToken
+    from orchestrator.gateway.access.roles import LEAST_ROLES
+    from orchestrator.gateway.access.users import StoredToken
     from orchestrator.model.queue import shift_utc
 
     role, verbs, lifetime_s = rights
@@ -198,7 +199,7 @@ def _make_token(
     utc = _utc()
     expires = shift_utc(utc, lifetime_s)
     stored = StoredToken(digest="", role=chosen, verbs=list(verbs) or None, created_utc=utc, expires_utc=expires)
-    secret = users.add_token(name, token, stored)
+    secret = users.add_token(name, token, stored, token_urlsafe(32))
     value = {"user": name, "name": token, "role": chosen, "token": secret, "expires_utc": expires}
     print_result(value, secret, as_json=as_json)
 
@@ -210,7 +211,7 @@ def _open_users(state: Path | None, fleet: str | None) -> "UserFile":
     """The file of users in the state folder that is meant; a fleet that never ran gets its folder."""
     require_extra("web")
     from orchestrator.cli.base.state import choose_state
-    from orchestrator.gateway.users import USERS_FILE, UserFile
+    from orchestrator.gateway.access.users import USERS_FILE, UserFile
     from orchestrator.model.private_files import make_private_folder
     from orchestrator.runtime.state_folder import LOCK, default_state
 

@@ -12,7 +12,7 @@ from orchestrator.client import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
-from orchestrator.gateway.replies import describe_refusal
+from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.socket import Frame, Handler, UserSocket
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job

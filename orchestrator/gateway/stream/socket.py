@@ -14,8 +14,8 @@ from typing import Any, Protocol, cast
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.gateway.identity import Identity
-from orchestrator.gateway.replies import describe_refusal
+from orchestrator.gateway.access.identity import Identity
+from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.hub import StreamHub, encode
 from orchestrator.model.errors import Refusal
 

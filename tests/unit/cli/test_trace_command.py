@@ -8,6 +8,7 @@ import pytest
 from unit.cli.command_world import CommandWorld, open_world
 
 from orchestrator.cli.looking import trace as trace_module
+from orchestrator.runtime.trace_frames import FrameList
 
 
 def test_frames_are_shown_in_words_by_time_and_as_they_are(world: CommandWorld) -> None:
@@ -30,7 +31,7 @@ def test_programs_get_frames_beside_the_bytes(world: CommandWorld) -> None:
 def test_following_shows_each_frame_once(world: CommandWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[Sequence[Any]] = []
 
-    def keep(reader: trace_module.FrameList, reply: Any, *, as_json: bool) -> None:
+    def keep(reader: FrameList, reply: Any, *, as_json: bool) -> None:
         del as_json
         shown.append([(each.after_s, each.text) for each in reader.read_frames(reply)])
         if len(shown) == 4:

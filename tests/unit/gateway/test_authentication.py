@@ -8,7 +8,7 @@ import pytest
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_inline
-from orchestrator.gateway.authentication import (
+from orchestrator.gateway.access.authentication import (
     LONGEST_SESSION_NS,
     MAX_SESSIONS,
     MAX_VERIFYING,
@@ -17,13 +17,13 @@ from orchestrator.gateway.authentication import (
     NotSignedIn,
     TooManyTries,
 )
-from orchestrator.gateway.identity import Identity
-from orchestrator.gateway.users import StoredToken, UserFile
+from orchestrator.gateway.access.identity import Identity
+from orchestrator.gateway.access.users import StoredToken, UserFile
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc
 
 PASSWORD = "correct horse"
-VERIFY = "orchestrator.gateway.authentication.verify_password"
+VERIFY = "orchestrator.gateway.access.authentication.verify_password"
 BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 
 
@@ -53,9 +53,14 @@ class Door:
 
     def __init__(self, folder: Path) -> None:
         self.clock = HandClock()
+        self.drawn = 0
         self.users = UserFile(folder / "users.json")
         self.users.add_user("olga", "operator", PASSWORD, self.clock.utc())
-        self.authentication = Authentication(self.users, self.clock, run_inline)  # pyright: ignore[reportArgumentType]
+        self.authentication = Authentication(self.users, self.clock, run_inline, self.draw)  # pyright: ignore[reportArgumentType]
+
+    def draw(self) -> str:
+        self.drawn += 1
+        return f"secret-{self.drawn}"
 
     def sign_in(self, user: str = "olga", password: str = PASSWORD, address: str = "127.0.0.1") -> str:
         """The cookie header of a new session."""
@@ -145,7 +150,7 @@ def test_passwords_wait_for_each_other_in_bounded_number(door: Door) -> None:
         return True
 
     async def main() -> None:
-        authentication = Authentication(door.users, door.clock, wait)  # pyright: ignore[reportArgumentType]
+        authentication = Authentication(door.users, door.clock, wait, door.draw)  # pyright: ignore[reportArgumentType]
         tasks = [
             asyncio.ensure_future(authentication.sign_in("olga", PASSWORD, f"192.0.2.{number}"))
             for number in range(MAX_VERIFYING + 1)
@@ -161,7 +166,7 @@ def test_passwords_wait_for_each_other_in_bounded_number(door: Door) -> None:
 
 def test_an_identity_without_users_holds_until_there_is_one(tmp_path: Path) -> None:
     clock, users = HandClock(), UserFile(tmp_path / "users.json")
-    authentication = Authentication(users, clock, run_inline)  # pyright: ignore[reportArgumentType]
+    authentication = Authentication(users, clock, run_inline, lambda: "secret")  # pyright: ignore[reportArgumentType]
     identity = authentication.identify("127.0.0.1", "", "")
     assert (identity.role, identity.access, identity.actor) == ("operator", "open", "operator@127.0.0.1")
     assert authentication.is_valid(identity)
@@ -183,14 +188,14 @@ def test_a_name_that_is_none_is_refused(door: Door, name: str) -> None:
 def test_what_is_not_there_or_there_already_is_refused_in_words(door: Door) -> None:
     utc = door.clock.utc()
     stored = StoredToken(digest="", role="viewer", created_utc=utc, expires_utc=utc)
-    door.users.add_token("olga", "ci", stored)
+    door.users.add_token("olga", "ci", stored, "secret")
     for act, code in (
         (lambda: door.users.add_user("olga", "viewer", PASSWORD, utc), "user-exists"),
         (lambda: door.users.add_user("eve", "viewer", "short", utc), "weak-password"),
         (lambda: door.users.change_password("olga", "x" * 2000, utc), "weak-password"),
         (lambda: door.users.remove_user("eve"), "no-user"),
         (lambda: door.users.change_role("eve", "viewer", utc), "no-user"),
-        (lambda: door.users.add_token("olga", "ci", stored), "token-exists"),
+        (lambda: door.users.add_token("olga", "ci", stored, "secret"), "token-exists"),
         (lambda: door.users.remove_token("olga", "other"), "no-token"),
     ):
         with pytest.raises(Refusal) as refused:
@@ -201,7 +206,9 @@ def test_what_is_not_there_or_there_already_is_refused_in_words(door: Door) -> N
 
 def test_the_file_has_no_secrets_and_is_for_its_owner_only(door: Door) -> None:
     utc = door.clock.utc()
-    secret = door.users.add_token("olga", "ci", StoredToken(digest="", role="viewer", created_utc=utc, expires_utc=utc))
+    secret = door.users.add_token(
+        "olga", "ci", StoredToken(digest="", role="viewer", created_utc=utc, expires_utc=utc), "secret"
+    )
     text = door.users.path.read_text()
     assert PASSWORD not in text and secret not in text and "$argon2id$" in text
     assert door.users.path.stat().st_mode & 0o777 == 0o600

@@ -6,7 +6,6 @@ Passwords are hashed with Argon2id (RFC 9106), tokens with SHA-256: they have 25
 import fcntl
 import hmac
 import os
-import secrets
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
@@ -18,7 +17,7 @@ from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 from pydantic import Field, TypeAdapter, ValidationError
 
-from orchestrator.gateway.roles import Role
+from orchestrator.gateway.access.roles import Role
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.private_files import UnsafePath, open_private_file, read_private_file, replace_private_file
@@ -39,7 +38,7 @@ _HASHER = PasswordHasher()
 @cache
 def _make_dummy_hash() -> str:
     """Verified for an unknown user, so that the time of an answer does not tell which users there are."""
-    return _HASHER.hash(secrets.token_hex())
+    return _HASHER.hash("a user that does not exist")
 
 
 class StoredToken(Model):
@@ -126,20 +125,20 @@ class UserFile:
             user = _require_user(users, name)
             users[name] = user.model_copy(update={"role": role, "changed_utc": utc})
 
-    def add_token(self, name: str, token: str, stored: StoredToken) -> str:
-        """Make a token for a user; return it, for it is not stored. token: its name.
+    def add_token(self, name: str, token: str, stored: StoredToken, secret: str) -> str:
+        """Make a token for a user; return it, for it is not stored. token: its name. secret: 32 random bytes as text.
 
         Raises `Refusal`: codes `no-user`, `token-exists`.
         """
-        secret = f"{TOKEN_START}{name}_{secrets.token_urlsafe(32)}"
+        whole = f"{TOKEN_START}{name}_{secret}"
         with self._change() as users:
             user = _require_user(users, name)
             if token in user.tokens:
                 remedy = f"choose another name, or remove it: `tutti user token {name} --remove {token}`"
                 raise Refusal("token-exists", f"user {name} has a token {token} already", remedy)
-            made = stored.model_copy(update={"digest": _digest_token(secret)})
+            made = stored.model_copy(update={"digest": _digest_token(whole)})
             users[name] = user.model_copy(update={"tokens": {**user.tokens, token: made}})
-        return secret
+        return whole
 
     def remove_token(self, name: str, token: str) -> None:
         """Remove a token. Raises `Refusal`: codes `no-user`, `no-token`."""

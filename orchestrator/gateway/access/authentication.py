@@ -4,17 +4,17 @@ Without users, whatever reaches this machine's own address is an operator. A fil
 nothing in.
 """
 
-import secrets
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from http.cookies import CookieError, SimpleCookie
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.executor import Executor
-from orchestrator.gateway.identity import Identity
-from orchestrator.gateway.roles import ROLES, Role
-from orchestrator.gateway.users import TOKEN_START, UserFile, UserTable, find_token, verify_password
+from orchestrator.gateway.access.identity import Identity
+from orchestrator.gateway.access.roles import ROLES, Role
+from orchestrator.gateway.access.users import TOKEN_START, UserFile, UserTable, find_token, verify_password
 from orchestrator.model.errors import Refusal
 
 COOKIE = "tutti_session"
@@ -51,10 +51,11 @@ class TooManyTries(Refusal):
 
 
 class Authentication:
-    """Finds the identity of each request. execute: for the verification of passwords, which takes long."""
+    """Finds the identity of each request. execute: for the verification of passwords, which takes long. new_secret:
+    returns 32 random bytes as text."""
 
-    def __init__(self, file: UserFile, clock: Clock, execute: Executor) -> None:
-        self._file, self._clock, self._execute = file, clock, execute
+    def __init__(self, file: UserFile, clock: Clock, execute: Executor, new_secret: Callable[[], str]) -> None:
+        self._file, self._clock, self._execute, self._new_secret = file, clock, execute, new_secret
         self._sessions: OrderedDict[str, _Session] = OrderedDict()
         self._failures: OrderedDict[str, _Failures] = OrderedDict()
         self._table = UserTable()
@@ -124,7 +125,7 @@ class Authentication:
             )
         for each in counted:
             self._failures.pop(each, None)
-        secret, now_ns = secrets.token_urlsafe(32), self._clock.now_ns()
+        secret, now_ns = self._new_secret(), self._clock.now_ns()
         csrf = _derive_csrf(secret)
         self._sessions[csrf] = _Session(user, now_ns, now_ns, stored.changed_utc)
         if len(self._sessions) > MAX_SESSIONS:

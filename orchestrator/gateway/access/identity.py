@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from orchestrator.gateway.roles import LEAST_ROLES, Role, list_rights, may
+from orchestrator.gateway.access.roles import LEAST_ROLES, Role, list_rights, may
 from orchestrator.model.errors import Refusal
 
 Access = Literal["open", "cookie", "token"]

@@ -1,0 +1,1 @@
+"""Which requests are allowed: users, roles, sessions and tokens."""

@@ -1,0 +1,334 @@
+"""The page against a fleet: what is seen is what the simulated controllers did."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from browser.conftest import LARGE, find_address, find_program
+from browser.devtools import open_tools
+from children import wait_until
+from fleet import RunningFleet
+from playwright.sync_api import Browser, Page, Route, WebSocketRoute, expect
+
+from orchestrator.clock.live import LiveClock, raw_ns
+from orchestrator.gateway.access.roles import Role
+from orchestrator.gateway.access.users import UserFile
+
+PASSWORD = "correct horse"
+JOG_MOST_NS = 700_000_000  # 200 ms and the ramp; the rest for a busy machine
+AXE = Path(__file__).parents[2] / "orchestrator" / "gateway" / "page" / "node_modules" / "axe-core" / "axe.min.js"
+FAR = {"do": "move", "to": {"gantry.x": 100}}
+
+
+@pytest.fixture(scope="module")
+def ready(fleet: RunningFleet) -> RunningFleet:
+    fleet.ready()
+    assert fleet.run([FAR]).state == "done"
+    return fleet
+
+
+@pytest.fixture
+def users(fleet: RunningFleet) -> Iterator[UserFile]:
+    """Users of each role, each with `PASSWORD`; none again after the test."""
+    file = UserFile(fleet.state / "users.json")
+    roles: dict[str, Role] = {"vera": "viewer", "paul": "proposer", "olga": "operator", "mia": "maintainer"}
+    for name, role in roles.items():
+        file.add_user(name, role, PASSWORD, LiveClock().utc())
+    try:
+        yield file
+    finally:
+        file.path.unlink()
+
+
+def open_page(page: Page, fleet: RunningFleet, view: str = "run") -> None:
+    page.goto(f"{find_address(fleet)}#{view}")
+    page.get_by_role("region", name={"run": "Axes", "setup": "Jog", "service": "Clocks"}[view], exact=True).wait_for()
+
+
+def sign_in(page: Page, fleet: RunningFleet, user: str, view: str = "run") -> None:
+    page.goto(f"{find_address(fleet)}#{view}")
+    page.get_by_label("User", exact=True).fill(user)
+    page.get_by_label("Password").fill(PASSWORD)
+    page.get_by_role("button", name="Sign in").click()
+    page.get_by_test_id("axis-gantry.x").first.wait_for()
+
+
+def begin_jog(page: Page, fleet: RunningFleet, sign: str = "+") -> None:
+    """Hold the jog button of gantry.x; the axis moves then. It is pressed again while another page holds the axis."""
+    button = page.get_by_role("button", name=f"Jog gantry.x {sign}", exact=True)
+    expect(button).not_to_have_attribute("aria-disabled", "true")
+    begun = fleet.starts("gantry")
+    button.hover()
+    for _ in range(10):
+        page.mouse.down()
+        for _ in range(100):
+            page.wait_for_timeout(20)
+            if fleet.starts("gantry") > begun:
+                return
+        page.mouse.up()
+    raise AssertionError(f"the axis does not move: {page.get_by_role('region', name='Messages').inner_text()}")
+
+
+def require_end(fleet: RunningFleet, since_ns: int, page: Page | None = None) -> None:
+    """Wait until gantry is at rest; it took no longer than it may."""
+
+    def rests() -> bool:
+        if page is not None:
+            page.wait_for_timeout(20)
+        return fleet.truth("gantry")[-1]["event"] == "end"
+
+    wait_until(rests, "the axis is at rest")
+    assert fleet.truth("gantry")[-1]["end_ns"] - since_ns < JOG_MOST_NS
+
+
+def test_a_jog_that_is_let_go_stops(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready, "setup")
+    begin_jog(page, ready)
+    let_go_ns = raw_ns()
+    page.mouse.up()
+    require_end(ready, let_go_ns)
+
+
+@pytest.mark.parametrize("how", ["closed", "silent"])
+def test_a_socket_killed_in_mid_jog_stops_the_axis(page: Page, ready: RunningFleet, how: str) -> None:
+    """closed: both ends are told. silent: frames no longer arrive, in neither direction, and nothing is closed."""
+    sockets: list[tuple[WebSocketRoute, WebSocketRoute]] = []
+    cut: list[int] = []
+
+    def relay(socket: WebSocketRoute) -> None:
+        server = socket.connect_to_server()
+        socket.on_message(lambda message: None if cut else server.send(message))
+        server.on_message(lambda message: None if cut else socket.send(message))
+        sockets.append((socket, server))
+
+    page.route_web_socket("**/v1/stream", relay)
+    open_page(page, ready, "setup")
+    begin_jog(page, ready, "−")
+    cut_ns = raw_ns()
+    cut.append(cut_ns)
+    if how == "closed":
+        for each in sockets[-1]:
+            each.close()
+    require_end(ready, cut_ns, page)
+    cut.clear()
+    page.mouse.up()
+
+
+def test_a_tab_that_is_hidden_in_mid_jog_stops_the_axis(ready: RunningFleet, tmp_path: Path) -> None:
+    with open_tools(find_program(), tmp_path) as tools:
+        other = tools.open_tab("about:blank")
+        tab = tools.open_tab(f"{find_address(ready)}#setup")
+        find = """(() => { const button = document.querySelector('[aria-label="Jog gantry.x +"]');
+            if (!button || button.getAttribute('aria-disabled')) return null;
+            const box = button.getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; })()"""
+        wait_until(lambda: tab.evaluate(find) is not None, "the jog button is there")
+        begun = ready.starts("gantry")
+        tab.press_mouse(*tab.evaluate(find))
+        wait_until(lambda: ready.starts("gantry") > begun, "the axis moves")
+        hidden_ns = raw_ns()
+        other.show()
+        require_end(ready, hidden_ns)
+        assert tab.evaluate("document.visibilityState") == "hidden"
+
+
+def test_two_operators_at_one_axis(page: Page, browser: Browser, ready: RunningFleet) -> None:
+    open_page(page, ready, "setup")
+    begin_jog(page, ready)
+    other = browser.new_page()
+    open_page(other, ready, "setup")
+    other.get_by_role("button", name="Jog gantry.x −", exact=True).hover()
+    other.mouse.down()
+    expect(other.get_by_text("gantry.x is in use by").first).to_be_visible()
+    other.mouse.up()
+    page.mouse.up()
+    other.close()
+    page.get_by_role("button", name=re.compile("^Release gantry")).click()
+
+
+def test_the_page_comes_back_after_the_gateway_was_killed(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready)
+    ready.kill("orchestrator.gateway.process")
+    expect(page.get_by_text("not connected").first).to_be_visible()
+    expect(page.get_by_text("not connected")).to_have_count(0, timeout=30_000)
+    expect(page.get_by_test_id("axis-gantry.x")).to_be_visible()
+
+
+# Roles
+
+
+def test_roles_are_enforced_whatever_the_page_shows(page: Page, ready: RunningFleet, users: UserFile) -> None:
+    sign_in(page, ready, "vera")
+    expect(page.get_by_role("button", name="Stop queue")).to_have_attribute("aria-disabled", "true")
+    ask = """async (path) => { const session = await (await fetch('v1/session')).json();
+        const answer = await fetch(path, {method: 'POST', body: '{}',
+            headers: {'content-type': 'application/json', 'x-tutti-csrf': session.csrf}});
+        return [answer.status, (await answer.json()).refused?.code]; }"""
+    assert page.evaluate(ask, "v1/stop-queue") == [403, "not-allowed"]
+    assert page.evaluate(ask, "v1/stop")[0] == 200
+    assert page.evaluate("document.cookie") == ""  # scripts do not see the session
+    page.get_by_role("button", name="Settings").click()
+    page.get_by_role("button", name="Sign out").click()
+    expect(page.get_by_role("button", name="Sign in")).to_be_visible()
+    ready.ready()
+
+
+def test_a_wrong_password_is_said(page: Page, ready: RunningFleet, users: UserFile) -> None:
+    page.goto(find_address(ready))
+    page.get_by_label("User", exact=True).fill("olga")
+    page.get_by_label("Password").fill("wrong password")
+    page.get_by_role("button", name="Sign in").click()
+    expect(page.get_by_text("user or password is wrong").first).to_be_visible()
+
+
+def drop_file(page: Page, name: str, text: str) -> None:
+    """Drop a file on the page."""
+    transfer = page.evaluate_handle(
+        """([name, text]) => { const data = new DataTransfer();
+        data.items.add(new File([text], name, {type: 'application/yaml'})); return data; }""",
+        [name, text],
+    )
+    for event in ("dragenter", "dragover", "drop"):
+        page.dispatch_event("#page", event, {"dataTransfer": transfer})
+
+
+def test_a_proposal_is_released_as_exactly_the_plan_that_was_seen(
+    page: Page, browser: Browser, ready: RunningFleet, users: UserFile
+) -> None:
+    run = ready.tutti("position", "save", "corner", "--at", "gantry.x=60")
+    assert run.returncode == 0, run.stderr
+    sign_in(page, ready, "paul")
+    text = "schema: tutti.job/1\nname: corner run\nsteps:\n  - {do: move, to: {gantry.x: corner}}\n"
+    drop_file(page, "corner.job.yaml", text)
+    page.get_by_role("button", name="Propose").click()
+    expect(page.get_by_role("list", name="Waiting jobs")).to_contain_text("corner run")
+    context = browser.new_context(viewport=LARGE)
+    other = context.new_page()
+    sign_in(other, ready, "olga")
+    other.get_by_role("button", name="Review corner run").click()
+    dialog = other.get_by_role("dialog")
+    expect(dialog).to_contain_text("corner")
+    expect(dialog.locator("canvas").first).to_be_visible()
+    # The position changes while the plan is on the screen.
+    assert ready.tutti("position", "save", "corner", "--at", "gantry.x=70").returncode == 0
+    dialog.get_by_role("button", name="Release exactly this plan").click()
+    expect(other.get_by_text(re.compile("60.*70|plan.*changed")).first).to_be_visible()
+    assert ready.ask(lambda tutti: tutti.list_jobs(1)).jobs[0].state == "queued"
+    other.keyboard.press("Tab")
+    if dialog.count():
+        dialog.get_by_role("button", name="Close").click()
+    other.get_by_role("button", name="Review corner run").click()
+    expect(dialog).to_contain_text("70")
+    dialog.get_by_role("button", name="Release exactly this plan").click()
+    wait_until(
+        lambda: (other.wait_for_timeout(50), ready.ask(lambda tutti: tutti.list_jobs(1)).jobs[0].state == "done")[1],
+        "the job is done",
+    )
+    assert ready.status()["gantry"].axes["x"].position == pytest.approx(70, abs=0.01)
+    commands = ready.ask(lambda tutti: tutti.list_commands(50))
+    assert any(each.verb == "approve" and each.actor.startswith("olga@") for each in commands)
+    context.close()
+
+
+# Jobs
+
+
+def test_a_template_is_a_form(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready)
+    page.get_by_role("button", name="New job").click()
+    page.get_by_role("button", name="Fill in scan.template").click()
+    dialog = page.get_by_role("dialog")
+    width = dialog.get_by_label(re.compile(r"^width \(mm\)"))
+    width.fill("900 mm")
+    expect(dialog.get_by_text(re.compile("at most|maximum|100 mm")).first).to_be_visible()
+    width.fill("10 mm")
+    dialog.get_by_label(re.compile("^points")).fill("3")
+    dialog.get_by_label(re.compile("^lines")).fill("2")
+    expect(dialog.locator("canvas").first).to_be_visible()
+    submit = dialog.get_by_role("button", name="Submit")
+    expect(submit).not_to_have_attribute("aria-disabled", "true")
+    submit.click()
+    wait_until(
+        lambda: (page.wait_for_timeout(50), ready.ask(lambda tutti: tutti.list_jobs(1)).jobs[0].state == "done")[1],
+        "the scan is done",
+    )
+    expect(page.get_by_role("region", name="Running job")).to_contain_text("raster test")
+
+
+def test_a_dropped_job_file_with_mistakes_is_not_submitted(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready)
+    drop_file(page, "far.job.yaml", "schema: tutti.job/1\nname: far\nsteps:\n  - {do: move, to: {gantry.x: 9000}}\n")
+    dialog = page.get_by_role("dialog")
+    expect(dialog.get_by_text("line 4:").first).to_be_visible()
+    expect(dialog.get_by_text(re.compile("soft limits")).first).to_be_visible()
+    expect(dialog.get_by_role("button", name="Submit")).to_have_attribute("aria-disabled", "true")
+
+
+def test_a_file_that_is_too_large_is_said(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready)
+    drop_file(page, "large.job.yaml", "x" * 3_000_000)
+    expect(page.get_by_text("larger than 1 MB").first).to_be_visible()
+
+
+# Alarms
+
+
+def test_an_acknowledged_alarm_is_acknowledged_after_a_restart_of_everything_shown(
+    page: Page, ready: RunningFleet
+) -> None:
+    from orchestrator.bus.base import Priority
+    from orchestrator.client.api import Tutti
+
+    async def raise_alarm(tutti: Tutti) -> None:
+        request = {"kind": "vacuum", "subject": "chamber", "text": "pressure above 1 mbar", "action": "check the pump"}
+        key = f"{tutti.keys.prefix}/alarm-request/vacuum/test"
+        tutti.bus.put(key, json.dumps({**request, "priority": "high", "active": True}).encode(), Priority.EVENT)
+        await tutti.status()
+
+    ready.ask(raise_alarm)
+    open_page(page, ready, "service")
+    page.get_by_role("button", name=re.compile("Acknowledge the alarm of chamber")).click()
+    expect(page.get_by_text("acknowledged by operator").first).to_be_visible()
+    ready.kill("orchestrator.gateway.process")
+    ready.kill("orchestrator.coordinator.process")
+    ready.works()
+    expect(page.get_by_text("not connected")).to_have_count(0, timeout=30_000)
+    page.reload()
+    expect(page.get_by_text("acknowledged by operator").first).to_be_visible(timeout=30_000)
+
+
+# What everybody can use
+
+
+@pytest.mark.parametrize("colours", ["light", "dark"])
+@pytest.mark.parametrize("view", ["run", "setup", "service"])
+def test_axe_finds_no_serious_fault(
+    browser: Browser, ready: RunningFleet, view: str, colours: Literal["dark", "light"]
+) -> None:
+    page = browser.new_page(color_scheme=colours, viewport=LARGE)
+    open_page(page, ready, view)
+    page.wait_for_timeout(500)
+    page.evaluate(AXE.read_text())
+    found = page.evaluate("axe.run().then(result => result.violations)")
+    serious = [each for each in found if each["impact"] in ("serious", "critical")]
+    shown = [(each["id"], [node["html"][:120] for node in each["nodes"]][:3]) for each in serious]
+    page.close()
+    assert not serious, shown
+
+
+def test_nothing_is_loaded_from_elsewhere(page: Page, ready: RunningFleet) -> None:
+    elsewhere: list[str] = []
+    address = find_address(ready)
+
+    def note(route: Route) -> None:
+        if not route.request.url.startswith((address, "data:", "blob:")):
+            elsewhere.append(route.request.url)
+        route.continue_()
+
+    page.route("**/*", note)
+    for view in ("run", "setup", "service"):
+        open_page(page, ready, view)
+        page.wait_for_timeout(500)
+    assert not elsewhere
