@@ -13,13 +13,15 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-browser screenshots test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
 	@echo "make page             build the operators' page, which tutti up serves"
 	@echo "make test             set up, run all tests (6 to 7 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
+	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
+	@echo "make screenshots      pictures of the page, in build/screenshots, and those of the documents"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
 	@echo "make test-wheel       the demo, and a user's tests, from an installed wheel in an environment of its own"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
@@ -83,13 +85,20 @@ demo: $(RUN)/.stamp page-if-possible
 test: test-fast test-live
 
 test-fast: $(DEV)/.stamp
-	$(DEV)/bin/pytest -m "not live and not nightly" -n 2 --dist worksteal $(SLOWEST)
+	$(DEV)/bin/pytest -m "not live and not nightly and not browser" -n 2 --dist worksteal $(SLOWEST)
 
 # Live tests by themselves: their processes have to answer each other in time. They start hundreds of interpreters, so
 # compiled modules are kept even where the environment forbids it. The tests of a file share one fleet. They wait for
 # half of their time: three at once use two thirds of two cores.
 test-live: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly" -n 3 --dist loadfile $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly and not browser" -n 3 --dist loadfile $(SLOWEST)
+
+# One after the other: they hold keys and buttons down, and look at what moves meanwhile.
+test-browser: $(DEV)/.stamp page
+	$(DEV)/bin/pytest -m browser tests/browser $(SLOWEST)
+
+screenshots: $(DEV)/.stamp page
+	$(DEV)/bin/python tools/screenshots.py build/screenshots docs/figures
 
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check

@@ -207,6 +207,7 @@ class UserRequests:
             report=report,
             transitions=await execute(journal.list_transitions, record.id),
             progress=self._scheduler.find_progress(record.id),
+            last_motion=self._scheduler.find_last_motion(record.id),
         )
 
     async def _load_recording(self, request: RecordingReference) -> RecordingReply:

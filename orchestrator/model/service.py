@@ -18,6 +18,7 @@ from orchestrator.model.report import (
     PointRecord,
     QueueEntry,
     StepRecording,
+    StepReport,
 )
 from orchestrator.model.scan import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
 from orchestrator.model.units import Unit
@@ -157,13 +158,15 @@ class JobsPruned(Reply):
 
 
 class JobShown(Reply):
-    """All that the journal has of a job; `report` once it has ended, `progress` while it runs."""
+    """All that the journal has of a job; `report` once it has ended. While it runs: `progress`, and the report of its
+    last motion step, if one has ended."""
 
     entry: QueueEntry | None = None
     job: Job | None = None
     report: JobReport | None = None
     transitions: list[JobTransition] = Field(default=[])
     progress: JobProgress | None = None
+    last_motion: StepReport | None = None
 
 
 class RecordingReference(JobReference):

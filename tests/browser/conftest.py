@@ -28,16 +28,25 @@ SMALL: ViewportSize = {"width": 390, "height": 844}
 MOCKED = "http://page.test/"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """All of them need a browser."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.browser)
+
+
 def find_program() -> str:
     """The browser's program."""
     found = [path for path in map(shutil.which, NAMES) if path]
-    assert found, "no browser: apt-get install chromium"
+    if not found:
+        pytest.exit("no browser is installed; on Debian: apt-get install chromium", 2)
     return found[0]
 
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    assert (PAGE / "page.js").is_file(), "the page is not built: make page"
+    if not (PAGE / "page.js").is_file():
+        pytest.exit("the page is not built: make page", 2)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=find_program(), args=["--no-sandbox"])
         yield browser

@@ -476,6 +476,11 @@ class JobRun:
         key = self._services.keys.job_state(self.row.id)
         self._services.bus.put(key, self.make_progress().to_json(), Priority.STATE)
 
+    @property
+    def last_motion(self) -> StepReport | None:
+        """The report of the last motion step that has ended."""
+        return self._reports.last_motion
+
     def make_progress(self) -> JobProgress:
         """The progress of the job: steps done, and the fraction of the current one."""
         within, remaining_s = self._step_fraction(), None

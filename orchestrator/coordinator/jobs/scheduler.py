@@ -42,6 +42,7 @@ from orchestrator.model.report import (
     JobState,
     QueueEntry,
     QueueState,
+    StepReport,
     make_queued_progress,
 )
 from orchestrator.model.scans.step_order import StepOrder
@@ -651,6 +652,11 @@ class Scheduler:
         """The progress of a job while it runs."""
         run = self._running.get(job_id)
         return None if run is None else run.make_progress()
+
+    def find_last_motion(self, job_id: str) -> StepReport | None:
+        """The last motion step of a running job that has ended."""
+        run = self._running.get(job_id)
+        return None if run is None else run.last_motion
 
     def make_queue_state(self, total: int, rows: Iterable[JobRecord]) -> QueueState:
         """Jobs as a list shows them, with the state of the queue."""

@@ -58,6 +58,7 @@ def _show_axis(name: str, axis: AxisState, config: Controller | None, target: fl
     known = None if config is None else config.axes.get(name)
     if known is not None:
         shown["max_velocity"] = known.limits.velocity
+        shown["jog_velocity"] = known.jog_speed(referenced=axis.referenced)
         if known.soft_limits is not None and known.turn_length is None:
             # Soft limits are motor positions.
             for end, limit in (("min", known.soft_limits.min), ("max", known.soft_limits.max)):

@@ -6,6 +6,7 @@ import pytest
 
 from adapters.controller.tracing import MAX_TRACE_PART_BYTES
 from orchestrator.bus import answers, limits, log, logfile
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.command_log import MAX_SUBJECT
 from orchestrator.coordinator.jobs.approval import MAX_SHOWN
 from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
@@ -14,6 +15,9 @@ from orchestrator.coordinator.journal.command_table import MAX_COMMANDS
 from orchestrator.coordinator.journal.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
 from orchestrator.coordinator.journal.point_store import QUOTA_BYTES
 from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
+from orchestrator.gateway import app, commands, fleet_files, guard, job_files, preview, reads, server
+from orchestrator.gateway.access import authentication, users
+from orchestrator.gateway.stream import acts, fleet_state, socket
 from orchestrator.link.trace import MAX_TRACE_ENTRIES
 from orchestrator.model.base import MAX_RATIONAL_LENGTH
 from orchestrator.model.job import MAX_AT_EACH, MAX_REPEAT_DEPTH, MAX_REPEATED
@@ -49,6 +53,39 @@ ROWS = {
     "bytes on a link": [MAX_TRACE_ENTRIES, MAX_TRACE_PART, MAX_TRACE_PART_BYTES],
     "warnings of one source": [log.MAX_PUBLISHED_PER_S],
     "log file": [logfile.MAX_LOG_BYTES, logfile.KEPT_LOGS],
+    "sockets of the gateway": [app.MAX_SOCKETS],
+    "connections of requests": [server.MAX_CONNECTIONS],
+    "body of a request": [guard.MAX_BODY_BYTES, server.MAX_HEADER_BYTES],
+    "a frame from a page": [socket.MAX_FRAME_CHARS],
+    "frames of a socket": [socket.MAX_FRAMES_PER_S],
+    "answers that wait for a slow reader": [socket.MAX_WAITING, int(socket.SEND_S)],
+    "axes under manual control of a socket": [acts.MAX_AXES],
+    "sessions; from the last request": [
+        authentication.MAX_SESSIONS,
+        authentication.SESSION_NS // 3600 // NS_PER_S,
+        authentication.LONGEST_SESSION_NS // 24 // 3600 // NS_PER_S,
+    ],
+    "users; tokens of each": [users.MAX_USERS, users.MAX_TOKENS],
+    "characters of a password": [users.MIN_PASSWORD, users.MAX_PASSWORD],
+    "failed sign-ins": [
+        authentication.FREE_FAILURES,
+        authentication.FIRST_PAUSE_NS // NS_PER_S,
+        authentication.LONGEST_PAUSE_NS // NS_PER_S,
+    ],
+    "passwords that are verified": [authentication.MAX_VERIFYING],
+    "users and addresses": [authentication.MAX_FAILED],
+    "idempotency keys": [commands.MAX_KEYS, app.MAX_KEY],
+    "in the state": [
+        fleet_state.MAX_CONTROLLERS,
+        fleet_state.MAX_JOBS,
+        fleet_state.MAX_ALARMS,
+        fleet_state.MAX_LEASES,
+        fleet_state.MAX_EVENTS,
+    ],
+    "templates": [job_files.MAX_TEMPLATES, reads.MAX_RECORDINGS, reads.MAX_TRACE_FRAMES],
+    "steps that are drawn": [preview.MAX_STEPS, preview.MAX_POINTS],
+    "steps of a job that is forecast": [job_files.MAX_DRY_RUN_STEPS],
+    "changes of a fleet file": [fleet_files.MAX_CHANGES],
 }
 
 

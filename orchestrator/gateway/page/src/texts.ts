@@ -46,7 +46,7 @@ export const T = {
   },
 
   role: { viewer: "viewer", proposer: "proposer", operator: "operator", maintainer: "maintainer" },
-  user: { nobody: "no users", signOut: "Sign out" },
+  user: { none: "no users", signOut: "Sign out" },
 
   settings: {
     title: "Settings",

@@ -65,6 +65,7 @@ export function watchAlarms(): void {
     const count = newAlarms.value.length;
     const away = connection.value === "lost" ? `${T.title.away} ` : "";
     document.title = `${count > 0 ? T.title.alarms(count) : away}${fleetName.value || "Tutti"} – Tutti`;
+    if (!fleetName.value) return; // the icon is not needed for the first data
     document.querySelector("link[rel=icon]")?.setAttribute("href", count > 0 ? "icon-alarm.svg" : "icon.svg");
   });
   let timer = 0;

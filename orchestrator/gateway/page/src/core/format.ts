@@ -89,8 +89,8 @@ export function withoutAddress(actor: string): string {
 
 /** Why not, and what to do, as one sentence; with the controller that refuses before it. */
 export function explain(problem: { text: string; remedy?: string; controller?: string | null; member?: string | null }): string {
-  const who = problem.controller ?? problem.member;
-  const text = who && !problem.text.startsWith(who) ? `${who}: ${problem.text}` : problem.text;
+  const source = problem.controller ?? problem.member;
+  const text = source && !problem.text.startsWith(source) ? `${source}: ${problem.text}` : problem.text;
   if (!problem.remedy) return text;
   return /[.!?;:]$/.test(text) ? `${text} ${problem.remedy}` : `${text}; ${problem.remedy}`;
 }

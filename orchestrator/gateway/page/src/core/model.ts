@@ -313,6 +313,8 @@ export interface JobShown {
   entry?: QueueEntry | null;
   report?: JobReport | null;
   progress?: JobProgress | null;
+  /** Of a running job: its last motion step that has ended. */
+  last_motion?: StepReport | null;
 }
 
 export interface Curve {

@@ -1,4 +1,4 @@
-/** Messages that stay until they are dismissed: refusals, who stopped the fleet, results. */
+/** Messages that stay until they are dismissed: refusals, stops with their user, results. */
 
 import { signal } from "@preact/signals";
 import type { Answer, Refusal } from "./model.ts";
@@ -12,7 +12,7 @@ export interface Notice {
   code: string;
   controller: string;
   count: number;
-  /** It comes before everything else: somebody has to act now. */
+  /** It comes before everything else: a user has to act now. */
   urgent: boolean;
 }
 

@@ -10,7 +10,7 @@ import { T } from "../texts.ts";
 
 export type StopKind = "stop" | "estop";
 
-/** Who stopped the fleet last; shown until it is dismissed. */
+/** The last stop of the fleet, with its user; shown until it is dismissed. */
 export const stoppedBy = signal<Stopped | null>(null);
 /** The last request of this page, until it is answered. */
 export const pendingStop = signal<StopKind | null>(null);

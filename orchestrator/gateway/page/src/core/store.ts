@@ -177,7 +177,7 @@ function publish(patch: JsonObject | null, nowMs: number): void {
   if (now === null) return;
   batch(() => {
     loaded.value = true;
-    // A signal that gets the object it has already tells nobody.
+    // A signal that gets the object it has already notifies nothing.
     fleetName.value = now.fleet;
     utc.value = now.utc;
     fleetSeconds.value = now.fleet_s ?? null;

@@ -33,7 +33,7 @@ interface Frame {
   stopped?: Stopped;
 }
 
-/** What parts of the page want to hear besides the state. */
+/** What parts of the page receive besides the state. */
 export interface Listener {
   onManual?(axes: string[], lost: Refusal | null): void;
   onJogRefused?(axis: string, refusal: Refusal): void;

@@ -1,4 +1,4 @@
-/** The axis table: where each axis is and goes, why it is not ready and what to do, and who holds it. */
+/** The axis table: where each axis is and goes, why it is not ready what to do, and its holder. */
 
 import type { JSX } from "preact";
 import { computed } from "@preact/signals";
@@ -105,8 +105,8 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
         <Mark level={ready.level} text={ready.text} />
         {ready.remedy ? <small class="remedy">{ready.remedy}</small> : null}
       </td>
-      <td class={`holder ${holder.who === NOBODY ? "none" : ""}`} title={holder.whole}>
-        {holder.who}
+      <td class={`holder ${holder.name === NONE ? "none" : ""}`} title={holder.whole}>
+        {holder.name}
         {holder.by ? <small class="remedy">{holder.by}</small> : null}
       </td>
       <td class="tools">
@@ -140,22 +140,22 @@ export function togglePlot(id: string): void {
   plotted.value = now.includes(id) ? now.filter((each) => each !== id) : [...now, id].slice(-MOST_PLOTS);
 }
 
-const NOBODY = "–";
+const NONE = "–";
 
 export interface Holder {
-  who: string;
+  name: string;
   by: string;
   whole: string;
 }
 
-/** Who may move it now: this page, a user, a job. */
+/** What may move it now: this page, a user, a job. */
 export function holderOf(axis: AxisStore): Holder {
-  if (held.value.includes(axis.id)) return { who: T.axes.you, by: "", whole: "" };
+  if (held.value.includes(axis.id)) return { name: T.axes.you, by: "", whole: "" };
   const lease = leases.value[axis.id] ?? leases.value[axis.controller];
-  if (!lease?.holder) return { who: NOBODY, by: "", whole: "" };
+  if (!lease?.holder) return { name: NONE, by: "", whole: "" };
   const job = jobs.value[lease.holder];
   const by = withoutAddress(lease.actor);
   const whole = [lease.holder, lease.actor, lease.what].filter(Boolean).join(", ");
-  if (job) return { who: T.axes.heldByJob(job.name), by, whole };
-  return lease.what ? { who: by, by: lease.what, whole } : { who: by, by: "", whole };
+  if (job) return { name: T.axes.heldByJob(job.name), by, whole };
+  return lease.what ? { name: by, by: lease.what, whole } : { name: by, by: "", whole };
 }

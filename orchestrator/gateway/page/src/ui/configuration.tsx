@@ -179,7 +179,7 @@ interface CommandShown {
   refused?: string | { text: string } | null;
 }
 
-/** Who commanded what: every command with its user and address. */
+/** Every command, with its user and address. */
 export function CommandsPanel(): JSX.Element {
   const [commands, setCommands] = useState<CommandShown[] | null>(null);
   const load = async (): Promise<void> => setCommands(accept(T.commands.title, await get<{ commands?: CommandShown[] }>("commands?limit=100"))?.commands ?? null);

@@ -67,7 +67,7 @@ export function Header(): JSX.Element {
         </nav>
         <Link />
         <span class="userline">
-          <b>{session.value?.user ?? T.user.nobody}</b> <span class="quiet">{session.value ? T.role[session.value.role] : ""}</span>
+          <b>{session.value?.user ?? T.user.none}</b> <span class="quiet">{session.value ? T.role[session.value.role] : ""}</span>
         </span>
         <Act label="☰" name={T.settings.title} kind="small" onAct={() => openDialog(T.settings.title, <Settings />)} />
       </div>
@@ -115,7 +115,7 @@ function Settings(): JSX.Element {
         {T.settings.sound}
       </label>
       <p>
-        {session.value?.user ?? T.user.nobody}, {session.value ? T.role[session.value.role] : ""}
+        {session.value?.user ?? T.user.none}, {session.value ? T.role[session.value.role] : ""}
       </p>
       <p class="quiet">{T.settings.version(session.value?.version ?? "–")}</p>
       <p class="hint">{T.settings.keys}</p>

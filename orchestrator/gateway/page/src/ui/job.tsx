@@ -94,7 +94,7 @@ function LastVerdict(): JSX.Element | null {
         <span>{T.job.lastStep(report.name, step.index + 1, step.name)}</span>
         <VerdictMark verdict={step.verdict} />
       </div>
-      {report.state === "done" ? null : <p class="reason">{`${T.jobState(report.state)}: ${report.reason}`}</p>}
+      {report.state === "done" || report.state === "running" ? null : <p class="reason">{`${T.jobState(report.state)}: ${report.reason}`}</p>}
       <BudgetTable step={step} />
       <StartStrip step={step} />
       {(step.deviations ?? []).map((text) => (

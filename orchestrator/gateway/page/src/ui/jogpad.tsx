@@ -256,7 +256,7 @@ function AxisSelect(props: { label: string; value: string; none?: boolean; onCha
   );
 }
 
-/** Position, limits and the reason beside the keys: nobody has to look elsewhere while an axis moves. */
+/** Position, limits and the reason beside the keys, for as long as an axis moves. */
 function AxisReadout({ axis }: { axis: AxisStore }): JSX.Element {
   const flags = axis.flags.value;
   const position = useMemo(() => computed(() => formatValue(axis.position.value, axis.flags.value.unit)), [axis]);
@@ -266,7 +266,7 @@ function AxisReadout({ axis }: { axis: AxisStore }): JSX.Element {
   return (
     <div class={`readout ${age >= 1 ? "stale" : ""}`}>
       <div class="rowhead">
-        <b>{axis.id}</b> <span class="quiet">{holderOf(axis).who}</span>
+        <b>{axis.id}</b> <span class="quiet">{holderOf(axis).name}</span>
         {age >= 1 ? <span class="age">{T.age(age)}</span> : null}
       </div>
       <div class="big num">

@@ -52,7 +52,7 @@ export function LivePlots(): JSX.Element {
   );
 }
 
-/** Draw when samples have come, five times a second at most, and only while somebody can see it. */
+/** Draw when samples have come, five times a second at most, and only while it can be seen. */
 function feed(axes: AxisStore[], draw: (data: PlotData) => void): () => void {
   let drawnMs = -Infinity;
   return effect(() => {
