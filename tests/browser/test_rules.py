@@ -85,19 +85,6 @@ def test_a_touch_that_the_system_cancels_ends_the_jog(mock: Mock, page: Page) ->
     wait_for(page, lambda: stream.find("end-jog"))
 
 
-def test_a_page_that_the_browser_freezes_renews_nothing(mock: Mock, page: Page) -> None:
-    """As browsers do with pages that are not seen; the adapter stops the axis then."""
-    stream = mock(view="setup")
-    hold(page, stream)
-    other = page.context.new_page()
-    page.context.new_cdp_session(page).send("Page.setWebLifecycleState", {"state": "frozen"})
-    other.wait_for_timeout(300)
-    before = len(stream.find("renew"))
-    other.wait_for_timeout(500)
-    assert len(stream.find("renew")) == before
-    other.close()
-
-
 def test_a_jog_is_renewed_at_most_ten_times_a_second_and_only_while_answers_come(mock: Mock, page: Page) -> None:
     stream = mock(view="setup")
     hold(page, stream)

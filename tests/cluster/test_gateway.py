@@ -148,6 +148,28 @@ def test_a_jog_that_is_let_go_decelerates_at_once(tmp_path: Path) -> None:
     run_fleet(main)
 
 
+def test_the_end_of_a_jog_is_one_request_to_the_controller_without_a_pause(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        gateway, socket = await open_gateway(fleet, tmp_path)
+        await begin_jog(fleet, socket)
+        sent: list[tuple[int, str]] = []
+        bus = gateway.gateway.hub._tutti.bus
+        request = bus.request
+
+        async def note_request(key: str, payload: bytes, *rest: Any) -> bytes:
+            sent.append((fleet.clock.now_ns(), json.loads(payload)["velocities"]))
+            return await request(key, payload, *rest)
+
+        bus.request = note_request  # type: ignore[method-assign]
+        let_go_ns = fleet.clock.now_ns()
+        socket.send("end-jog")
+        await find_end_ns(fleet)
+        assert sent == [(let_go_ns, {"x": 0.0})]
+
+    run_fleet(main)
+
+
 @pytest.mark.parametrize("end", ["closed", "silent", "killed", "end-of-gateway"])
 def test_a_jog_ends_with_its_socket(tmp_path: Path, end: str) -> None:
     """closed: the other side has closed it. silent: it is open, and no frame comes. killed: the gateway is."""
@@ -316,5 +338,35 @@ def test_too_many_frames_end_a_socket(tmp_path: Path) -> None:
             socket.send("alive")
         await socket.wait_for(lambda: socket.closed)
         assert socket.closed == 1008
+
+    run_fleet(main)
+
+
+def test_a_running_job_shows_its_targets_members_and_last_motion(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        gateway, socket = await open_gateway(fleet, tmp_path)
+        steps = [
+            {"do": "move", "to": {"gantry.x": 20}},
+            {"do": "move", "to": {"gantry.x": "5 cm"}, "by": {"stage.u": 1}, "speed": 0.05},
+        ]
+        job = {"schema": "tutti.job/1", "name": "two", "steps": steps}
+        job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+        axes = {name: each["axes"] for name, each in socket.state["controllers"].items()}
+        before = axes["stage"]["u"]["commanded"]
+
+        def find_target() -> bool:
+            return socket.state["controllers"]["gantry"]["axes"]["x"].get("target") == 50.0
+
+        await socket.wait_for(find_target)
+        assert socket.state["controllers"]["stage"]["axes"]["u"]["target"] == pytest.approx(before + 1)
+        await asyncio.sleep(0.7)
+        assert socket.state["members"][job_id]["members"] == {"gantry": "moving", "stage": "moving"}
+        shown = (await gateway.get(f"/v1/jobs/{job_id}")).json
+        assert shown["report"] is None and shown["last_motion"]["index"] == 0
+        assert shown["last_motion"]["members"]["gantry"]["evidence"]["x"]["start"]
+        await fleet.make_client().wait_for_job(job_id)
+        await asyncio.sleep(0.3)
+        assert "target" not in socket.state["controllers"]["gantry"]["axes"]["x"]
 
     run_fleet(main)

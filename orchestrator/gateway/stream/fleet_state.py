@@ -43,6 +43,7 @@ class FleetState:
         self._states: dict[str, ControllerState] = {}
         self._received_ns: dict[str, int] = {}
         self._raw: dict[str, bytes] = {}
+        self._rests: dict[str, dict[str, float]] = {}
         self._shown: dict[str, dict[str, Any]] = {}
         self._present: dict[str, int] = {}
         self._links: dict[str, dict[str, Any]] = {}
@@ -74,11 +75,11 @@ class FleetState:
         """The controllers that have published a state."""
         return list(self._received_ns)
 
-    def find_axis_state(self, axis: str) -> float | None:
-        """The commanded user position of `controller.axis`; None if it is not known."""
+    def find_rest(self, axis: str) -> float | None:
+        """The commanded user position of `controller.axis` when it was at rest last; None if it is not known."""
         controller, _, name = axis.partition(".")
-        state = self._read_state(controller)
-        return None if state is None or name not in state.axes else state.axes[name].commanded
+        self._read_state(controller)
+        return self._rests.get(controller, {}).get(name)
 
     # What arrives
 
@@ -105,7 +106,7 @@ class FleetState:
         """Store states that were queried."""
         for name, state in states.items():
             self._keep_state(name)
-            self._states[name] = state
+            self._note_state(name, state)
 
     def take_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus
         """Store that an adapter has come, or gone."""
@@ -184,7 +185,7 @@ class FleetState:
             oldest = next(iter(self._jobs))
             del self._jobs[oldest]
             self._ended_ns.pop(oldest, None)
-        if self._targets.take_progress(progress, self.fleet, self.find_axis_state):
+        if self._targets.take_progress(progress, self.fleet, self.find_rest):
             self._shown.clear()
 
     def _take_lease(self, lease: LeaseState) -> None:
@@ -256,10 +257,15 @@ class FleetState:
         raw = self._raw.pop(name, None)
         if raw is not None:
             try:
-                self._states[name] = ControllerState.model_validate_json(raw)
+                self._note_state(name, ControllerState.model_validate_json(raw))
             except ValidationError:
                 self.invalid += 1
         return self._states.get(name)
+
+    def _note_state(self, name: str, state: ControllerState) -> None:
+        self._states[name] = state
+        rests = self._rests.setdefault(name, {})
+        rests |= {axis: now.commanded for axis, now in state.axes.items() if not now.moving}
 
     def _find_members(self) -> dict[str, Any]:
         """The stage of each member of the step that a job runs."""

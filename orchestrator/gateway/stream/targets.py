@@ -10,7 +10,7 @@ from orchestrator.model.report import FINISHED_STATES, JobProgress
 from orchestrator.model.scans.step_order import StepOrder
 from orchestrator.model.units import UnitError, parse_quantity
 
-FindCommanded = Callable[[str], float | None]
+FindRest = Callable[[str], float | None]
 
 
 class JobTargets:
@@ -30,9 +30,9 @@ class JobTargets:
         """Take over a job that begins."""
         self._jobs[begun.job_id] = begun
 
-    def take_progress(self, progress: JobProgress, fleet: Fleet | None, find_commanded: FindCommanded) -> bool:
-        """Take over a job's progress; return whether targets have changed. find_commanded: of an axis, for moves by a
-        distance: its commanded position before the step."""
+    def take_progress(self, progress: JobProgress, fleet: Fleet | None, find_rest: FindRest) -> bool:
+        """Take over a job's progress; return whether targets have changed. find_rest: the position of an
+        axis before the step, for moves by a distance."""
         job_id = progress.job_id
         begun = self._jobs.get(job_id)
         if progress.state in FINISHED_STATES:
@@ -42,11 +42,11 @@ class JobTargets:
         if begun is None or fleet is None or self._steps.get(job_id) == progress.step:
             return False
         self._steps[job_id] = progress.step
-        self._targets[job_id] = _find_targets(begun, progress.step, fleet, find_commanded)
+        self._targets[job_id] = _find_targets(begun, progress.step, fleet, find_rest)
         return True
 
 
-def _find_targets(begun: JobBegun, number: int, fleet: Fleet, find_commanded: FindCommanded) -> dict[str, float]:
+def _find_targets(begun: JobBegun, number: int, fleet: Fleet, find_rest: FindRest) -> dict[str, float]:
     order = StepOrder(begun.job.steps, begun.repeat)
     step = order.locate(number).step if number < len(order) else None
     if not isinstance(step, Move):
@@ -58,7 +58,7 @@ def _find_targets(begun: JobBegun, number: int, fleet: Fleet, find_commanded: Fi
         except (UnitError, ValueError):
             continue
     for axis, value in step.by.items():
-        before = find_commanded(axis)
+        before = find_rest(axis)
         try:
             distance = float(parse_quantity(value, fleet.axis(axis).unit))
         except (UnitError, ValueError):

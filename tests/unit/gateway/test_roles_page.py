@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.gateway.roles import LEAST_ROLES, ROLES, Role, may
+from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "manage-users-and-roles.md"
 
