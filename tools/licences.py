@@ -1,8 +1,10 @@
-"""Write `docs/reference/licences.md`: the licences of what Tutti needs to run, from the metadata of what is installed.
+"""Write `docs/reference/licences.md`: the licences of what Tutti needs to run, and of what is built into its page.
 
-`--check` fails if the page is not current.
+The former are in the metadata of what is installed, the latter in the page's lock. `--check` fails if the page of
+licences is not current.
 """
 
+import json
 import re
 import sys
 from importlib import metadata
@@ -11,13 +13,19 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reference" / "licences.md"
 LOCK = ROOT / "requirements.lock"
+PAGE_LOCK = ROOT / "orchestrator" / "gateway" / "page" / "package-lock.json"
 HEAD = """# Licences of dependencies
 
 Written by `tools/licences.py` from `requirements.lock` and the metadata of the installed packages. Each package is
-used as it is published, unchanged; Tutti contains no code of theirs.
+used as it is published, unchanged; the sources of Tutti contain no code of theirs.
 
-| package | version | licence, as the package states it |
-|---|---|---|
+"""
+TABLE = "| package | version | licence, as the package states it |\n|---|---|---|\n"
+PAGE_HEAD = """
+## In the operators' page
+
+The page that `make page` builds, and that is in the wheel, contains:
+
 """
 
 
@@ -38,10 +46,21 @@ def find_licence(name: str) -> str:
     return ", ".join(classified) or (about["License"] or "not stated").strip().splitlines()[0]
 
 
+def list_page_packages() -> list[str]:
+    """Rows of the packages that are built into the operators' page."""
+    packages = json.loads(PAGE_LOCK.read_text(encoding="utf-8"))["packages"]
+    return [
+        f"| {place.removeprefix('node_modules/')} | {each['version']} | {each.get('license', 'not stated')} |"
+        for place, each in packages.items()
+        if place and not each.get("dev") and not each.get("optional") and not each.get("peer")
+    ]
+
+
 def make_page() -> str:
     """The text of the page. Raises `PackageNotFoundError` for a package that is not installed."""
     rows = [f"| {name} | {', '.join(each)} | {find_licence(name)} |" for name, each in locked_versions().items()]
-    return HEAD + "\n".join(rows) + "\n"
+    text = HEAD + TABLE + "\n".join(rows) + "\n"
+    return text + PAGE_HEAD + TABLE + "\n".join(list_page_packages()) + "\n"
 
 
 if __name__ == "__main__":
