@@ -4,6 +4,7 @@ Run by `make page`, in the environment that has Node. Output: `orchestrator/gate
 """
 
 import gzip
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -26,6 +27,7 @@ def main() -> None:
     _bundle()
     for name in PLAIN:
         shutil.copyfile(SOURCES / name, OUTPUT / name)
+    _write_notices()
     _check_sizes()
 
 
@@ -51,6 +53,18 @@ def _bundle() -> None:
         "--entry-names=page",
     ]
     _run("bundle", node, [str(MODULES / "esbuild" / "bin" / "esbuild"), str(SOURCES / "src" / "main.tsx"), *options])
+
+
+def _write_notices() -> None:
+    """Write the licences of the packages that are in the script: they ask for it."""
+    lock = json.loads((SOURCES / "package-lock.json").read_text(encoding="utf-8"))
+    parts: list[str] = []
+    for place, entry in lock["packages"].items():
+        if not place or entry.get("dev") or entry.get("optional"):
+            continue
+        (text,) = [path.read_text(encoding="utf-8") for path in (SOURCES / place).glob("LICENSE*")]
+        parts.append(f"{place.removeprefix('node_modules/')} {entry['version']}\n\n{text.strip()}\n")
+    (OUTPUT / "licences.txt").write_text("\n\n".join(parts), encoding="utf-8")
 
 
 def _check_sizes() -> None:

@@ -16,6 +16,7 @@ from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.refusals import describe_refusal
+from orchestrator.gateway.access.roles import may
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ForgetRequest, RawReply, RawRequest, Reply, Request
@@ -138,7 +139,7 @@ def prepare_submission(request: SubmitJob, identity: Identity) -> SubmitJob:
     user, whatever the file says."""
     job = request.job.model_copy(update={"actor": identity.actor})
     terms = request.terms.model_copy(update={"session": None})
-    if not identity.may("approve"):
+    if not may(identity.role, "approve"):
         terms = terms.model_copy(update={"proposed": True, "now": False, "priority": 0})
     return request.model_copy(update={"job": job, "terms": terms})
 

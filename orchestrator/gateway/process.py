@@ -71,7 +71,8 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         await gateway.start()
         prepare_live_process()
         await bus.announce(keys.live("gateway", uuid.uuid4().hex[:8], "1"))
-        address = f"{'https' if secure else 'http'}://{place.address}:{port}/"
+        host = f"[{place.address}]" if ":" in place.address else place.address
+        address = f"{'https' if secure else 'http'}://{host}:{port}/"
         log.info(f"serves fleet {place.fleet} on {address}")
         on_ready(f"page on {address}")
         try:

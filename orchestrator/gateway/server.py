@@ -34,7 +34,8 @@ def open_port(address: str, port: int | None) -> socket.socket:
     ports = [port] if port is not None else list(range(FIRST_PORT, FIRST_PORT + PORTS))
     for each in ports:
         try:
-            return socket.create_server((ADDRESS if address == "localhost" else address, each), backlog=512)
+            family = socket.AF_INET6 if ":" in address else socket.AF_INET
+            return socket.create_server((address, each), family=family, backlog=512)
         except OSError as error:
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise NotServed(f"the page is not served on {address}: {error.strerror}") from None

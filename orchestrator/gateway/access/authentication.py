@@ -83,7 +83,7 @@ class Authentication:
 
     def is_valid(self, identity: Identity) -> bool:
         """Whether an identity that was found before still holds: its session has not ended, its token has not expired,
-        its user has the same role."""
+        its user has the same role. It is asked for open sockets: a session does not end while its page is open."""
         self._read_file()
         if self._damage is not None:
             return False
@@ -100,7 +100,10 @@ class Authentication:
                 and _lower(token.role, user.role) == identity.role
             )
         session = self._sessions.get(identity.csrf)
-        return user.role == identity.role and session is not None and self._holds(session)
+        if session is None or user.role != identity.role or not self._holds(session):
+            return False
+        session.used_ns = self._clock.now_ns()
+        return True
 
     async def sign_in(self, user: str, password: str, address: str) -> tuple[str, Identity]:
         """Begin a session; return its cookie and identity. Raises `TooManyTries`, and `NotSignedIn` for a wrong name or
