@@ -40,13 +40,14 @@ class SetpointTrajectory:
         """Return the function of set-points by SYNC number; before the first one the start, after the last one the end.
 
         The first set-point is at least one count from the start, and the last but one a count from the end: so the
-        executed motion begins and ends with the plan, also where the plan has not moved a count yet. A linear segment
-        between points of a curve lies on one side of it: half of that deviation is subtracted, so that it lies on both
-        sides.
+        executed motion begins and ends with the plan, also where the plan has not moved a count yet. An axis that turns
+        back may be beyond both, and has no such first and last count. A linear segment between points of a curve lies
+        on one side of it: half of that deviation is subtracted, so that it lies on both sides.
         """
         at, last, period_s = self.profile.make_evaluator(), self.point_count - 1, self.period_ns / NS_PER_S
         start, end = self.profile.start_counts, self.profile.end_counts
         low, high = (start + 1, end - 1) if end > start else (end + 1, start - 1)
+        keeps_ends = self.profile.stays_between_ends
 
         def setpoint_at(number: int) -> int:
             if number < 0:
@@ -54,7 +55,8 @@ class SetpointTrajectory:
             if number >= last:
                 return end
             there = at((number + 1) * period_s)
-            return min(max(start + round(there.position - there.acceleration * period_s**2 / 16), low), high)
+            here = start + round(there.position - there.acceleration * period_s**2 / 16)
+            return min(max(here, low), high) if keeps_ends else here
 
         return setpoint_at
 

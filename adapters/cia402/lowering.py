@@ -118,11 +118,12 @@ def lower_step(
         lead_ns=sync_ns(bus.bitrate) + bus.start_ns,
         drive=drive,
     )
-    if profile is None or profile.end_counts == profile.start_counts:
+    if profile is None or profile.is_still:
         return done
     _require_range(name, profile)
+    low, high = profile.extent_counts
     # A single count has no path.
-    if any(profile.jerks) and abs(profile.end_counts - profile.start_counts) > 1:
+    if any(profile.jerks) and high - low > 1.5:
         return _lower_stream(done, config, options, traits, profile)
     return _lower_set_point(done, config, options, profile, start)
 

@@ -159,6 +159,21 @@ class Profile(_IntegrationCache):
                     points.append(each.state_at(root).position)
         return self.start_counts + min(points), self.start_counts + max(points)
 
+    @property
+    def is_still(self) -> bool:
+        """Whether the axis stays where it is. One that comes back to its start, as on a circle, does not."""
+        if self.end_counts != self.start_counts:
+            return False
+        low, high = self.extent_counts
+        return high - low < 1.0
+
+    @property
+    def stays_between_ends(self) -> bool:
+        """Whether no position is beyond the start or the end, to half a count; on a path an axis may turn back."""
+        low, high = self.extent_counts
+        first, last = sorted((self.start_counts, self.end_counts))
+        return first - 0.5 <= low and high <= last + 0.5
+
     def stretch_time(self, factor: float) -> "Profile":
         """The same path in `factor` times the time (>= 1, so that limits that held still hold)."""
         return Profile(

@@ -101,10 +101,11 @@ def axis_increments(profile: Profile, end: int, contour: Contour, phase: float, 
     """Return the increments of one axis in counts; their sum is exactly its path length.
 
     end: its entry in `ends`. phase: samples from T0 to the sample in which the contour begins. At every instant the sum
-    is the rounded position of the plan, except that the last count is placed in the record in which the axis ends.
+    is the rounded position of the plan, except that the last count is placed in the record in which the axis ends; not
+    of an axis that turns back, which may be at its end, or beyond it, before.
     """
     way = profile.end_counts - profile.start_counts
-    last = way - (1 if way > 0 else -1)
+    last, keeps_last = way - (1 if way > 0 else -1), profile.stays_between_ends
     tick_s = tick_ns * 1e-9
     at = profile.make_evaluator()
     steps: list[int] = []
@@ -114,7 +115,8 @@ def axis_increments(profile: Profile, end: int, contour: Contour, phase: float, 
             here = way
         else:
             here = round(at((phase + instant) * tick_s).position)
-            here = min(here, last) if way > 0 else max(here, last)
+            if keeps_last:
+                here = min(here, last) if way > 0 else max(here, last)
         steps.append(here - before)
         before = here
     return steps

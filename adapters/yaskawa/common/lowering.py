@@ -177,7 +177,7 @@ def lower_moves(
         for axis in profiles
         for scale in [float(config.axes[axis].scale)]
     }
-    way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
+    way = {axis: profile for axis, profile in profiles.items() if not profile.is_still}
     places = _sample_alignments(way, mapping, start) if start.exact and start.wait is None else {}
     shapes, why = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: RegisterLoad | ContourLoad
