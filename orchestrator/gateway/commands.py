@@ -19,15 +19,17 @@ from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.access.roles import may
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import ForgetRequest, RawReply, RawRequest, Reply, Request
+from orchestrator.model.messages import ForgetRequest, JogRequest, RawReply, RawRequest, Reply, Request
 from orchestrator.model.service import SubmitJob
 
 MAX_CONNECTIONS = 256  # actors whose connection is kept
 MAX_KEYS = 10_000  # idempotency keys
 ANSWER_S = {"submit": 120.0, "dry-run": 60.0, "reload": 60.0, "check-wiring": 60.0, "prune": 60.0}
 USUAL_ANSWER_S = 5.0
+# Jogs are too many for the log; that their axes were acquired is in it.
 CONTROLLER_VERBS: dict[str, ServiceVerb] = {
     "forget": ServiceVerb(ForgetRequest, Reply),
+    "jog": ServiceVerb(JogRequest, Reply, reads=True),
     "raw": ServiceVerb(RawRequest, RawReply),
 }
 
@@ -98,7 +100,8 @@ class FleetCommands:
         identity.require_right(verb)
         service, tutti = CONTROLLER_VERBS[verb], self.connect(identity)
         request = make_request(service, fields, tutti.new_id(), identity.actor)
-        self._note(identity, verb, controller)
+        if not service.reads:
+            self._note(identity, verb, controller)
         return await tutti.request_controller(controller, verb, request, service.reply)
 
     def _find_request_id(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str) -> str:

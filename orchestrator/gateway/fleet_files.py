@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
+from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.files import FileError, read_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.checked import check_loaded_fleet
@@ -17,8 +18,7 @@ def compare_fleet(text: str, running: Fleet) -> dict[str, Any]:
     try:
         fleet = check_loaded_fleet(read_document(text, "fleet file"), tolerant=True)
     except FileError as error:
-        problems = [{"line": each.line, "place": each.field, "text": each.text} for each in error.problems]
-        return {"problems": problems, "changes": [], "configuration": None}
+        return {"problems": describe_problems(error.problems), "changes": [], "configuration": None}
     changes = list(_find_changes(running.to_plain(), fleet.to_plain(), ()))
     return {"problems": [], "changes": changes[:MAX_CHANGES], "configuration": fleet.to_plain()}
 

@@ -7,6 +7,7 @@ from typing import Any, cast
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.preview import draw_job, look_at_axes
+from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
 from orchestrator.model.files import FileError, FileProblem, LoadedFile, read_document, read_file
 from orchestrator.model.forecast import JobForecast, StepProblem
@@ -39,7 +40,7 @@ class JobFiles:
         """
         found: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
         parameters, problems, filled = await self._execute(self._fill_job, body)
-        found |= {"parameters": parameters, "problems": _describe_problems(problems)}
+        found |= {"parameters": parameters, "problems": describe_problems(problems)}
         return found if filled is None else found | await self.forecast_job(tutti, filled.job, filled)
 
     async def forecast_job(self, tutti: Tutti, job: Job, filled: FilledJob | None = None) -> dict[str, Any]:
@@ -53,7 +54,7 @@ class JobFiles:
         axes = look_at_axes(fleet, await tutti.status())
         return {
             "job": job.to_plain(),
-            "problems": _describe_problems(problems),
+            "problems": describe_problems(problems),
             "forecast": forecast.to_plain() | {"least_s": forecast.least_s, "most_s": forecast.most_s},
             "preview": await draw_job(fleet, positions, axes, job),
         }
@@ -123,7 +124,3 @@ def _locate_problem(problem: StepProblem, filled: FilledJob | None) -> FileProbl
     if filled is None:
         return FileProblem(NAME, 0, ".".join(map(str, problem.place)), text)
     return filled.problem(problem.place, text)
-
-
-def _describe_problems(problems: Sequence[FileProblem]) -> list[dict[str, Any]]:
-    return [{"line": each.line, "place": each.field, "text": each.text} for each in problems]

@@ -1,10 +1,14 @@
 """Answers in JSON, and refusals with the HTTP status that fits them."""
 
+from collections.abc import Iterable
+from typing import Any
+
 from starlette.responses import JSONResponse, Response
 
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal, TuttiError
+from orchestrator.model.files import FileProblem
 
 # Everything else that a fleet refuses is a conflict with its present state.
 _STATUS = {
@@ -37,6 +41,11 @@ class RefusedRequest(TuttiError):
 def make_refusal_response(refusal: Refusal, status: int | None = None) -> Response:
     """The answer for a refusal: `{"refused": {code, text, remedy, controller}}`."""
     return JSONResponse({"refused": describe_refusal(refusal)}, status or _STATUS.get(refusal.code, 409))
+
+
+def describe_problems(problems: Iterable[FileProblem]) -> list[dict[str, Any]]:
+    """The mistakes of a file for programs, each with its line and field."""
+    return [{"line": each.line, "place": each.field, "text": each.text} for each in problems]
 
 
 def make_model_response(model: Model) -> Response:
