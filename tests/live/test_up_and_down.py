@@ -24,7 +24,7 @@ def run_in(home: Path, *words: str) -> "subprocess.CompletedProcess[str]":
 def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tmp_path: Path) -> None:
     port = free_port()
     endpoint = ["--connect", f"tcp/127.0.0.1:{port}"]
-    up = ["up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--port", str(port), "--detach"]
+    up = ["up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--port", str(port), "--detach", "--no-web"]
     started = run_in(tmp_path, *up, "--wait", "--json")
     assert started.returncode == 0, started.stderr + started.stdout
     value = json.loads(started.stdout)
@@ -56,7 +56,7 @@ def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tm
 @pytest.mark.nightly
 def test_a_fleet_does_not_begin_anew_without_its_journal_or_over_a_link(tmp_path: Path) -> None:
     port = free_port()
-    up = ["up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--port", str(port), "--detach"]
+    up = ["up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--port", str(port), "--detach", "--no-web"]
     started = run_in(tmp_path, *up, "--json")
     assert started.returncode == 0, started.stderr + started.stdout
     state = Path(json.loads(started.stdout)["state"])
@@ -92,7 +92,7 @@ def test_a_controller_that_is_not_reached_is_named(tmp_path: Path) -> None:
     file = tmp_path / "lonely.fleet.yaml"
     text = (EXAMPLES / "demo.fleet.yaml").read_text().partition("  stage:")[0]
     file.write_text(text.replace("host: 192.168.1.20, port: 23", f"host: 127.0.0.1, port: {free_port()}"))
-    up = ["up", str(file), "--port", str(free_port()), "--detach"]
+    up = ["up", str(file), "--port", str(free_port()), "--detach", "--no-web"]
     started = run_in(tmp_path, *up)
     assert started.returncode == 0, started.stderr
     assert started.stdout.startswith("fleet demo is up; gantry not reached yet; state in")
