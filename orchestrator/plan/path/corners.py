@@ -1,0 +1,179 @@
+"""Corners of an outline: none where curves go on smoothly, a stop, or a quintic blend within the tolerance.
+
+A blend leaves its neighbours `trim` before and after the corner with their tangents and curvatures, so that the path is
+twice continuously differentiable and a bounded jerk exists. Arcs as blends cannot do that: curvature jumps there.
+
+The tolerance is the true greatest distance. On a corner of straight lines it is that of the corner from the blend, and
+proportional to `trim`: exact. Otherwise the blend is compared with the outline point by point, at equal fractions,
+which is at least the true distance. LinuxCNC derived its blends from a formula instead, and was off by 2.4 (PR#3663).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.plan.path.arc_length import COARSE_ERROR, Array, Index, measure_curves
+from orchestrator.plan.path.curves import LINE, POLY, Derivatives, Polys, Shapes, evaluate_polys
+from orchestrator.plan.path.outline import CUSP, SMOOTH, STOP, Outline
+from orchestrator.plan.path.track import Frame, Track
+
+# Where the control points of a blend lie between its end and the corner, in parts of `trim`.
+INNER, OUTER = 0.32, 0.72
+SAME_TANGENT = 1e-9  # rad
+SAME_CURVATURE = 1e-6  # relative
+# A blend that turns further is nearly a cusp: it would be slower than a stop.
+SHARPEST = np.pi * 175 / 180
+ROUNDS = 8
+COMPARED = 33  # points of a blend compared with the outline
+_AT: Array = np.linspace(0.0, 1.0, COMPARED)
+
+
+@dataclass(frozen=True, slots=True)
+class Joints:
+    """Where spans join, one entry each: the spans before and after, the turn in rad, whether both are lines, whether
+    curvature continues."""
+
+    before: Index
+    after: Index
+    turn: Array
+    straight: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    even: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+
+def make_track(outline: Outline, frame: Frame | None, *, blends: bool, even: bool) -> Track:
+    """Decide about every corner. blends: False: stop at all of them. even: whether curvature must continue, because an
+    axis has a jerk limit."""
+    joints = _look_at_joints(outline)
+    tolerance = outline.tolerance[:-1]
+    smooth = (joints.turn <= SAME_TANGENT) & (joints.even | (not even)) | (tolerance == SMOOTH)
+    wanted = ~smooth & (tolerance > STOP) & (joints.turn < SHARPEST) & blends
+    stop = np.append(~smooth & ~wanted, True)
+    at = np.flatnonzero(wanted)
+    if not len(at):
+        return _join_spans(outline, frame, stop, np.zeros((2, len(outline.kind))), None)
+    trims, curves, sound = _fit_blends(outline, joints, at, tolerance[at])
+    stop[at[~sound]] = True
+    at, curves, trims = at[sound], curves[sound], trims[sound]
+    cut = np.zeros((2, len(outline.kind)))
+    cut[1, at], cut[0, at + 1] = trims, trims
+    return _join_spans(outline, frame, stop, cut, (at, curves))
+
+
+def _look_at_joints(outline: Outline) -> Joints:
+    before = np.arange(len(outline.kind) - 1)
+    ends = evaluate_ends(outline, before, outline.length[before])
+    starts = evaluate_ends(outline, before + 1, np.zeros(len(before)))
+    # From the chord of the unit tangents, because the arc cosine is inexact near 1.
+    chord = np.linalg.norm(starts.first - ends.first, axis=1)
+    turn = 2 * np.arcsin(np.minimum(chord / 2, 1.0))
+    bend = np.linalg.norm(starts.second - ends.second, axis=1)
+    most = np.maximum(np.linalg.norm(starts.second, axis=1), np.linalg.norm(ends.second, axis=1))
+    straight = (outline.kind[:-1] == LINE) & (outline.kind[1:] == LINE)
+    return Joints(before, before + 1, turn, straight, bend <= SAME_CURVATURE * most)
+
+
+def evaluate_ends(outline: Outline, span: Index, local: Array) -> Derivatives:
+    """Evaluate spans of an outline, in coordinates."""
+    return outline.shapes.evaluate(outline.kind[span], outline.row[span], local)
+
+
+def _fit_blends(outline: Outline, joints: Joints, at: Index, tolerance: Array) -> tuple[Array, Array, Array]:
+    """(trims, curves, which are sound) of the blends of corners `at`.
+
+    No blend takes more than half of a span, so neighbours do not overlap.
+    """
+    most = np.minimum(outline.length[at], outline.length[at + 1]) / 2
+    # The middle of a symmetric blend lies trim (16 - 5 outer - 10 inner) / 32 * 2 sin(turn / 2) from the corner, where
+    # outer and inner are the control points' distances from the end.
+    reach = (16 - 5 * INNER - 10 * OUTER) / 16 * np.sin(joints.turn[at] / 2)
+    with np.errstate(divide="ignore"):
+        trims = np.minimum(most, np.where(reach > 0, tolerance / reach, np.inf))
+    curves = _make_blends(outline, at, trims)
+    curved = np.flatnonzero(~joints.straight[at])
+    for _ in range(ROUNDS if len(curved) else 0):
+        part = at[curved]
+        off = _find_distances(outline, part, trims[curved], curves[curved]) / tolerance[curved]
+        # The distance grows with a power of the trim between 1 (a turn) and 2 (a step of curvature).
+        better = np.where(off > 1.0, 0.98 / off, np.maximum(1.0, np.sqrt(0.95 / np.maximum(off, 1e-6))))
+        grown = np.minimum(trims[curved] * better, most[curved])
+        trims[curved] = np.where((off > 1.0) | (off < 0.8), grown, trims[curved])
+        curves[curved] = _make_blends(outline, part, trims[curved])
+    table = measure_curves(curves)
+    sound = (table.slowest > CUSP * table.lengths[:, -1]) & (table.error < COARSE_ERROR)
+    if len(curved):
+        off = _find_distances(outline, at[curved], trims[curved], curves[curved])
+        sound[curved] &= off <= tolerance[curved] * (1 + 1e-9)
+    return trims, curves, sound
+
+
+def _make_blends(outline: Outline, at: Index, trims: Array) -> Array:
+    """Quintics from `trims` before the ends of spans `at` to as far behind, in Bernstein form, then in powers of u.
+
+    Their ends have the position, tangent and curvature k of the neighbours: with x'(0) = 5 INNER trim t, the second
+    derivative is |x'|² k plus a part along t, which is free.
+    """
+    begin = evaluate_ends(outline, at, outline.length[at] - trims)
+    finish = evaluate_ends(outline, at + 1, trims)
+    d = trims[:, None]
+    bend = (5 * INNER * d) ** 2 / 20
+    p0, p5 = begin.q, finish.q
+    p1, p4 = p0 + INNER * d * begin.first, p5 - INNER * d * finish.first
+    p2 = p0 + OUTER * d * begin.first + bend * begin.second
+    p3 = p5 - OUTER * d * finish.first + bend * finish.second
+    return np.einsum("kj,jnc->nkc", _FROM_BERNSTEIN, np.stack([p0, p1, p2, p3, p4, p5]))
+
+
+_FROM_BERNSTEIN: Array = np.array(
+    [
+        [1, 0, 0, 0, 0, 0],
+        [-5, 5, 0, 0, 0, 0],
+        [10, -20, 10, 0, 0, 0],
+        [-10, 30, -30, 10, 0, 0],
+        [5, -20, 30, -20, 5, 0],
+        [-1, 5, -10, 10, -5, 1],
+    ],
+    dtype=np.float64,
+)
+
+
+def _find_distances(outline: Outline, at: Index, trims: Array, curves: Array) -> Array:
+    """The greatest distance of blends from the outline, point by point at equal fractions of u and of length."""
+    many = np.repeat(np.arange(len(at)), COMPARED)
+    fraction = np.tile(_AT, len(at))
+    on_blend = evaluate_polys(curves[many], fraction).q
+    late = fraction > 0.5
+    along = (2 * fraction - 1) * trims[many]
+    span = at[many] + late
+    local = np.where(late, along, outline.length[at[many]] + along)
+    on_outline = evaluate_ends(outline, span, local).q
+    return np.linalg.norm(on_blend - on_outline, axis=1).reshape(len(at), COMPARED).max(axis=1)
+
+
+def _join_spans(
+    outline: Outline, frame: Frame | None, stop: Array, cut: Array, blends: tuple[Index, Array] | None
+) -> Track:
+    """The track of spans shortened by `cut` (at the start, at the end), with blends behind spans `blends[0]`."""
+    shapes, order = outline.shapes, np.arange(len(outline.kind), dtype=np.float64)
+    kind, row, piece = outline.kind, outline.row, outline.piece
+    low, length = cut[0], outline.length - cut[0] - cut[1]
+    if blends is not None:
+        at, curves = blends
+        known, lengths = shapes.polys.coefficients, measure_curves(curves)
+        table = type(lengths)(*(np.concatenate(p) for p in zip(shapes.polys.table, lengths, strict=True)))
+        shapes = Shapes(shapes.lines, shapes.arcs, Polys(np.concatenate([known, curves]), table))
+        order = np.append(order, at + 0.5)
+        kind = np.append(kind, np.full(len(at), POLY))
+        row = np.append(row, len(known) + np.arange(len(at)))
+        piece = np.append(piece, piece[at])
+        low = np.append(low, np.zeros(len(at)))
+        length = np.append(length, lengths.lengths[:, -1])
+        stop = np.append(stop, np.zeros(len(at), dtype=bool))
+    # Of a line between two blends nothing may be left.
+    spare = outline.length.max() * 1e-12
+    keep = np.argsort(order, kind="stable")
+    keep = keep[length[keep] > spare]
+    blend = order != np.floor(order)
+    start = np.concatenate([[0.0], np.cumsum(length[keep])])
+    return Track(
+        shapes, frame, kind[keep], row[keep], low[keep], length[keep], piece[keep], blend[keep], stop[keep], start
+    )

@@ -1,0 +1,117 @@
+"""The curves of a path by arc length: lines, arcs and polynomials, evaluated many at a time.
+
+Everything here is in the space of the coordinates, in which lengths are measured; `frame` of a track maps to the axes.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from orchestrator.plan.path.arc_length import (
+    NEWTON_ROUNDS,
+    Array,
+    Index,
+    LengthTable,
+    find_parameters,
+)
+
+LINE, ARC, POLY = 0, 1, 2
+QUICK = 0  # rounds of Newton where 1e-6 of a cell is enough
+
+
+class Lines(NamedTuple):
+    """Straight lines: start and unit direction, shape (n, coordinates)."""
+
+    start: Array
+    direction: Array
+
+
+class Arcs(NamedTuple):
+    """Arcs and helices: centre + first cos(w s) + second sin(w s) + rise s, with w = `turn` in rad per length.
+
+    first and second: of the radius's length, at right angles to each other and to `rise`.
+    """
+
+    centre: Array
+    first: Array
+    second: Array
+    rise: Array
+    turn: Array
+
+
+class Polys(NamedTuple):
+    """Polynomials of degree 5 in u, with their lengths."""
+
+    coefficients: Array
+    table: LengthTable
+
+
+class Derivatives(NamedTuple):
+    """q and its derivatives with respect to arc length, each of shape (points, coordinates or axes)."""
+
+    q: Array
+    first: Array
+    second: Array
+    third: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Shapes:
+    """All curves of a path by kind."""
+
+    lines: Lines
+    arcs: Arcs
+    polys: Polys
+
+    def evaluate(self, kind: Index, row: Index, s: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
+        """Evaluate curve `row` of `kind` at length `s` from its own start. rounds: of Newton, for polynomials."""
+        width = self.lines.start.shape[1]
+        out = Derivatives(*(np.zeros((len(s), width)) for _ in range(4)))
+        for of, evaluator in ((LINE, self._evaluate_lines), (ARC, self._evaluate_arcs)):
+            at = np.flatnonzero(kind == of)
+            if len(at):
+                for whole, part in zip(out, evaluator(row[at], s[at]), strict=True):
+                    whole[at] = part
+        at = np.flatnonzero(kind == POLY)
+        if len(at):
+            u = find_parameters(*self.polys, row[at], s[at], rounds)
+            for whole, part in zip(out, evaluate_polys(self.polys.coefficients[row[at]], u), strict=True):
+                whole[at] = part
+        return out
+
+    def _evaluate_lines(self, row: Index, s: Array) -> Derivatives:
+        direction = self.lines.direction[row]
+        zero = np.zeros_like(direction)
+        return Derivatives(self.lines.start[row] + s[:, None] * direction, direction, zero, zero)
+
+    def _evaluate_arcs(self, row: Index, s: Array) -> Derivatives:
+        centre, first, second, rise = (part[row] for part in self.arcs[:4])
+        turn = self.arcs.turn[row][:, None]
+        angle = turn * s[:, None]
+        cos, sin = np.cos(angle), np.sin(angle)
+        radial, along = first * cos + second * sin, second * cos - first * sin
+        q = centre + radial + rise * s[:, None]
+        return Derivatives(q, turn * along + rise, -(turn**2) * radial, -(turn**3) * along)
+
+
+def evaluate_polys(coefficients: Array, u: Array) -> Derivatives:
+    """Evaluate curves, one per `u`: derivatives by arc length from those by u.
+
+    With u' = 1/|x1|: u'' = -(x1·x2)/|x1|^4, u''' = u' (4 (x1·x2)²/|x1|^6 - (x2·x2 + x1·x3)/|x1|^4).
+    """
+    c0, c1, c2, c3, c4, c5 = (coefficients[:, k] for k in range(6))
+    w = u[:, None]
+    q = c0 + w * (c1 + w * (c2 + w * (c3 + w * (c4 + w * c5))))
+    x1 = c1 + w * (2 * c2 + w * (3 * c3 + w * (4 * c4 + w * (5 * c5))))
+    x2 = 2 * c2 + w * (6 * c3 + w * (12 * c4 + w * (20 * c5)))
+    x3 = 6 * c3 + w * (24 * c4 + w * (60 * c5))
+    square = np.einsum("ij,ij->i", x1, x1)
+    mixed = np.einsum("ij,ij->i", x1, x2)
+    rest = np.einsum("ij,ij->i", x2, x2) + np.einsum("ij,ij->i", x1, x3)
+    rate = (1.0 / np.sqrt(square))[:, None]
+    rate_2 = (-mixed / square**2)[:, None]
+    rate_3 = rate * (4 * mixed**2 / square**3 - rest / square**2)[:, None]
+    second = x2 * rate**2 + x1 * rate_2
+    third = x3 * rate**3 + 3 * x2 * (rate * rate_2) + x1 * rate_3
+    return Derivatives(q, x1 * rate, second, third)

@@ -1,0 +1,108 @@
+"""The grid of a track on which speeds are planned: nodes by length, with what the axes allow there.
+
+Each span has nodes at both of its ends, because curvature's derivative jumps between spans: two nodes at one length.
+Lines need few (their limits are constant), polynomials have one at every knot of their length table.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.plan.path.arc_length import CELLS, Array, Index, find_lengths, find_parameters
+from orchestrator.plan.path.curves import ARC, LINE, POLY, QUICK, Derivatives, evaluate_polys
+from orchestrator.plan.path.limits import PathLimits, find_accelerations, find_speed_caps
+from orchestrator.plan.path.track import Track
+
+Flags = NDArray[np.bool_]
+
+BLOCK = 4096  # nodes evaluated at a time, so that their derivatives stay in the processor's cache
+ARC_CELLS = 12
+ARC_STEP = np.pi / 16  # the longest cell of an arc, in rad
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Nodes in order of length. span: of the track; line: whether on a straight line; rest: whether the motion rests
+    there; speed: the cap, with the axis and the order that set it; section: the number of the stretch from rest to
+    rest; at: derivatives, one row per node."""
+
+    s: Array
+    span: Index
+    line: Flags
+    rest: Flags
+    section: Index
+    speed: Array
+    order: Index
+    axis: Index
+    at: Derivatives
+
+    def find_accelerations(self, limits: PathLimits, speed: Array, smoothing_s: Array) -> Array:
+        """The tangential acceleration left at each node."""
+        parts = [
+            find_accelerations(limits, Derivatives(*(p[k : k + BLOCK] for p in self.at)), speed[k : k + BLOCK], smoothing_s[k : k + BLOCK])
+            for k in range(0, len(self.s), BLOCK)
+        ]
+        return np.concatenate(parts)
+
+
+def place_nodes(track: Track) -> tuple[Index, Array]:
+    """(span, length from the span's start) of nodes: ends of lines, arcs in even steps, polynomials at knots."""
+    angle = np.zeros(len(track.kind))
+    arcs = track.kind == ARC
+    angle[arcs] = track.shapes.arcs.turn[track.row[arcs]] * track.length[arcs]
+    cells = np.where(track.kind == LINE, 1, CELLS)
+    cells[arcs] = np.maximum(ARC_CELLS, np.ceil(angle[arcs] / ARC_STEP)).astype(np.int64)
+    span = np.repeat(np.arange(len(cells)), cells + 1)
+    number = np.arange(len(span)) - np.repeat(np.cumsum(cells + 1) - cells - 1, cells + 1)
+    local = number / cells[span] * track.length[span]
+    polys = np.flatnonzero(track.kind[span] == POLY)
+    if len(polys):
+        local[polys] = _place_on_polys(track, span[polys], number[polys])
+    return span, local
+
+
+def _place_on_polys(track: Track, span: Index, number: Index) -> Array:
+    """Even steps of the parameter, from the start of the span to its end."""
+    coefficients, table = track.shapes.polys
+    row = track.row[span]
+    local = table.lengths[row, number]
+    cut = np.flatnonzero((track.low[span] > 0.0) | (track.length[span] < table.lengths[row, -1] * (1 - 1e-12)))
+    if len(cut):
+        part, where = span[cut], row[cut]
+        ends = [
+            find_parameters(coefficients, table, where, s, 2) for s in (track.low[part], track.low[part] + track.length[part])
+        ]
+        u = ends[0] + (ends[1] - ends[0]) * number[cut] / CELLS
+        local[cut] = find_lengths(coefficients, table, where, u) - track.low[part]
+    return np.clip(local, 0.0, track.length[span])
+
+
+def make_grid(track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:
+    """Evaluate the nodes at `local` lengths of spans."""
+    parts: list[tuple[Array, Index, Index, Derivatives]] = []
+    for k in range(0, len(span), BLOCK):
+        at = track.evaluate_spans(span[k : k + BLOCK], local[k : k + BLOCK], QUICK)
+        parts.append((*find_speed_caps(limits, at), at))
+    caps, order, axis = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:3])
+    at = Derivatives(*(np.concatenate(each) for each in zip(*(part[3] for part in parts), strict=True)))
+    first = local == 0.0
+    last = local == track.length[span]
+    after_stop = np.concatenate([[True], track.stop[:-1]])
+    rest = (first & after_stop[span]) | (last & track.stop[span])
+    section = np.cumsum(after_stop)[span] - 1
+    return Grid(track.start[span] + local, span, track.kind[span] == LINE, rest, section, caps, order, axis, at)
+
+
+def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:
+    """The grid with additional nodes."""
+    more = make_grid(track, limits, span, local)
+    s = np.concatenate([grid.s, more.s])
+    order = np.lexsort((s, np.concatenate([grid.span, more.span])))
+
+    def merge(old: Array, new: Array) -> Array:
+        return np.concatenate([old, new])[order]
+
+    fields = ("s", "span", "line", "rest", "section", "speed", "order", "axis")
+    merged = {name: merge(getattr(grid, name), getattr(more, name)) for name in fields}
+    return Grid(**merged, at=Derivatives(*(merge(*pair) for pair in zip(grid.at, more.at, strict=True))))

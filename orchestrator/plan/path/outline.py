@@ -1,0 +1,214 @@
+"""The outline of a path: its pieces as curves, with sharp corners.
+
+Positions are numbers in one unit of length per coordinate. A piece becomes one span, a spline one for each gap.
+"""
+
+from dataclasses import dataclass, field
+from math import pi
+
+import numpy as np
+
+from orchestrator.plan.path.arc_length import COARSE_ERROR, Array, Index, measure_curves, split_curves
+from orchestrator.plan.path.curves import ARC, LINE, POLY, Arcs, Lines, Polys, Shapes
+from orchestrator.plan.path.errors import PathRefusal
+from orchestrator.plan.path.splines import fit_spline
+
+# Shorter than this part of the largest coordinate, a direction is lost in the rounding of positions.
+SHORTEST = 1e-12
+# Ends of an arc whose distances from the centre differ by more of the radius do not belong to one circle (as LinuxCNC).
+RADIUS_ERROR = 1e-3
+STRAIGHT = 1e-9  # sine of the angle between two chords of an arc that has no circle
+CUSP = 1e-5  # of the mean |x'(u)|: below, a curve stops and turns on the spot
+SPLITS = 12  # halvings of a curve whose length does not converge; beyond, it has a cusp
+STOP, SMOOTH = 0.0, np.inf
+
+
+class _Rows(list[Array]):
+    """Rows of one field of all curves of a kind."""
+
+    def stack(self, shape: tuple[int, ...]) -> Array:
+        return np.array(self) if self else np.zeros((0, *shape))
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """Spans in order: `kind` and `row` of each curve in `shapes`, its length, the number of its piece from 0.
+
+    tolerance: of the corner at the end of each span: a length, `STOP`, or `SMOOTH` inside a piece.
+    """
+
+    shapes: Shapes
+    kind: Index
+    row: Index
+    length: Array
+    piece: Index
+    tolerance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class PieceEnd:
+    """The number of a piece, from 0, and the tolerance of the corner at its end (`STOP` or a length)."""
+
+    piece: int
+    tolerance: float = STOP
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """An arc's or a helix's plane (two coordinates), its centre there, and its sense: ccw turns the first towards the
+    second. turns: full ones in addition."""
+
+    plane: tuple[int, int]
+    centre: tuple[float, float]
+    ccw: bool
+    turns: int = 0
+
+
+@dataclass(slots=True)
+class OutlineBuilder:
+    """Collects pieces from `position` on. Raises `PathRefusal` naming the piece."""
+
+    position: Array
+    _spans: list[tuple[int, int, float, int, float]] = field(default_factory=list)
+    _lines: tuple[_Rows, _Rows] = field(default_factory=lambda: (_Rows(), _Rows()))
+    _arcs: tuple[_Rows, ...] = field(default_factory=lambda: tuple(_Rows() for _ in range(5)))
+    _polys: _Rows = field(default_factory=_Rows)
+
+    def add_line(self, end: PieceEnd, to: Array) -> None:
+        """Add a straight line."""
+        way = to - self.position
+        length = float(np.sqrt(way @ way))
+        self._check_length(end, "line", length)
+        self._spans.append((LINE, len(self._lines[0]), length, end.piece, end.tolerance))
+        self._lines[0].append(self.position)
+        self._lines[1].append(way / length)
+        self.position = to
+
+    def add_arc_through(self, end: PieceEnd, through: Array, to: Array) -> None:
+        """Add the arc from here through a point to an end, in any plane."""
+        a, b = through - self.position, to - self.position
+        for name, chord in (("start and `through`", a), ("start and `to`", b), ("`through` and `to`", b - a)):
+            if np.linalg.norm(chord) <= SHORTEST * self._scale(to):
+                text = f"piece {end.piece + 1} (arc): {name} are the same point"
+                raise PathRefusal(
+                    "doubled-point", text, "give three different points; for a full circle give its centre", end.piece + 1
+                )
+        aa, ab, bb = float(a @ a), float(a @ b), float(b @ b)
+        area = aa * bb - ab * ab
+        if area <= STRAIGHT**2 * aa * bb:
+            text = f"piece {end.piece + 1} (arc): its three points lie on a straight line"
+            raise PathRefusal("collinear", text, "write a line, or move `through` off it", end.piece + 1)
+        centre = self.position + (bb * (aa - ab) * a + aa * (bb - ab) * b) / (2 * area)
+        first = self.position - centre
+        radius = float(np.linalg.norm(first))
+        side = a - first * (a @ first) / radius**2  # at right angles to the radius, towards `through`
+        # On the side of `through` if the chord to it turns less than that to the end.
+        second = side / np.linalg.norm(side) * radius
+        angles = [float(np.arctan2(p @ second, p @ first)) % (2 * pi) for p in (through - centre, to - centre)]
+        if angles[0] > angles[1]:
+            second, angles[1] = -second, 2 * pi - angles[1]
+        self._append_arc(end, (centre, first, second), angles[1], np.zeros_like(to))
+        self.position = to
+
+    def add_arc(self, end: PieceEnd, circle: Circle, to: Array) -> None:
+        """Add an arc about a centre in a plane; other coordinates go evenly to their end (a helix). An end above or
+        at the start is a full turn."""
+        i, j = circle.plane
+        plane = [i, j]
+        centre = np.array(circle.centre)
+        begin, finish = self.position[plane], to[plane]
+        radii = float(np.linalg.norm(begin - centre)), float(np.linalg.norm(finish - centre))
+        self._check_length(end, "arc", min(radii))
+        if abs(radii[0] - radii[1]) > RADIUS_ERROR * max(radii):
+            text = (
+                f"piece {end.piece + 1} (arc): its start is {radii[0]:.9g} from the centre, and its end {radii[1]:.9g}"
+            )
+            raise PathRefusal("no-circle", text, "correct `centre` or `to`: both distances are the radius", end.piece + 1)
+        chord = finish - begin
+        full = bool(np.linalg.norm(chord) <= SHORTEST * self._scale(to))
+        if not full:  # centre onto the bisector of the chord: the arc ends exactly at its end
+            unit = chord / np.linalg.norm(chord)
+            centre = centre - unit * float((centre - (begin + finish) / 2) @ unit)
+        radial, radial_end = begin - centre, finish - centre
+        sense = 1.0 if circle.ccw else -1.0
+        across = sense * np.array([-radial[1], radial[0]])
+        angle = 2 * pi if full else float(np.arctan2(radial_end @ across, radial_end @ radial)) % (2 * pi)
+        angle += 2 * pi * circle.turns
+        first, second, middle = np.zeros_like(to), np.zeros_like(to), self.position.copy()
+        first[plane], second[plane], middle[plane] = radial, across, centre
+        rise = to - self.position
+        rise[plane] = 0.0
+        self._append_arc(end, (middle, first, second), angle, rise)
+        self.position = to
+
+    def _append_arc(self, end: PieceEnd, circle: tuple[Array, Array, Array], angle: float, rise: Array) -> None:
+        """Append a helix that goes `rise` in all."""
+        centre, first, second = circle
+        length = float(np.hypot(angle * np.linalg.norm(first), np.linalg.norm(rise)))
+        self._check_length(end, "arc", length)
+        self._spans.append((ARC, len(self._arcs[0]), length, end.piece, end.tolerance))
+        for rows, value in zip(
+            self._arcs, (centre, first, second, rise / length, np.array(angle / length)), strict=True
+        ):
+            rows.append(value)
+
+    def add_spline(self, end: PieceEnd, through: Array) -> None:
+        """Add a spline from here through all points (n, coordinates)."""
+        points = np.vstack([self.position, through])
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        doubled = np.flatnonzero(steps <= SHORTEST * self._scale(points))
+        if len(doubled):
+            k = int(doubled[0]) + 1
+            before = f"point {k - 1}" if k > 1 else "the start"
+            text = f"piece {end.piece + 1} (spline): point {k} is the same as {before}"
+            raise PathRefusal("doubled-point", text, "remove it", end.piece + 1)
+        self.add_polys(end, fit_spline(points, steps), "spline")
+        self.position = points[-1]
+
+    def add_polys(self, end: PieceEnd, curves: Array, word: str) -> None:
+        """Add curves (n, 6, coordinates) that continue each other smoothly, halved until their lengths converge."""
+        curves = split_until_measured(curves, f"piece {end.piece + 1} ({word})", end.piece + 1)
+        lengths = measure_curves(curves).lengths[:, -1].tolist()
+        last = len(lengths) - 1
+        for k, length in enumerate(lengths):
+            tolerance = end.tolerance if k == last else SMOOTH
+            self._spans.append((POLY, len(self._polys), length, end.piece, tolerance))
+            self._polys.append(curves[k])
+
+    def build(self) -> Outline:
+        """The outline of all pieces added so far."""
+        width = (len(self.position),)
+        polys = self._polys.stack((6, *width))
+        shapes = Shapes(
+            Lines(*(rows.stack(width) for rows in self._lines)),
+            Arcs(*(rows.stack(shape) for rows, shape in zip(self._arcs, (*[width] * 4, ()), strict=True))),
+            Polys(polys, measure_curves(polys)),
+        )
+        table = np.array(self._spans, dtype=np.float64).reshape(-1, 5)
+        kind, row, piece = (table[:, k].astype(np.int64) for k in (0, 1, 3))
+        return Outline(shapes, kind, row, table[:, 2], piece, table[:, 4])
+
+    def _scale(self, *points: Array) -> float:
+        return max(1e-3, float(np.abs(self.position).max()), *(float(np.abs(each).max()) for each in points))
+
+    def _check_length(self, end: PieceEnd, word: str, length: float) -> None:
+        if not length > SHORTEST * self._scale():
+            text = f"piece {end.piece + 1} ({word}): has no length, it ends where it begins"
+            raise PathRefusal("zero-length", text, "remove it, or correct its end", end.piece + 1)
+
+
+def split_until_measured(curves: Array, name: str, piece: int) -> Array:
+    """Halve those curves whose length is not known to 1e-9. Raises `PathRefusal` if that does not help: a cusp."""
+    for _ in range(SPLITS):
+        table = measure_curves(curves)
+        wanting = table.error > COARSE_ERROR
+        if (table.slowest < CUSP * table.lengths[:, -1]).any():
+            break
+        if not wanting.any():
+            return curves
+        parts = np.where(wanting[:, None, None, None], split_curves(curves), curves[:, None])
+        keep = np.ones(parts.shape[:2], dtype=bool)
+        keep[~wanting, 1] = False
+        curves = parts[keep]
+    text = f"{name}: has a cusp, a point at which it turns on the spot"
+    raise PathRefusal("cusp", text, "move or add points near it, or end the piece there", piece)

@@ -1,0 +1,109 @@
+"""Smoothing of a coarse motion: its speeds averaged over a time T, which makes jerk finite and changes no limit kept.
+
+The average of a piecewise constant acceleration is piecewise linear: every jump of it becomes a jerk over T. Positions
+are the averages of positions: they arrive at the same end, T/2 later. T may differ between stretches from rest to rest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.plan.path.arc_length import Array, Index
+from orchestrator.plan.path.coarse import CoarseMotion
+
+MERGED = 1e-9  # s; segments shorter than that are left out
+
+
+@dataclass(frozen=True, slots=True)
+class PathMotion:
+    """The motion s(t) along a path: segments of constant jerk. Entries: instant, position, speed, acceleration at the
+    start of each segment, its jerk; `duration_s` is the end of the last one, `length` its position."""
+
+    t: Array
+    s: Array
+    v: Array
+    a: Array
+    j: Array
+    duration_s: float
+    length: float
+
+    def find_segments(self, t: Array) -> Index:
+        """The segment at each instant."""
+        return np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
+
+    def evaluate(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """(position, speed, acceleration, jerk) at instants; at rest before the start and from the end on."""
+        k = self.find_segments(t)
+        x = np.clip(t, 0.0, self.duration_s) - self.t[k]
+        s = self.s[k] + x * (self.v[k] + x * (self.a[k] / 2 + x * self.j[k] / 6))
+        v = self.v[k] + x * (self.a[k] + x * self.j[k] / 2)
+        moving = (t >= 0.0) & (t < self.duration_s)
+        s = np.where(t >= self.duration_s, self.length, np.clip(s, 0.0, self.length))
+        return s, np.where(moving, v, 0.0), np.where(moving, self.a[k] + x * self.j[k], 0.0), self.j[k] * moving
+
+    def find_instants(self, s: Array) -> Array:
+        """The first instant at which the motion reaches each position: Newton, guarded by the ends of segments."""
+        k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 1)
+        low = self.t[k]
+        high = np.append(self.t, self.duration_s)[k + 1]
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            beyond = self.evaluate(middle)[0] > s
+            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+        return (low + high) / 2
+
+
+BISECTIONS = 40
+
+
+def smooth_motion(coarse: CoarseMotion, smoothing_s: Array) -> PathMotion:
+    """Average over `smoothing_s` (per node of `coarse`, which rests as long between two stretches and at both ends)."""
+    half = smoothing_s / 2
+    knots = np.sort(np.concatenate([coarse.t - half, coarse.t + half]))
+    knots = knots[np.concatenate([[True], np.diff(knots) > MERGED])]
+    # Inside a segment nothing changes, so its middle tells its smoothing time and accelerations.
+    middle = (knots[:-1] + knots[1:]) / 2
+    cell = coarse.find_cells(middle)
+    # Only a pause has two smoothing times: half of each, one after the other.
+    early = middle - coarse.t[cell] < smoothing_s[cell] / 2
+    width = np.where(early, smoothing_s[cell], smoothing_s[cell + 1])
+    sharp = width <= 0.0
+    width = np.where(sharp, 1.0, width)
+    ahead, behind = middle + width / 2, middle - width / 2
+    dt = np.diff(knots)
+    with np.errstate(invalid="ignore"):
+        j = np.where(sharp, 0.0, (_accelerations_at(coarse, ahead) - _accelerations_at(coarse, behind)) / width)
+    begin = knots[:-1]
+    v = np.where(
+        sharp,
+        coarse.speeds_at(np.clip(begin, 0.0, coarse.t[-1])),
+        (coarse.positions_at(begin + width / 2) - coarse.positions_at(begin - width / 2)) / width,
+    )
+    v = np.maximum(v, 0.0)
+    a = np.where(
+        sharp, _accelerations_at(coarse, middle), (_speeds_at(coarse, begin + width / 2) - _speeds_at(coarse, begin - width / 2)) / width
+    )
+    s = np.concatenate([[0.0], np.cumsum(dt * (v + dt * (a / 2 + dt * j / 6)))])
+    length = float(coarse.s[-1])
+    # The sum has rounding of its own: spread it, so that the motion ends at the end.
+    s *= length / s[-1]
+    return PathMotion(begin - knots[0], s[:-1], v, a, j, float(knots[-1] - knots[0]), length)
+
+
+def _accelerations_at(coarse: CoarseMotion, t: Array) -> Array:
+    inside = (t > coarse.t[0]) & (t < coarse.t[-1])
+    return np.where(inside, coarse.a[coarse.find_cells(t)], 0.0)
+
+
+def _speeds_at(coarse: CoarseMotion, t: Array) -> Array:
+    inside = (t > coarse.t[0]) & (t < coarse.t[-1])
+    return np.where(inside, coarse.speeds_at(np.clip(t, coarse.t[0], coarse.t[-1])), 0.0)
+
+
+def join_motions(motions: list[PathMotion]) -> PathMotion:
+    """Motions one after the other."""
+    t0 = np.cumsum([0.0, *(m.duration_s for m in motions)])
+    s0 = np.cumsum([0.0, *(m.length for m in motions)])
+    t, s = (np.concatenate([getattr(m, n) + z for m, z in zip(motions, base, strict=False)]) for n, base in (("t", t0), ("s", s0)))
+    v, a, j = (np.concatenate([getattr(m, name) for m in motions]) for name in ("v", "a", "j"))
+    return PathMotion(t, s, v, a, j, float(t0[-1]), float(s0[-1]))

@@ -1,0 +1,59 @@
+"""A track: spans in order, corners blended or marked as stops, ready to be evaluated by length and planned."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.plan.path.arc_length import NEWTON_ROUNDS, Array, Index
+from orchestrator.plan.path.curves import Derivatives, Shapes
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The affine map from coordinates to axes: matrix (axes, coordinates) and offset."""
+
+    matrix: Array
+    offset: Array
+
+    def apply(self, values: Derivatives) -> Derivatives:
+        """Map positions and derivatives to the axes."""
+        q, *derivatives = (part @ self.matrix.T for part in values)
+        return Derivatives(q + self.offset, *derivatives)
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Spans of curves, one entry each: `kind` and `row` in `shapes`; `low`: where on its curve it begins; its length;
+    piece: its number from 0 (of a blend, that of the piece before it); blend: whether it rounds a corner; stop: whether
+    the motion rests at its end (the last one does). start: lengths from the track's start, one more entry."""
+
+    shapes: Shapes
+    frame: Frame | None
+    kind: Index
+    row: Index
+    low: Array
+    length: Array
+    piece: Index
+    blend: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    stop: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    start: Array
+
+    @property
+    def end(self) -> float:
+        """The length of all."""
+        return float(self.start[-1])
+
+    def find_spans(self, s: Array) -> Index:
+        """The span at each length; at a junction the later one."""
+        return np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.kind) - 1)
+
+    def evaluate(self, s: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
+        """Positions of the axes and their derivatives at lengths `s`."""
+        span = self.find_spans(s)
+        return self.evaluate_spans(span, s - self.start[span], rounds)
+
+    def evaluate_spans(self, span: Index, local: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
+        """The same, at `local` lengths from the starts of spans."""
+        local = np.clip(local, 0.0, self.length[span])
+        found = self.shapes.evaluate(self.kind[span], self.row[span], self.low[span] + local, rounds)
+        return found if self.frame is None else self.frame.apply(found)
