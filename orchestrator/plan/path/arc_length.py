@@ -18,6 +18,7 @@ KNOTS: Array = np.linspace(0.0, 1.0, CELLS + 1)
 # The error of a five-point rule falls by 2^10 where cells are halved: this one between 8 and 16 cells leaves 1e-10.
 COARSE_ERROR = 1e-7
 NEWTON_ROUNDS = 3
+BLOCK = 128  # curves measured at a time: their derivatives stay in the processor's cache
 
 _RULE = np.polynomial.legendre.leggauss(5)
 POINTS: Array = (_RULE[0] + 1.0) / 2.0
@@ -49,6 +50,13 @@ class LengthTable(NamedTuple):
 
 def measure_curves(coefficients: Array) -> LengthTable:
     """Measure curves of shape (n, 6, coordinates)."""
+    if len(coefficients) <= BLOCK:
+        return _measure_block(coefficients)
+    parts = [_measure_block(coefficients[k : k + BLOCK]) for k in range(0, len(coefficients), BLOCK)]
+    return LengthTable(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _measure_block(coefficients: Array) -> LengthTable:
     n = len(coefficients)
     fine = np.linalg.norm(_FINE @ coefficients, axis=2)
     lengths = np.zeros((n, CELLS + 1))

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.plan.path.arc_length import Array, Index
+from orchestrator.plan.path.sweeps import sweep_squares
 
 STEADY = 1e-6  # of the largest acceleration: below, a cell is of constant speed
 BISECTIONS = 20
-MARGIN = 1e-5  # by which plateaus are longer than they must be, because neighbouring jerks would add up
-PLATEAU_ROUNDS = 3
+BLOCK = 256  # peaks treated at a time: what they look up stays in the processor's cache
+MARGIN = 1e-4  # by which plateaus are longer than they must be, because neighbouring jerks would add up
+PLATEAU_ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,31 @@ class CoarseMotion:
         return self.v[cell] + (t - self.t[cell]) * self.a[cell]
 
 
+@dataclass(frozen=True, slots=True)
+class Ladder:
+    """What speeds are swept on: nodes with caps of the squared speed, cells with acceleration and a cap between nodes,
+    and the smoothing time and the section of each node."""
+
+    s: Array
+    caps: Array
+    acceleration: Array
+    cell_caps: Array
+    smoothing_s: Array
+    section: Index
+
+    def sweep(self) -> Array:
+        """The largest squared speeds."""
+        return sweep_squares(self.caps, self.acceleration, np.diff(self.s))
+
+
+def integrate_ladder(ladder: Ladder, s: Array, squares: Array, source: Index) -> tuple[CoarseMotion, Array]:
+    """(motion, smoothing times) through nodes of a ladder. Between two sections it rests for half of the smoothing time
+    of each."""
+    width, section = ladder.smoothing_s[source], ladder.section[source]
+    pause = np.where(np.diff(section) > 0, (width[:-1] + width[1:]) / 2, 0.0)
+    return integrate_squares(s, squares, pause), width
+
+
 def integrate_squares(s: Array, squares: Array, pause_s: Array) -> CoarseMotion:
     """The motion through nodes at squared speeds; `pause_s`: how long it rests in each cell without length."""
     v = np.sqrt(squares)
@@ -55,9 +82,51 @@ def integrate_squares(s: Array, squares: Array, pause_s: Array) -> CoarseMotion:
     return CoarseMotion(np.concatenate([[0.0], np.cumsum(dt)]), s, v, a)
 
 
-def insert_peaks(s: Array, squares: Array, caps: Array, acceleration: Array) -> tuple[Array, Array, Index]:
+def widen_valleys(ladder: Ladder, squares: Array) -> Ladder:
+    """The ladder with caps that make each valley of `squares` last its smoothing time: so far on both sides that the
+    motion, at the valley's speed, needs half of it."""
+    change = np.diff(squares)
+    moving = np.flatnonzero(np.abs(change) > STEADY * squares.max(initial=0.0))
+    valley = (change[moving[:-1]] < 0) & (change[moving[1:]] > 0)
+    first, last = moving[:-1][valley] + 1, moving[1:][valley]
+    level = squares[first]
+    want = np.sqrt(level) * ladder.smoothing_s[first] * (1 + MARGIN) - (ladder.s[last] - ladder.s[first])
+    short = np.flatnonzero((want > MARGIN / 2 * np.sqrt(level) * ladder.smoothing_s[first]) & (level > 0.0))
+    if not len(short):
+        return ladder
+    low = np.maximum(ladder.s[first[short]] - want[short] / 2, 0.0)
+    high = np.minimum(ladder.s[last[short]] + want[short] / 2, ladder.s[-1])
+    return _lower_caps(ladder, low, high, level[short])
+
+
+def _lower_caps(ladder: Ladder, low: Array, high: Array, level: Array) -> Ladder:
+    """Caps of `level` from `low` to `high`, with nodes there."""
+    at = np.concatenate([low, high])
+    cell = np.clip(np.searchsorted(ladder.s, at, side="right") - 1, 0, len(ladder.s) - 2)
+    h = ladder.s[cell + 1] - ladder.s[cell]
+    part = (at - ladder.s[cell]) / np.maximum(h, 1e-300)
+    between = np.maximum(ladder.cell_caps[cell], (1 - part) * ladder.caps[cell] + part * ladder.caps[cell + 1])
+    s = np.concatenate([ladder.s, at])
+    source = np.concatenate([np.arange(len(ladder.s)), cell])
+    order = np.lexsort((s, source))
+    s, source = s[order], source[order]
+    caps = np.concatenate([ladder.caps, between])[order]
+    cells = source[:-1]
+    cell_caps = ladder.cell_caps[cells].copy()
+    # Few nodes lie inside one valley: as many rounds as the largest number of them.
+    begin, end = np.searchsorted(s, low, side="left"), np.searchsorted(s, high, side="right")
+    for k in range(int((end - begin).max())):
+        inside = begin + k < end
+        np.minimum.at(caps, begin[inside] + k, level[inside])
+        inner = begin + k < end - 1
+        np.minimum.at(cell_caps, begin[inner] + k, level[inner])
+    return Ladder(s, caps, ladder.acceleration[np.minimum(cells, len(ladder.acceleration) - 1)], cell_caps, ladder.smoothing_s[source], ladder.section[source])
+
+
+def insert_peaks(ladder: Ladder, squares: Array) -> tuple[Array, Array, Index]:
     """Nodes where speeding up and slowing down cross inside a cell, or reach its cap: (s, squares, source), with
     `source` the cell of an old node before each new one."""
+    s, caps, acceleration = ladder.s, ladder.cell_caps, ladder.acceleration
     h = np.diff(s)
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = (np.diff(squares) + 2 * acceleration * h) / (4 * acceleration)
@@ -74,13 +143,25 @@ def insert_peaks(s: Array, squares: Array, caps: Array, acceleration: Array) -> 
     return new_s[order], new_squares[order], source[order]
 
 
-def flatten_peaks(motion: CoarseMotion, smoothing_s: Array) -> tuple[Array, Array, Index]:
-    """Cut peaks of speed until each lasts its `smoothing_s` (per node): (s, squares, source) of nodes.
+def flatten_peaks(ladder: Ladder, squares: Array) -> Ladder:
+    """The ladder with caps that make each peak of `squares` last its smoothing time.
 
     The level is where both flanks are as far apart as the plateau then lasts; found by bisection, all peaks at once.
     """
-    begin, end = _find_peaks(motion, smoothing_s)
-    width = smoothing_s[np.searchsorted(motion.t, begin)] * (1 + MARGIN)
+    s, squares, source = insert_peaks(ladder, squares)
+    motion, smoothing_s = integrate_ladder(ladder, s, squares, source)
+    begin, end, width = _find_peaks(motion, smoothing_s)
+    if not len(begin):
+        return ladder
+    parts = [_find_plateaus(motion, begin[k : k + BLOCK], end[k : k + BLOCK], width[k : k + BLOCK]) for k in range(0, len(begin), BLOCK)]
+    return _lower_caps(ladder, *(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _find_plateaus(motion: CoarseMotion, begin: Array, end: Array, width: Array) -> tuple[Array, Array, Array]:
+    """(begin, end, squared speed) of plateaus, as positions, for peaks in order of time."""
+    first, last = np.searchsorted(motion.t, [begin[0] - width.max(), end[-1] + width.max()])
+    first = max(int(first) - 1, 0)
+    motion = CoarseMotion(*(part[first : int(last) + 1] for part in (motion.t, motion.s, motion.v)), motion.a[first : int(last)])
     window = width
     for _ in range(PLATEAU_ROUNDS):
         left, right, level = _find_level(motion, begin, end, window)
@@ -88,17 +169,20 @@ def flatten_peaks(motion: CoarseMotion, smoothing_s: Array) -> tuple[Array, Arra
         # A plateau is slower than the peak, and takes longer.
         window = np.clip(window * width * level / np.maximum(covered, 1e-300), end - begin, width)
     left, right, level = _find_level(motion, begin, end, window)
-    return _cut_peaks(motion, left, right, level)
+    return motion.positions_at(left), motion.positions_at(right), level**2
 
 
-def _find_peaks(motion: CoarseMotion, smoothing_s: Array) -> tuple[Array, Array]:
-    """The instants at which speeding up ends and slowing down begins less than the smoothing time later."""
-    steep = np.flatnonzero(np.abs(motion.a) > STEADY * np.abs(motion.a).max(initial=0.0))
-    rising = motion.a[steep[:-1]] > 0
-    falling = motion.a[steep[1:]] < 0
-    begin, end = motion.t[steep[:-1] + 1], motion.t[steep[1:]]
-    peak = rising & falling & (end - begin < smoothing_s[steep[:-1] + 1] * (1 - 1e-9))
-    return begin[peak], end[peak]
+def _find_peaks(motion: CoarseMotion, smoothing_s: Array) -> tuple[Array, Array, Array]:
+    """(when speeding up ends, when slowing down begins, how long it must last) of peaks that last too short."""
+    steep = np.flatnonzero(
+        (np.abs(motion.a) > STEADY * np.abs(motion.a).max(initial=0.0))
+        & (np.abs(np.diff(motion.v)) > STEADY * motion.v.max(initial=0.0))
+    )
+    peak = (motion.a[steep[:-1]] > 0) & (motion.a[steep[1:]] < 0)
+    first, last = steep[:-1][peak] + 1, steep[1:][peak]
+    width = smoothing_s[first] * (1 + MARGIN)
+    short = motion.t[last] - motion.t[first] < width * (1 - MARGIN / 2)
+    return motion.t[first[short]], motion.t[last[short]], width[short]
 
 
 def _find_level(motion: CoarseMotion, begin: Array, end: Array, window: Array) -> tuple[Array, Array, Array]:
@@ -110,19 +194,3 @@ def _find_level(motion: CoarseMotion, begin: Array, end: Array, window: Array) -
         early, late = np.where(higher, early, middle), np.where(higher, middle, late)
     left = (early + late) / 2
     return left, left + window, np.minimum(motion.speeds_at(left), motion.speeds_at(left + window))
-
-
-def _cut_peaks(motion: CoarseMotion, left: Array, right: Array, level: Array) -> tuple[Array, Array, Index]:
-    # Windows may touch where two peaks are close: the later one begins where the earlier one ends.
-    right = np.minimum(right, np.append(left[1:], np.inf))
-    nodes = len(motion.t)
-    inside = np.zeros(nodes + 1, dtype=np.int64)
-    np.add.at(inside, np.searchsorted(motion.t, left, side="left"), 1)
-    np.add.at(inside, np.searchsorted(motion.t, right, side="right"), -1)
-    keep = np.flatnonzero(np.cumsum(inside[:-1]) <= 0)
-    instants = np.concatenate([motion.t[keep], left, right])
-    s = np.concatenate([motion.s[keep], motion.positions_at(left), motion.positions_at(right)])
-    squares = np.concatenate([motion.v[keep] ** 2, level**2, level**2])
-    source = np.concatenate([keep, motion.find_cells(left), motion.find_cells(right)])
-    order = np.argsort(instants, kind="stable")
-    return s[order], squares[order], source[order]

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.plan.path.arc_length import COARSE_ERROR, Array, Index, measure_curves
-from orchestrator.plan.path.curves import LINE, POLY, Derivatives, Polys, Shapes, evaluate_polys
+from orchestrator.plan.path.arc_length import COARSE_ERROR, NEWTON_ROUNDS, Array, Index, measure_curves
+from orchestrator.plan.path.curves import LINE, POLY, QUICK, Derivatives, Polys, Shapes, evaluate_polys
 from orchestrator.plan.path.outline import CUSP, SMOOTH, STOP, Outline
 from orchestrator.plan.path.track import Frame, Track
 
 # Where the control points of a blend lie between its end and the corner, in parts of `trim`.
-INNER, OUTER = 0.32, 0.72
+INNER, OUTER = 0.4, 0.75
 SAME_TANGENT = 1e-9  # rad
 SAME_CURVATURE = 1e-6  # relative
 # A blend that turns further is nearly a cusp: it would be slower than a stop.
 SHARPEST = np.pi * 175 / 180
-ROUNDS = 8
-COMPARED = 33  # points of a blend compared with the outline
+ROUNDS = 5
+COMPARED = 17  # points of a blend compared with the outline
 _AT: Array = np.linspace(0.0, 1.0, COMPARED)
 
 
@@ -72,9 +72,9 @@ def _look_at_joints(outline: Outline) -> Joints:
     return Joints(before, before + 1, turn, straight, bend <= SAME_CURVATURE * most)
 
 
-def evaluate_ends(outline: Outline, span: Index, local: Array) -> Derivatives:
+def evaluate_ends(outline: Outline, span: Index, local: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
     """Evaluate spans of an outline, in coordinates."""
-    return outline.shapes.evaluate(outline.kind[span], outline.row[span], local)
+    return outline.shapes.evaluate(outline.kind[span], outline.row[span], local, rounds)
 
 
 def _fit_blends(outline: Outline, joints: Joints, at: Index, tolerance: Array) -> tuple[Array, Array, Array]:
@@ -145,7 +145,7 @@ def _find_distances(outline: Outline, at: Index, trims: Array, curves: Array) ->
     along = (2 * fraction - 1) * trims[many]
     span = at[many] + late
     local = np.where(late, along, outline.length[at[many]] + along)
-    on_outline = evaluate_ends(outline, span, local).q
+    on_outline = evaluate_ends(outline, span, local, QUICK).q
     return np.linalg.norm(on_blend - on_outline, axis=1).reshape(len(at), COMPARED).max(axis=1)
 
 

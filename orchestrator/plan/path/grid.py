@@ -18,7 +18,7 @@ Flags = NDArray[np.bool_]
 
 BLOCK = 4096  # nodes evaluated at a time, so that their derivatives stay in the processor's cache
 ARC_CELLS = 12
-ARC_STEP = np.pi / 16  # the longest cell of an arc, in rad
+ARC_STEP = np.pi / 32  # the longest cell of an arc, in rad
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.plan.path.arc_length import Array
-from orchestrator.plan.path.coarse import MARGIN, flatten_peaks, insert_peaks, integrate_squares
+from orchestrator.plan.path.arc_length import Array, Index
+from orchestrator.plan.path.coarse import Ladder, flatten_peaks, insert_peaks, integrate_ladder, widen_valleys
 from orchestrator.plan.path.grid import Grid, make_grid, place_nodes, refine_grid
 from orchestrator.plan.path.limits import PathLimits
 from orchestrator.plan.path.smooth import PathMotion, smooth_motion
-from orchestrator.plan.path.sweeps import spread_caps, spread_cells, sweep_squares
+from orchestrator.plan.path.sweeps import spread_cells, sweep_squares
 from orchestrator.plan.path.track import Track
+
+ROUNDS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +58,7 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
     width = smoothing_s[grid.section]
     h = np.diff(grid.s)
     within = np.diff(grid.section) == 0
-    caps = spread_caps(grid.speed, grid.s, width)
-    caps[grid.rest] = 0.0
-    squares = caps**2
+    squares = np.where(grid.rest, 0.0, grid.speed**2)
 
     def sweep(speeds: Array, reach_s: Array | None) -> tuple[Array, Array]:
         nodes = grid.find_accelerations(limits, speeds, width)
@@ -75,10 +75,14 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
     with np.errstate(divide="ignore"):
         dt = np.where(h > 0, 2 * h / np.maximum(np.sqrt(fast[:-1]) + np.sqrt(fast[1:]), 1e-12), 0.0)
     times = np.concatenate([[0.0], np.cumsum(np.where(within, np.minimum(dt, 1e3), 2 * width[:-1] + 2 * width[1:]))])
-    squares_held, cells = sweep(np.sqrt(fast), times)
-    top = _find_cell_caps(grid, caps) ** 2
-    motion = _assemble_motion(grid, squares_held, top, cells, width)
-    return TimeLaw(motion, grid, cells, squares_held)
+    held, cells = sweep(np.sqrt(fast), times)
+    ladder = Ladder(grid.s, squares, cells, _find_cell_caps(grid) ** 2, width, grid.section)
+    for _ in range(ROUNDS):
+        ladder = widen_valleys(ladder, ladder.sweep())
+        ladder = flatten_peaks(ladder, ladder.sweep())
+    held = ladder.sweep()
+    motion = smooth_motion(*integrate_ladder(ladder, *insert_peaks(ladder, held)))
+    return TimeLaw(motion, grid, cells, held)
 
 
 def _add_nodes(grid: Grid, track: Track, limits: PathLimits, width: Array) -> Grid:
@@ -96,32 +100,14 @@ def _add_nodes(grid: Grid, track: Track, limits: PathLimits, width: Array) -> Gr
         node = begins[spans] if ahead else ends[spans]
         inner = ~grid.rest[node] & (v < np.inf)
         t, a = width[node], np.where(np.isfinite(steep[node]), steep[node], 0.0)
-        for reach in (v * t * (1 + MARGIN) / 2, v * t + a * t**2 / 2):
-            use = inner & (reach < 0.49 * track.length[spans]) & (reach > 0)
-            local = reach if ahead else track.length[spans] - reach
-            parts.append((spans[use], local[use]))
+        reach = v * t + a * t**2 / 2
+        use = inner & (reach < 0.49 * track.length[spans]) & (reach > 0)
+        parts.append((spans[use], (reach if ahead else track.length[spans] - reach)[use]))
     span, local = (np.concatenate(each) for each in zip(*parts, strict=True))
     return refine_grid(grid, track, limits, span.astype(np.int64), local) if len(span) else grid
 
 
-def _assemble_motion(grid: Grid, squares: Array, top: Array, cells: Array, width: Array) -> PathMotion:
-    s, squares, source = insert_peaks(grid.s, squares, top, cells)
-    width = width[source]
-    # Between two sections the motion rests for half of the smoothing time of each.
-    pause = np.where(np.diff(grid.section[source]) > 0, (width[:-1] + width[1:]) / 2, 0.0)
-    coarse = integrate_squares(s, squares, pause)
-    s, squares, again = flatten_peaks(coarse, width)
-    source, width = source[again], width[again]
-    pause = np.where(np.diff(grid.section[source]) > 0, (width[:-1] + width[1:]) / 2, 0.0)
-    return smooth_motion(integrate_squares(s, squares, pause), width)
-
-
-def _find_cell_caps(grid: Grid, caps: Array) -> Array:
-    """The cap between nodes: on lines their own one, except where that of a junction is spread into them."""
-    begin, end = grid.span[:-1], grid.span[1:]
-    line = grid.line[:-1] & (begin == end)
-    edge = np.diff(grid.span, prepend=-1, append=-1) != 0  # at each node: before it, one more after the last
-    # The first and the last cell of a line; a rest spreads nothing.
-    near = (edge[:-2] & ~grid.rest[:-1]) | (edge[2:] & ~grid.rest[1:])
-    own = np.where(near, np.minimum(grid.speed[:-1], np.maximum(caps[:-1], caps[1:])), grid.speed[:-1])
-    return np.where(line, own, np.minimum(caps[:-1], caps[1:]))
+def _find_cell_caps(grid: Grid) -> Array:
+    """The cap of speed between nodes: on lines their own one, else the lower one of both ends."""
+    line = grid.line[:-1] & (grid.span[:-1] == grid.span[1:])
+    return np.where(line, grid.speed[:-1], np.minimum(grid.speed[:-1], grid.speed[1:]))

@@ -14,8 +14,8 @@ from orchestrator.plan.path.arc_length import Array, Index
 from orchestrator.plan.path.curves import Derivatives
 
 # What curvature may take of an axis's acceleration and jerk; the rest is for changing speed.
-ACCELERATION_SHARE = 0.8
-JERK_SHARE = 0.6
+ACCELERATION_SHARE = 0.85
+JERK_SHARE = 0.65
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.plan.path.arc_length import Array, Index
 from orchestrator.plan.path.coarse import CoarseMotion
 
-MERGED = 1e-9  # s; segments shorter than that are left out
+MERGED = 1e-5  # of the smoothing time (at least 1 ns): shorter segments are left out
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array) -> PathMotion:
     """Average over `smoothing_s` (per node of `coarse`, which rests as long between two stretches and at both ends)."""
     half = smoothing_s / 2
     knots = np.sort(np.concatenate([coarse.t - half, coarse.t + half]))
-    knots = knots[np.concatenate([[True], np.diff(knots) > MERGED])]
+    knots = knots[np.concatenate([[True], np.diff(knots) > max(1e-9, MERGED * smoothing_s.min())])]
     # Inside a segment nothing changes, so its middle tells its smoothing time and accelerations.
     middle = (knots[:-1] + knots[1:]) / 2
     cell = coarse.find_cells(middle)

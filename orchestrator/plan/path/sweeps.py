@@ -9,8 +9,6 @@ import numpy as np
 
 from orchestrator.plan.path.arc_length import Array, Index
 
-SHORTEST_S = 1e-4  # a smoothing time below it limits slopes as it does, because sums of steep slopes lose digits
-
 
 def sweep_squares(caps: Array, acceleration: Array, h: Array) -> Array:
     """The largest squared speeds at nodes: at most `caps`, changing in each cell by 2 `acceleration` `h` at most."""
@@ -38,26 +36,6 @@ def find_range_minima(values: Array, low: Index, high: Index) -> Array:
         at = np.flatnonzero(level == k)
         out[at] = np.minimum(table[low[at]], table[high[at] - 2**k + 1])
     return out
-
-
-def spread_caps(caps: Array, s: Array, smoothing_s: Array) -> Array:
-    """Caps that still hold after speeds are averaged over `smoothing_s`: each holds for half of it on both sides.
-
-    A cap v reaches v T/2 far, which is exactly T/2 at that speed. Its slope is limited to 2/T before, so that reaches
-    overlap in order; that concerns speeds below A T/2 only.
-    """
-    half = smoothing_s / 2
-    slope = np.minimum(1.0 / np.maximum(half[:-1], SHORTEST_S), 1.0 / np.maximum(half[1:], SHORTEST_S))
-    rise = np.concatenate([[0.0], np.cumsum(slope * np.diff(s))])
-    forward = rise + np.minimum.accumulate(caps - rise)
-    ahead = -rise
-    caps = np.minimum(caps, ahead + np.minimum.accumulate((forward - ahead)[::-1])[::-1])
-    tiny = 1e-9 * caps * half
-    low = np.searchsorted(np.maximum.accumulate(s + caps * half + tiny), s, side="left")
-    begin = np.minimum.accumulate((s - caps * half - tiny)[::-1])[::-1]
-    high = np.searchsorted(begin, s, side="right") - 1
-    node = np.arange(len(s))
-    return find_range_minima(caps, np.minimum(low, node), np.maximum(high, node))
 
 
 def spread_cells(values: Array, t: Array, reach_s: Array) -> Array:
