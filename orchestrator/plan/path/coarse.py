@@ -62,12 +62,12 @@ class Ladder:
         return sweep_squares(self.caps, self.acceleration, np.diff(self.s))
 
 
-def integrate_ladder(ladder: Ladder, s: Array, squares: Array, source: Index) -> tuple[CoarseMotion, Array]:
-    """(motion, smoothing times) through nodes of a ladder. Between two sections it rests for half of the smoothing time
+def integrate_ladder(ladder: Ladder, s: Array, squares: Array, source: Index) -> tuple[CoarseMotion, Array, Index]:
+    """(motion, smoothing times, sections) through nodes of a ladder. Between two sections it rests for half of the smoothing time
     of each."""
     width, section = ladder.smoothing_s[source], ladder.section[source]
     pause = np.where(np.diff(section) > 0, (width[:-1] + width[1:]) / 2, 0.0)
-    return integrate_squares(s, squares, pause), width
+    return integrate_squares(s, squares, pause), width, section
 
 
 def integrate_squares(s: Array, squares: Array, pause_s: Array) -> CoarseMotion:
@@ -149,7 +149,7 @@ def flatten_peaks(ladder: Ladder, squares: Array) -> Ladder:
     The level is where both flanks are as far apart as the plateau then lasts; found by bisection, all peaks at once.
     """
     s, squares, source = insert_peaks(ladder, squares)
-    motion, smoothing_s = integrate_ladder(ladder, s, squares, source)
+    motion, smoothing_s, _ = integrate_ladder(ladder, s, squares, source)
     begin, end, width = _find_peaks(motion, smoothing_s)
     if not len(begin):
         return ladder

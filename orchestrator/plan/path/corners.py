@@ -172,8 +172,9 @@ def _join_spans(
     spare = outline.length.max() * 1e-12
     keep = np.argsort(order, kind="stable")
     keep = keep[length[keep] > spare]
-    blend = order != np.floor(order)
+    source = np.floor(order).astype(np.int64)
+    blend = order != source
     start = np.concatenate([[0.0], np.cumsum(length[keep])])
     return Track(
-        shapes, frame, kind[keep], row[keep], low[keep], length[keep], piece[keep], blend[keep], stop[keep], start
+        shapes, frame, kind[keep], row[keep], low[keep], length[keep], piece[keep], source[keep], blend[keep], stop[keep], start
     )

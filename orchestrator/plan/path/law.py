@@ -4,8 +4,6 @@ Caps of speed on a grid; accelerations left at those speeds; sweeps forward and 
 smoothing time; plateaus on peaks; smoothing. Explained in docs/explanation/path-time-law.md.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from orchestrator.plan.path.arc_length import Array, Index
@@ -19,24 +17,14 @@ from orchestrator.plan.path.track import Track
 ROUNDS = 2
 
 
-@dataclass(frozen=True, slots=True)
-class TimeLaw:
-    """A motion along a track, and the grid and the accelerations from which it was made."""
-
-    motion: PathMotion
-    grid: Grid
-    acceleration: Array
-    squares: Array
-
-
-def plan_law(track: Track, limits: PathLimits) -> TimeLaw:
-    """Plan the motion along a track from rest to rest."""
+def plan_law(track: Track, limits: PathLimits) -> tuple[PathMotion, Grid]:
+    """Plan the motion along a track from rest to rest. Also the grid of its nodes and caps."""
     base = make_grid(track, limits, *place_nodes(track))
-    smoothing_s = choose_smoothing(base, track, limits)
-    return plan_with_smoothing(track, limits, base, smoothing_s)
+    smoothing_s = choose_smoothing(base, limits)
+    return plan_with_smoothing(track, limits, base, smoothing_s), base
 
 
-def choose_smoothing(grid: Grid, track: Track, limits: PathLimits) -> Array:
+def choose_smoothing(grid: Grid, limits: PathLimits) -> Array:
     """The smoothing time of each section: the largest acceleration divided by jerk, less on a short line."""
     first = np.abs(grid.at.first)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -52,7 +40,7 @@ def choose_smoothing(grid: Grid, track: Track, limits: PathLimits) -> Array:
     return np.where(single, np.minimum(smoothing_s, np.cbrt(length / (2 * jerk[begin]))), smoothing_s)
 
 
-def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_s: Array) -> TimeLaw:
+def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_s: Array) -> PathMotion:
     """Plan with a smoothing time for each section."""
     grid = _add_nodes(base, track, limits, smoothing_s[base.section])
     width = smoothing_s[grid.section]
@@ -75,14 +63,12 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
     with np.errstate(divide="ignore"):
         dt = np.where(h > 0, 2 * h / np.maximum(np.sqrt(fast[:-1]) + np.sqrt(fast[1:]), 1e-12), 0.0)
     times = np.concatenate([[0.0], np.cumsum(np.where(within, np.minimum(dt, 1e3), 2 * width[:-1] + 2 * width[1:]))])
-    held, cells = sweep(np.sqrt(fast), times)
+    _, cells = sweep(np.sqrt(fast), times)
     ladder = Ladder(grid.s, squares, cells, _find_cell_caps(grid) ** 2, width, grid.section)
     for _ in range(ROUNDS):
         ladder = widen_valleys(ladder, ladder.sweep())
         ladder = flatten_peaks(ladder, ladder.sweep())
-    held = ladder.sweep()
-    motion = smooth_motion(*integrate_ladder(ladder, *insert_peaks(ladder, held)))
-    return TimeLaw(motion, grid, cells, held)
+    return smooth_motion(*integrate_ladder(ladder, *insert_peaks(ladder, ladder.sweep())))
 
 
 def _add_nodes(grid: Grid, track: Track, limits: PathLimits, width: Array) -> Grid:

@@ -35,6 +35,14 @@ class PathLimits:
         """Whether anything limits jerk."""
         return bool(np.isfinite(self.jerk).any() or np.isfinite(self.path_jerk))
 
+    def scale_time(self, factor: float) -> "PathLimits":
+        """The limits of a motion that, in `1 / factor` of its time, is on these."""
+        orders = (factor, factor**2, factor**3)
+        axes = (self.velocity, self.acceleration, self.jerk)
+        path = (self.path_speed, self.path_acceleration, self.path_jerk)
+        low = [limit / power for limit, power in zip((*axes, *path), orders * 2, strict=True)]
+        return PathLimits(*low)
+
 
 class Binding(NamedTuple):
     """A cap at each point, and what sets it: `order` 1 velocity, 2 acceleration, 3 jerk, and the axis (-1: the path)."""

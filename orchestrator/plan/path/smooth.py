@@ -4,7 +4,7 @@ The average of a piecewise constant acceleration is piecewise linear: every jump
 are the averages of positions: they arrive at the same end, T/2 later. T may differ between stretches from rest to rest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,15 +17,22 @@ MERGED = 1e-5  # of the smoothing time (at least 1 ns): shorter segments are lef
 @dataclass(frozen=True, slots=True)
 class PathMotion:
     """The motion s(t) along a path: segments of constant jerk. Entries: instant, position, speed, acceleration at the
-    start of each segment, its jerk; `duration_s` is the end of the last one, `length` its position."""
+    start of each segment, its jerk, and the number of the stretch from rest to rest that it belongs to; `duration_s` is the
+    end of the last one, `length` its position."""
 
     t: Array
     s: Array
     v: Array
     a: Array
     j: Array
+    section: Index
     duration_s: float
     length: float
+
+    @property
+    def ends_s(self) -> Array:
+        """The end of each segment."""
+        return np.append(self.t[1:], self.duration_s)
 
     def find_segments(self, t: Array) -> Index:
         """The segment at each instant."""
@@ -42,22 +49,30 @@ class PathMotion:
         return s, np.where(moving, v, 0.0), np.where(moving, self.a[k] + x * self.j[k], 0.0), self.j[k] * moving
 
     def find_instants(self, s: Array) -> Array:
-        """The first instant at which the motion reaches each position: Newton, guarded by the ends of segments."""
+        """The instant at which the motion reaches each position, to a millionth of its segment."""
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 1)
-        low = self.t[k]
-        high = np.append(self.t, self.duration_s)[k + 1]
+        v, a, j, missing = self.v[k], self.a[k] / 2, self.j[k] / 6, s - self.s[k]
+        low, high = np.zeros(len(s)), self.ends_s[k] - self.t[k]
         for _ in range(BISECTIONS):
-            middle = (low + high) / 2
-            beyond = self.evaluate(middle)[0] > s
-            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-        return (low + high) / 2
+            x = (low + high) / 2
+            beyond = x * (v + x * (a + x * j)) > missing
+            low, high = np.where(beyond, low, x), np.where(beyond, x, high)
+        return self.t[k] + (low + high) / 2
+
+    def stretch_sections(self, factors: Array) -> "PathMotion":
+        """The same motion with each section in `factors` times its time: speeds, accelerations and jerks fall by its
+        powers."""
+        f = factors[self.section]
+        t = np.concatenate([[0.0], np.cumsum((self.ends_s - self.t) * f)])
+        return replace(self, t=t[:-1], v=self.v / f, a=self.a / f**2, j=self.j / f**3, duration_s=float(t[-1]))
 
 
-BISECTIONS = 40
+BISECTIONS = 20
 
 
-def smooth_motion(coarse: CoarseMotion, smoothing_s: Array) -> PathMotion:
-    """Average over `smoothing_s` (per node of `coarse`, which rests as long between two stretches and at both ends)."""
+def smooth_motion(coarse: CoarseMotion, smoothing_s: Array, section: Index) -> PathMotion:
+    """Average over `smoothing_s` (per node of `coarse`, as its section is; it rests between two sections for half of
+    the smoothing time of each)."""
     half = smoothing_s / 2
     knots = np.sort(np.concatenate([coarse.t - half, coarse.t + half]))
     knots = knots[np.concatenate([[True], np.diff(knots) > max(1e-9, MERGED * smoothing_s.min())])]
@@ -67,6 +82,7 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array) -> PathMotion:
     # Only a pause has two smoothing times: half of each, one after the other.
     early = middle - coarse.t[cell] < smoothing_s[cell] / 2
     width = np.where(early, smoothing_s[cell], smoothing_s[cell + 1])
+    number = np.where(early, section[cell], section[cell + 1])
     sharp = width <= 0.0
     width = np.where(sharp, 1.0, width)
     ahead, behind = middle + width / 2, middle - width / 2
@@ -87,7 +103,7 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array) -> PathMotion:
     length = float(coarse.s[-1])
     # The sum has rounding of its own: spread it, so that the motion ends at the end.
     s *= length / s[-1]
-    return PathMotion(begin - knots[0], s[:-1], v, a, j, float(knots[-1] - knots[0]), length)
+    return PathMotion(begin - knots[0], s[:-1], v, a, j, number, float(knots[-1] - knots[0]), length)
 
 
 def _accelerations_at(coarse: CoarseMotion, t: Array) -> Array:
@@ -98,12 +114,3 @@ def _accelerations_at(coarse: CoarseMotion, t: Array) -> Array:
 def _speeds_at(coarse: CoarseMotion, t: Array) -> Array:
     inside = (t > coarse.t[0]) & (t < coarse.t[-1])
     return np.where(inside, coarse.speeds_at(np.clip(t, coarse.t[0], coarse.t[-1])), 0.0)
-
-
-def join_motions(motions: list[PathMotion]) -> PathMotion:
-    """Motions one after the other."""
-    t0 = np.cumsum([0.0, *(m.duration_s for m in motions)])
-    s0 = np.cumsum([0.0, *(m.length for m in motions)])
-    t, s = (np.concatenate([getattr(m, n) + z for m, z in zip(motions, base, strict=False)]) for n, base in (("t", t0), ("s", s0)))
-    v, a, j = (np.concatenate([getattr(m, name) for m in motions]) for name in ("v", "a", "j"))
-    return PathMotion(t, s, v, a, j, float(t0[-1]), float(s0[-1]))

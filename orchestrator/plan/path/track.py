@@ -24,7 +24,7 @@ class Frame:
 @dataclass(frozen=True, slots=True)
 class Track:
     """Spans of curves, one entry each: `kind` and `row` in `shapes`; `low`: where on its curve it begins; its length;
-    piece: its number from 0 (of a blend, that of the piece before it); blend: whether it rounds a corner; stop: whether
+    piece: its number from 0, and source: its span of the outline (of a blend, those before it); blend: whether it rounds a corner; stop: whether
     the motion rests at its end (the last one does). start: lengths from the track's start, one more entry."""
 
     shapes: Shapes
@@ -34,6 +34,7 @@ class Track:
     low: Array
     length: Array
     piece: Index
+    source: Index
     blend: np.ndarray[tuple[int], np.dtype[np.bool_]]
     stop: np.ndarray[tuple[int], np.dtype[np.bool_]]
     start: Array

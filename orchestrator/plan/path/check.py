@@ -1,0 +1,70 @@
+"""The check of a time law: every axis's velocity, acceleration and jerk, sampled, against its limits.
+
+Each segment of the motion is looked at at both of its ends and in its middle. What is over is made good by stretching a
+section, from rest to rest, in time; a little only, for what lies between the nodes of the grid.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.plan.path.arc_length import Array, Index
+from orchestrator.plan.path.curves import QUICK, Derivatives
+from orchestrator.plan.path.limits import PathLimits
+from orchestrator.plan.path.smooth import PathMotion
+from orchestrator.plan.path.track import Track
+
+BLOCK = 4096  # segments looked at at a time
+
+
+@dataclass(frozen=True, slots=True)
+class LimitUse:
+    """How much of the limits each segment uses. stretch: what its time must be multiplied by at least (below 1: room).
+    used, order, axis: the most used limit in its middle, as a part of it, with its order (1 velocity, 2 acceleration, 3
+    jerk) and axis (-1: of the path)."""
+
+    stretch: Array
+    used: Array
+    order: Index
+    axis: Index
+
+
+def measure_use(track: Track, motion: PathMotion, limits: PathLimits) -> LimitUse:
+    """Compare a motion with all limits."""
+    parts = [_measure_block(track, motion, limits, slice(k, k + BLOCK)) for k in range(0, len(motion.t), BLOCK)]
+    return LimitUse(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _measure_block(
+    track: Track, motion: PathMotion, limits: PathLimits, part: slice
+) -> tuple[Array, Array, Index, Index]:
+    j = motion.j[part]
+    dt = motion.ends_s[part] - motion.t[part]
+    worst = np.zeros(len(j))
+    least = (np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))
+    for x in (dt * 1e-9, dt * (1 - 1e-9), dt / 2):
+        v = motion.v[part] + x * (motion.a[part] + x * j / 2)
+        a = motion.a[part] + x * j
+        s = motion.s[part] + x * (motion.v[part] + x * (motion.a[part] / 2 + x * j / 6))
+        uses = find_uses(track.evaluate(s, QUICK), (v, a, j), limits)
+        needed = np.stack([uses[0], np.sqrt(uses[1]), np.cbrt(uses[2])])
+        worst = np.maximum(worst, needed.max(axis=(0, 2)))
+        flat = np.concatenate([*uses], axis=1)
+        most = flat.argmax(axis=1)
+        width = uses[0].shape[1]
+        axis = most % width
+        least = (flat[np.arange(len(j)), most], most // width + 1, np.where(axis == width - 1, -1, axis))
+    return worst, *least
+
+
+def find_uses(at: Derivatives, motion: tuple[Array, Array, Array], limits: PathLimits) -> tuple[Array, Array, Array]:
+    """Velocity, acceleration and jerk as parts of their limits: one row per point, one column per axis and one for the
+    path. motion: speed, acceleration and jerk along the path."""
+    v, a, j = (part[:, None] for part in motion)
+    velocity = np.abs(at.first * v) / limits.velocity
+    acceleration = np.abs(at.second * v**2 + at.first * a) / limits.acceleration
+    jerk = np.abs(at.third * v**3 + 3 * at.second * v * a + at.first * j) / limits.jerk
+    along = (v / limits.path_speed, np.abs(a) / limits.path_acceleration, np.abs(j) / limits.path_jerk)
+    axes = (velocity, acceleration, jerk)
+    found = [np.concatenate(pair, axis=1) for pair in zip(axes, along, strict=True)]
+    return found[0], found[1], found[2]

@@ -1,0 +1,86 @@
+"""A run: a part of a path from rest to rest, planned as one. Per corner the faster of stop and blend is chosen."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orchestrator.plan.path.arc_length import Array
+from orchestrator.plan.path.check import LimitUse, measure_use
+from orchestrator.plan.path.corners import make_track
+from orchestrator.plan.path.errors import PathRefusal
+from orchestrator.plan.path.law import plan_law
+from orchestrator.plan.path.limits import PathLimits
+from orchestrator.plan.path.outline import SMOOTH, STOP, Outline
+from orchestrator.plan.path.smooth import PathMotion
+from orchestrator.plan.path.track import Frame, Track
+
+MOST_STRETCH = 1.01
+ATTEMPTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A planned run: the track, the motion along it, and how much of the limits its segments use."""
+
+    track: Track
+    motion: PathMotion
+    use: LimitUse
+
+
+def plan_run(outline: Outline, frame: Frame | None, limits: PathLimits) -> Run:
+    """Plan an outline from rest to rest.
+
+    Corners with a tolerance are blended, and stopped at, in two plans; where the way from the middle of one span to
+    that of the next is faster with a stop, the third plan stops. The fastest of the three is taken.
+    """
+    even = limits.third_order
+    rounded = make_track(outline, frame, blends=True, even=even)
+    plans = [(rounded, plan_law(rounded, limits)[0])]
+    if rounded.blend.any():
+        stopped = make_track(outline, frame, blends=False, even=even)
+        plans.append((stopped, plan_law(stopped, limits)[0]))
+        tolerance = _choose_corners(outline, *plans)
+        if (tolerance != outline.tolerance).any():
+            mixed = make_track(replace(outline, tolerance=tolerance), frame, blends=True, even=even)
+            plans.append((mixed, plan_law(mixed, limits)[0]))
+    track, motion = min(plans, key=lambda plan: plan[1].duration_s)
+    return _hold_limits(track, motion, limits)
+
+
+def _choose_corners(outline: Outline, rounded: tuple[Track, PathMotion], stopped: tuple[Track, PathMotion]) -> Array:
+    """The tolerances of the outline, `STOP` where stopping is faster."""
+    instants = [motion.find_instants(find_middles(track, outline)) for track, motion in (rounded, stopped)]
+    slower = np.append(np.diff(instants[0]) > np.diff(instants[1]), False)
+    corner = (outline.tolerance > STOP) & (outline.tolerance < SMOOTH)
+    return np.where(corner & slower, STOP, outline.tolerance)
+
+
+def find_middles(track: Track, outline: Outline) -> Array:
+    """The middle of each span of the outline, as a length of the track; where blends left nothing of it, their
+    junction."""
+    middles = np.zeros(len(outline.length))
+    # A blend's source is the span before it: its start is that span's end.
+    blends = np.flatnonzero(track.blend)
+    middles[track.source[blends]] = track.start[blends]
+    own = np.flatnonzero(~track.blend)
+    source = track.source[own]
+    middles[source] = track.start[own] + np.clip(outline.length[source] / 2 - track.low[own], 0.0, track.length[own])
+    return middles
+
+
+def _hold_limits(track: Track, motion: PathMotion, limits: PathLimits) -> Run:
+    """Stretch what is over a limit. If that is more than a little, plan with lower limits. Raises `PathRefusal`."""
+    aim = limits
+    for _ in range(ATTEMPTS):
+        use = measure_use(track, motion, limits)
+        sections = np.zeros(int(motion.section[-1]) + 1)
+        np.maximum.at(sections, motion.section, use.stretch)
+        worst = float(sections.max())
+        if worst <= MOST_STRETCH:
+            return Run(track, motion.stretch_sections(np.maximum(sections, 1.0)), use)
+        aim = aim.scale_time(worst)
+        motion = plan_law(track, aim)[0]
+    k = int(use.stretch.argmax())
+    piece = int(track.piece[track.find_spans(motion.s[k : k + 1])[0]]) + 1
+    text = f"piece {piece}: no motion within the limits was found; it would have to be {worst:.3f} times slower"
+    raise PathRefusal("over-limit", text, "choose lower speeds, or a larger tolerance, for this piece", piece)
