@@ -14,7 +14,7 @@ from orchestrator.plan.path.limits import PathLimits
 from orchestrator.plan.path.smooth import PathMotion
 from orchestrator.plan.path.track import Track
 
-BLOCK = 4096  # segments looked at at a time
+BLOCK = 1024  # segments looked at at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,23 +38,29 @@ def measure_use(track: Track, motion: PathMotion, limits: PathLimits) -> LimitUs
 def _measure_block(
     track: Track, motion: PathMotion, limits: PathLimits, part: slice
 ) -> tuple[Array, Array, Index, Index]:
+    begin = motion.t[part]
+    end = motion.ends_s[part]
     j = motion.j[part]
-    dt = motion.ends_s[part] - motion.t[part]
-    worst = np.zeros(len(j))
-    least = (np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))
-    for x in (dt * 1e-9, dt * (1 - 1e-9), dt / 2):
-        v = motion.v[part] + x * (motion.a[part] + x * j / 2)
-        a = motion.a[part] + x * j
-        s = motion.s[part] + x * (motion.v[part] + x * (motion.a[part] / 2 + x * j / 6))
-        uses = find_uses(track.evaluate(s, QUICK), (v, a, j), limits)
-        needed = np.stack([uses[0], np.sqrt(uses[1]), np.cbrt(uses[2])])
-        worst = np.maximum(worst, needed.max(axis=(0, 2)))
-        flat = np.concatenate([*uses], axis=1)
-        most = flat.argmax(axis=1)
-        width = uses[0].shape[1]
-        axis = most % width
-        least = (flat[np.arange(len(j)), most], most // width + 1, np.where(axis == width - 1, -1, axis))
-    return worst, *least
+    n = len(j)
+    # Each end is the start of the next segment, with the jerk of this one.
+    instants = np.concatenate([begin, end[-1:], (begin + end) / 2])
+    segment = np.concatenate([np.arange(n), [n - 1], np.arange(n)]) + (part.start or 0)
+    x = instants - motion.t[segment]
+    a0, v0, j0 = motion.a[segment], motion.v[segment], motion.j[segment]
+    s = motion.s[segment] + x * (v0 + x * (a0 / 2 + x * j0 / 6))
+    v, a = v0 + x * (a0 + x * j0 / 2), a0 + x * j0
+    at = track.evaluate(s, QUICK)
+    worst = np.zeros(n)
+    uses = (np.zeros((0, 0)),) * 3
+    for points in (slice(0, n), slice(1, n + 1), slice(n + 1, 2 * n + 1)):
+        uses = find_uses(Derivatives(*(each[points] for each in at)), (v[points], a[points], j), limits)
+        for use, root in zip(uses, (np.abs, np.sqrt, np.cbrt), strict=True):
+            worst = np.maximum(worst, root(use.max(axis=1)))
+    flat = np.concatenate(uses, axis=1)
+    most = flat.argmax(axis=1)
+    width = uses[0].shape[1]
+    axis = most % width
+    return worst, flat[np.arange(n), most], most // width + 1, np.where(axis == width - 1, -1, axis)
 
 
 def find_uses(at: Derivatives, motion: tuple[Array, Array, Array], limits: PathLimits) -> tuple[Array, Array, Array]:

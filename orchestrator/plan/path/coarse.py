@@ -13,7 +13,8 @@ from orchestrator.plan.path.arc_length import Array, Index
 from orchestrator.plan.path.sweeps import sweep_squares
 
 STEADY = 1e-6  # of the largest acceleration: below, a cell is of constant speed
-BISECTIONS = 20
+BISECTIONS = 30
+CLOSE = 1e-6  # of the smoothing time: as well as an instant of a plateau need be known
 BLOCK = 256  # peaks treated at a time: what they look up stays in the processor's cache
 MARGIN = 1e-4  # by which plateaus are longer than they must be, because neighbouring jerks would add up
 PLATEAU_ROUNDS = 5
@@ -163,13 +164,17 @@ def _find_plateaus(motion: CoarseMotion, begin: Array, end: Array, width: Array)
     first = max(int(first) - 1, 0)
     motion = CoarseMotion(*(part[first : int(last) + 1] for part in (motion.t, motion.s, motion.v)), motion.a[first : int(last)])
     window = width
+    left = _find_left(motion, (end - window, begin), window)
     for _ in range(PLATEAU_ROUNDS):
-        left, right, level = _find_level(motion, begin, end, window)
-        covered = motion.positions_at(right) - motion.positions_at(left)
         # A plateau is slower than the peak, and takes longer.
-        window = np.clip(window * width * level / np.maximum(covered, 1e-300), end - begin, width)
-    left, right, level = _find_level(motion, begin, end, window)
-    return motion.positions_at(left), motion.positions_at(right), level**2
+        level = np.minimum(motion.speeds_at(left), motion.speeds_at(left + window))
+        covered = motion.positions_at(left + window) - motion.positions_at(left)
+        narrower = np.clip(window * width * level / np.maximum(covered, 1e-300), end - begin, width)
+        moved = np.abs(window - narrower)
+        bracket = np.maximum(left - moved, end - narrower), np.minimum(left + moved, begin)
+        left, window = _find_left(motion, bracket, narrower), narrower
+    level = np.minimum(motion.speeds_at(left), motion.speeds_at(left + window))
+    return motion.positions_at(left), motion.positions_at(left + window), level**2
 
 
 def _find_peaks(motion: CoarseMotion, smoothing_s: Array) -> tuple[Array, Array, Array]:
@@ -185,12 +190,13 @@ def _find_peaks(motion: CoarseMotion, smoothing_s: Array) -> tuple[Array, Array,
     return motion.t[first[short]], motion.t[last[short]], width[short]
 
 
-def _find_level(motion: CoarseMotion, begin: Array, end: Array, window: Array) -> tuple[Array, Array, Array]:
-    """The instants `window` apart with the same speed before and after each peak, and that speed."""
-    early, late = end - window, begin.copy()
+def _find_left(motion: CoarseMotion, bracket: tuple[Array, Array], window: Array) -> Array:
+    """The instant before each peak at which the speed is that `window` later, by bisection in the bracket."""
+    early, late = bracket
     for _ in range(BISECTIONS):
         middle = (early + late) / 2
         higher = motion.speeds_at(middle) > motion.speeds_at(middle + window)
         early, late = np.where(higher, early, middle), np.where(higher, middle, late)
-    left = (early + late) / 2
-    return left, left + window, np.minimum(motion.speeds_at(left), motion.speeds_at(left + window))
+        if float(((late - early) / window).max(initial=0.0)) < CLOSE:
+            break
+    return (early + late) / 2

@@ -16,7 +16,7 @@ from orchestrator.plan.path.track import Track
 
 Flags = NDArray[np.bool_]
 
-BLOCK = 4096  # nodes evaluated at a time, so that their derivatives stay in the processor's cache
+BLOCK = 2048  # nodes evaluated at a time, so that their derivatives stay in the processor's cache
 ARC_CELLS = 12
 ARC_STEP = np.pi / 32  # the longest cell of an arc, in rad
 

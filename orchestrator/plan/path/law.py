@@ -14,7 +14,7 @@ from orchestrator.plan.path.smooth import PathMotion, smooth_motion
 from orchestrator.plan.path.sweeps import spread_cells, sweep_squares
 from orchestrator.plan.path.track import Track
 
-ROUNDS = 2
+ROUNDS = 5
 
 
 def plan_law(track: Track, limits: PathLimits) -> tuple[PathMotion, Grid]:
@@ -65,9 +65,12 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
     times = np.concatenate([[0.0], np.cumsum(np.where(within, np.minimum(dt, 1e3), 2 * width[:-1] + 2 * width[1:]))])
     _, cells = sweep(np.sqrt(fast), times)
     ladder = Ladder(grid.s, squares, cells, _find_cell_caps(grid) ** 2, width, grid.section)
-    for _ in range(ROUNDS):
-        ladder = widen_valleys(ladder, ladder.sweep())
-        ladder = flatten_peaks(ladder, ladder.sweep())
+    for _ in range(ROUNDS):  # what one changes on a flank the other one has to look at again
+        wide = widen_valleys(ladder, ladder.sweep())
+        flat = flatten_peaks(wide, wide.sweep())
+        if flat is ladder:
+            break
+        ladder = flat
     return smooth_motion(*integrate_ladder(ladder, *insert_peaks(ladder, ladder.sweep())))
 
 
