@@ -26,6 +26,27 @@ class Run:
     motion: PathMotion
     use: LimitUse
 
+    @property
+    def duration_s(self) -> float:
+        """From rest to rest."""
+        return self.motion.duration_s
+
+    @property
+    def length(self) -> float:
+        """The length of the track, in coordinates."""
+        return self.track.end
+
+    def evaluate(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions of the axes and their derivatives by time, each (instants, axes)."""
+        s, *motion = self.motion.evaluate(t)
+        v, a, j = (part[:, None] for part in motion)
+        q, q1, q2, q3 = self.track.evaluate(s)
+        return q, q1 * v, q2 * v**2 + q1 * a, q3 * v**3 + 3 * q2 * v * a + q1 * j
+
+    def find_positions(self, s: Array) -> Array:
+        """The positions of the axes after lengths `s` of the way."""
+        return self.track.evaluate(s).q
+
 
 def plan_run(outline: Outline, frame: Frame | None, limits: PathLimits) -> Run:
     """Plan an outline from rest to rest.
@@ -43,8 +64,13 @@ def plan_run(outline: Outline, frame: Frame | None, limits: PathLimits) -> Run:
         if (tolerance != outline.tolerance).any():
             mixed = make_track(replace(outline, tolerance=tolerance), frame, blends=True, even=even)
             plans.append((mixed, plan_law(mixed, limits)[0]))
-    track, motion = min(plans, key=lambda plan: plan[1].duration_s)
-    return _hold_limits(track, motion, limits)
+    plans.sort(key=lambda plan: plan[1].duration_s)
+    best = _hold_limits(*plans[0], limits)
+    # The check may have stretched it behind the next one.
+    for track, motion in plans[1:]:
+        if motion.duration_s < best.duration_s:
+            best = min(best, _hold_limits(track, motion, limits), key=lambda run: run.duration_s)
+    return best
 
 
 def _choose_corners(outline: Outline, rounded: tuple[Track, PathMotion], stopped: tuple[Track, PathMotion]) -> Array:

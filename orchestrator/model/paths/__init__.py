@@ -1,0 +1,1 @@
+"""Continuous paths as files and requests give them: pieces, corners, and frames."""
