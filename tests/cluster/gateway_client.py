@@ -7,15 +7,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from argon2 import PasswordHasher
+
 from orchestrator.bus.log import ProcessLog
 from orchestrator.client.api import Tutti
 from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualProcess
+from orchestrator.gateway.access import users as users_module
 from orchestrator.gateway.access.roles import Role
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.stream.merge_patch import apply_patch
 from orchestrator.runtime.virtual import VirtualFleet
+
+# The least work for each password: tests have many of them.
+users_module._HASHER = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
 
 PORT = 8080
 PASSWORD = "correct horse"

@@ -36,7 +36,7 @@ def use_fleet(fleet: LiveTestbed) -> None:
 
     assert fleet.run(read_position) == pytest.approx(20, abs=0.01)
     fault = fleet.fail("gantry", "limit", at="500 ms")
-    with pytest.raises(JobFailed, match="(?i)limit"):
+    with pytest.raises(JobFailed, match=r"(?i)limit"):
         fleet.tutti.move({"gantry.x": 300, "stage.u": 20}, speed=0.1)
     fault.repair()
     with pytest.raises(UnknownName, match="power-cycle, power-off"):

@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from argon2 import PasswordHasher
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_inline
@@ -72,7 +73,10 @@ class Door:
 
 
 @pytest.fixture
-def door(tmp_path: Path) -> Door:
+def door(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Door:
+    # The least work for each password: tests have many of them.
+    hasher = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+    monkeypatch.setattr("orchestrator.gateway.access.users._HASHER", hasher)
     return Door(tmp_path)
 
 
