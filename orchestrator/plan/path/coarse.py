@@ -134,8 +134,12 @@ def insert_peaks(ladder: Ladder, squares: Array) -> tuple[Array, Array, Index]:
         top = np.minimum(squares[:-1] + 2 * acceleration * crossing, caps)
         rise = (top - squares[:-1]) / (2 * acceleration)
         fall = (top - squares[1:]) / (2 * acceleration)
-        found = np.flatnonzero((rise > 1e-9 * h) & (fall > 1e-9 * h) & (h > 0.0))
-    flat = found[(h[found] - rise[found] - fall[found]) > 1e-9 * h[found]]
+        level = h - rise - fall
+        small = 1e-9 * h
+        found = np.flatnonzero(
+            (rise > -small) & (fall > -small) & (rise + fall > small) & ((np.minimum(rise, fall) > small) | (level > small))
+        )
+    flat = found[level[found] > small[found]]
     new_s = np.concatenate([s, s[found] + rise[found], s[flat + 1] - fall[flat]])
     new_squares = np.concatenate([squares, top[found], top[flat]])
     source = np.concatenate([np.arange(len(s)), found, flat])
