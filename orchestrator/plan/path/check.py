@@ -42,17 +42,21 @@ def _measure_block(
     end = motion.ends_s[part]
     j = motion.j[part]
     n = len(j)
-    # Each end is the start of the next segment, with the jerk of this one.
-    instants = np.concatenate([begin, end[-1:], (begin + end) / 2])
-    segment = np.concatenate([np.arange(n), [n - 1], np.arange(n)]) + (part.start or 0)
+    # Each end is the start of the next segment, with the jerk of this one; except at a rest, where a section ends.
+    rest = np.flatnonzero(np.diff(motion.section[part], append=-1))
+    number = np.arange(n)
+    instants = np.concatenate([begin, (begin + end) / 2, end[rest]])
+    segment = np.concatenate([number, number, rest]) + (part.start or 0)
     x = instants - motion.t[segment]
     a0, v0, j0 = motion.a[segment], motion.v[segment], motion.j[segment]
     s = motion.s[segment] + x * (v0 + x * (a0 / 2 + x * j0 / 6))
     v, a = v0 + x * (a0 + x * j0 / 2), a0 + x * j0
-    at = track.evaluate(s, QUICK)
+    at = track.evaluate(s, QUICK, motion.section[segment])
     worst = np.zeros(n)
     uses = (np.zeros((0, 0)),) * 3
-    for points in (slice(0, n), slice(1, n + 1), slice(n + 1, 2 * n + 1)):
+    ends = number + 1
+    ends[rest] = 2 * n + np.arange(len(rest))
+    for points in (number, ends, number + n):
         uses = find_uses(Derivatives(*(each[points] for each in at)), (v[points], a[points], j), limits)
         for use, root in zip(uses, (np.abs, np.sqrt, np.cbrt), strict=True):
             worst = np.maximum(worst, root(use.max(axis=1)))

@@ -201,6 +201,6 @@ def _find_left(motion: CoarseMotion, bracket: tuple[Array, Array], window: Array
         middle = (early + late) / 2
         higher = motion.speeds_at(middle) > motion.speeds_at(middle + window)
         early, late = np.where(higher, early, middle), np.where(higher, middle, late)
-        if float(((late - early) / window).max(initial=0.0)) < CLOSE:
+        if float((late - early - CLOSE * window).max(initial=0.0)) <= 0.0:
             break
     return (early + late) / 2

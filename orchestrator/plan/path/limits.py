@@ -85,4 +85,6 @@ def find_accelerations(limits: PathLimits, at: Derivatives, speed: Array, smooth
         jerk_left = np.maximum(limits.jerk - third * v**3, 0.0) / (3 * second * v + first * rate)
     # 0/0 and inf/inf are axes that stand, or have no limit.
     left = np.minimum(np.nan_to_num(left, nan=np.inf, posinf=np.inf), np.nan_to_num(jerk_left, nan=np.inf, posinf=np.inf))
-    return np.minimum(left.min(axis=1), np.minimum(limits.path_acceleration, limits.path_jerk * smoothing_s))
+    # Without smoothing jerk is not limited.
+    along = np.where(smoothing_s > 0.0, np.minimum(limits.path_acceleration, limits.path_jerk * np.maximum(smoothing_s, 1e-12)), limits.path_acceleration)
+    return np.minimum(left.min(axis=1), along)

@@ -40,7 +40,8 @@ class Run:
         """Positions of the axes and their derivatives by time, each (instants, axes)."""
         s, *motion = self.motion.evaluate(t)
         v, a, j = (part[:, None] for part in motion)
-        q, q1, q2, q3 = self.track.evaluate(s)
+        section = self.motion.section[self.motion.find_segments(t)]
+        q, q1, q2, q3 = self.track.evaluate(s, section=section)
         return q, q1 * v, q2 * v**2 + q1 * a, q3 * v**3 + 3 * q2 * v * a + q1 * j
 
     def find_positions(self, s: Array) -> Array:

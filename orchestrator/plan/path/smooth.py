@@ -85,32 +85,39 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array, section: Index) -> P
     number = np.where(early, section[cell], section[cell + 1])
     sharp = width <= 0.0
     width = np.where(sharp, 1.0, width)
-    ahead, behind = middle + width / 2, middle - width / 2
-    dt = np.diff(knots)
-    with np.errstate(invalid="ignore"):
-        j = np.where(sharp, 0.0, (_accelerations_at(coarse, ahead) - _accelerations_at(coarse, behind)) / width)
-    begin = knots[:-1]
-    v = np.where(
-        sharp,
-        coarse.speeds_at(np.clip(begin, 0.0, coarse.t[-1])),
-        (coarse.positions_at(begin + width / 2) - coarse.positions_at(begin - width / 2)) / width,
-    )
-    v = np.maximum(v, 0.0)
-    a = np.where(
-        sharp, _accelerations_at(coarse, middle), (_speeds_at(coarse, begin + width / 2) - _speeds_at(coarse, begin - width / 2)) / width
-    )
-    s = np.concatenate([[0.0], np.cumsum(dt * (v + dt * (a / 2 + dt * j / 6)))])
-    length = float(coarse.s[-1])
-    # The sum has rounding of its own: spread it, so that the motion ends at the end.
-    s *= length / s[-1]
-    return PathMotion(begin - knots[0], s[:-1], v, a, j, number, float(knots[-1] - knots[0]), length)
+    half = np.where(sharp, 0.0, width / 2)
+    # What a neighbouring section does is not averaged: to this one it stands still before its start and after its end.
+    first = np.flatnonzero(np.diff(section, prepend=section[0] - 1))
+    number -= section[0]
+    window = coarse.t[first][number], coarse.t[np.append(first[1:], len(section)) - 1][number]
+    begin, dt = knots[:-1], np.diff(knots)
+    late, soon = _Window(coarse, *window, begin + half), _Window(coarse, *window, begin - half)
+    ahead, behind = _Window(coarse, *window, middle + half), _Window(coarse, *window, middle - half)
+    j = np.where(sharp, 0.0, (ahead.accelerations - behind.accelerations) / width)
+    v = np.where(sharp, late.speeds, np.maximum(late.positions - soon.positions, 0.0) / width)
+    a = np.where(sharp, ahead.accelerations, (late.speeds - soon.speeds) / width)
+    s = _sum_sections(dt * (v + dt * (a / 2 + dt * j / 6)), number, coarse.s[np.append(first, len(section) - 1)])
+    return PathMotion(begin - knots[0], s, v, a, j, number, float(knots[-1] - knots[0]), float(coarse.s[-1]))
 
 
-def _accelerations_at(coarse: CoarseMotion, t: Array) -> Array:
-    inside = (t > coarse.t[0]) & (t < coarse.t[-1])
-    return np.where(inside, coarse.a[coarse.find_cells(t)], 0.0)
+def _sum_sections(steps: Array, number: Index, ends: Array) -> Array:
+    """Positions before each step. Sums have rounding of their own: each section begins and ends exactly at its `ends`."""
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    total = np.concatenate([[0.0], np.cumsum(steps)])
+    begin = total[first]
+    lengths = total[np.append(first[1:], len(steps))] - begin
+    return ends[number] + (total[:-1] - begin[number]) * (np.diff(ends) / lengths)[number]
 
 
-def _speeds_at(coarse: CoarseMotion, t: Array) -> Array:
-    inside = (t > coarse.t[0]) & (t < coarse.t[-1])
-    return np.where(inside, coarse.speeds_at(np.clip(t, coarse.t[0], coarse.t[-1])), 0.0)
+class _Window:
+    """The coarse motion of sections, from `first` to `last`, at instants; outside of them it is at rest."""
+
+    def __init__(self, coarse: CoarseMotion, first: Array, last: Array, t: Array) -> None:
+        inside = (t > first) & (t < last)
+        t = np.clip(t, first, last)
+        cell = coarse.find_cells(t)
+        after = t - coarse.t[cell]
+        a, v = coarse.a[cell], coarse.v[cell]
+        self.positions = coarse.s[cell] + after * (v + after * a / 2)
+        self.speeds = np.where(inside, v + after * a, 0.0)
+        self.accelerations = np.where(inside, a, 0.0)

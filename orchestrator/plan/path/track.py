@@ -48,9 +48,13 @@ class Track:
         """The span at each length; at a junction the later one."""
         return np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.kind) - 1)
 
-    def evaluate(self, s: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
-        """Positions of the axes and their derivatives at lengths `s`."""
+    def evaluate(self, s: Array, rounds: int = NEWTON_ROUNDS, section: Index | None = None) -> Derivatives:
+        """Positions of the axes and their derivatives at lengths `s`. section: the number of the stretch from rest to
+        rest that each point belongs to, because where it rests the path may turn."""
         span = self.find_spans(s)
+        if section is not None:
+            last = np.flatnonzero(self.stop)
+            span = np.clip(span, np.concatenate([[0], last[:-1] + 1])[section], last[section])
         return self.evaluate_spans(span, s - self.start[span], rounds)
 
     def evaluate_spans(self, span: Index, local: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
