@@ -1,0 +1,1 @@
+"""Paths from files of other programs: G-code, tables of points, trajectories of joints."""
