@@ -1,6 +1,6 @@
 """The check of a time law: every axis's velocity, acceleration and jerk, sampled, against its limits.
 
-Each segment of the motion is looked at at both of its ends and in its middle. What is over is made good by stretching a
+Each segment of the motion is looked at at both of its ends and twice between them. What is over is made good by stretching a
 section, from rest to rest, in time; a little only, for what lies between the nodes of the grid.
 """
 
@@ -15,12 +15,13 @@ from orchestrator.plan.path.smooth import PathMotion
 from orchestrator.plan.path.track import Track
 
 BLOCK = 1024  # segments looked at at a time
+INSIDE = (1 / 3, 2 / 3)
 
 
 @dataclass(frozen=True, slots=True)
 class LimitUse:
     """How much of the limits each segment uses. stretch: what its time must be multiplied by at least (below 1: room).
-    used, order, axis: the most used limit in its middle, as a part of it, with its order (1 velocity, 2 acceleration, 3
+    used, order, axis: the most used limit inside it, as a part of it, with its order (1 velocity, 2 acceleration, 3
     jerk) and axis (-1: of the path)."""
 
     stretch: Array
@@ -45,8 +46,8 @@ def _measure_block(
     # Each end is the start of the next segment, with the jerk of this one; except at a rest, where a section ends.
     rest = np.flatnonzero(np.diff(motion.section[part], append=-1))
     number = np.arange(n)
-    instants = np.concatenate([begin, (begin + end) / 2, end[rest]])
-    segment = np.concatenate([number, number, rest]) + (part.start or 0)
+    instants = np.concatenate([begin, *(begin + at * (end - begin) for at in INSIDE), end[rest]])
+    segment = np.concatenate([number, number, number, rest]) + (part.start or 0)
     x = instants - motion.t[segment]
     a0, v0, j0 = motion.a[segment], motion.v[segment], motion.j[segment]
     s = motion.s[segment] + x * (v0 + x * (a0 / 2 + x * j0 / 6))
@@ -55,8 +56,8 @@ def _measure_block(
     worst = np.zeros(n)
     uses = (np.zeros((0, 0)),) * 3
     ends = number + 1
-    ends[rest] = 2 * n + np.arange(len(rest))
-    for points in (number, ends, number + n):
+    ends[rest] = 3 * n + np.arange(len(rest))
+    for points in (number, ends, number + n, number + 2 * n):
         uses = find_uses(Derivatives(*(each[points] for each in at)), (v[points], a[points], j), limits)
         for use, root in zip(uses, (np.abs, np.sqrt, np.cbrt), strict=True):
             worst = np.maximum(worst, root(use.max(axis=1)))

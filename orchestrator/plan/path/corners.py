@@ -22,7 +22,7 @@ INNER, OUTER = 0.4, 0.75
 SAME_TANGENT = 1e-9  # rad
 SAME_CURVATURE = 1e-6  # relative
 # A blend that turns further is nearly a cusp: it would be slower than a stop.
-SHARPEST = np.pi * 175 / 180
+SHARPEST = np.pi * 160 / 180
 ROUNDS = 5
 COMPARED = 17  # points of a blend compared with the outline
 _AT: Array = np.linspace(0.0, 1.0, COMPARED)

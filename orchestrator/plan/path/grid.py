@@ -4,7 +4,7 @@ Each span has nodes at both of its ends, because curvature's derivative jumps be
 Lines need few (their limits are constant), polynomials have one at every knot of their length table.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ ARC_STEP = np.pi / 32  # the longest cell of an arc, in rad
 class Grid:
     """Nodes in order of length. span: of the track; line: whether on a straight line; rest: whether the motion rests
     there; speed: the cap, with the axis and the order that set it; section: the number of the stretch from rest to
-    rest; at: derivatives, one row per node."""
+    rest; slower: by how much speeds are to be lower than limits allow; at: derivatives, one row per node."""
 
     s: Array
     span: Index
@@ -35,15 +35,18 @@ class Grid:
     speed: Array
     order: Index
     axis: Index
+    slower: Array
     at: Derivatives
 
     def find_accelerations(self, limits: PathLimits, speed: Array, smoothing_s: Array) -> Array:
         """The tangential acceleration left at each node."""
-        parts = [
-            find_accelerations(limits, Derivatives(*(p[k : k + BLOCK] for p in self.at)), speed[k : k + BLOCK], smoothing_s[k : k + BLOCK])
-            for k in range(0, len(self.s), BLOCK)
-        ]
-        return np.concatenate(parts)
+        parts: list[Array] = []
+        for k in range(0, len(self.s), BLOCK):
+            part = slice(k, k + BLOCK)
+            at = Derivatives(*(each[part] for each in self.at))
+            parts.append(find_accelerations(limits, at, speed[part], smoothing_s[part]))
+        # Jerk follows from it within a fixed time.
+        return np.concatenate(parts) / self.slower**3
 
 
 def place_nodes(track: Track) -> tuple[Index, Array]:
@@ -91,7 +94,8 @@ def make_grid(track: Track, limits: PathLimits, span: Index, local: Array) -> Gr
     after_stop = np.concatenate([[True], track.stop[:-1]])
     rest = (first & after_stop[span]) | (last & track.stop[span])
     section = np.cumsum(after_stop)[span] - 1
-    return Grid(track.start[span] + local, span, track.kind[span] == LINE, rest, section, caps, order, axis, at)
+    line, even = track.kind[span] == LINE, np.ones(len(span))
+    return Grid(track.start[span] + local, span, line, rest, section, caps, order, axis, even, at)
 
 
 def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:
@@ -99,10 +103,13 @@ def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local
     more = make_grid(track, limits, span, local)
     s = np.concatenate([grid.s, more.s])
     order = np.lexsort((s, np.concatenate([grid.span, more.span])))
+    cell = np.clip(np.searchsorted(grid.s, more.s), 1, len(grid.s) - 1)
+    slower = np.maximum(grid.slower[cell - 1], grid.slower[cell])
+    more = replace(more, slower=slower, speed=more.speed / slower)
 
     def merge(old: Array, new: Array) -> Array:
         return np.concatenate([old, new])[order]
 
-    fields = ("s", "span", "line", "rest", "section", "speed", "order", "axis")
+    fields = ("s", "span", "line", "rest", "section", "speed", "order", "axis", "slower")
     merged = {name: merge(getattr(grid, name), getattr(more, name)) for name in fields}
     return Grid(**merged, at=Derivatives(*(merge(*pair) for pair in zip(grid.at, more.at, strict=True))))

@@ -4,6 +4,8 @@ Caps of speed on a grid; accelerations left at those speeds; sweeps forward and 
 smoothing time; plateaus on peaks; smoothing. Explained in docs/explanation/path-time-law.md.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from orchestrator.plan.path.arc_length import Array, Index
@@ -15,13 +17,39 @@ from orchestrator.plan.path.sweeps import spread_cells, sweep_squares
 from orchestrator.plan.path.track import Track
 
 ROUNDS = 5
+# Pieces that take fewer smoothing times than this are tried with shorter ones: there they cost more than they give.
+FEW = 6.0
+SHORTER = (0.5, 0.25, 0.125)
 
 
-def plan_law(track: Track, limits: PathLimits) -> tuple[PathMotion, Grid]:
-    """Plan the motion along a track from rest to rest. Also the grid of its nodes and caps."""
+def plan_law(track: Track, limits: PathLimits, slower: Array | None = None) -> PathMotion:
+    """Plan the motion along a track from rest to rest. slower: for each node of `place_nodes`, by how much its speeds
+    are to be lower than the limits allow."""
     base = make_grid(track, limits, *place_nodes(track))
+    if slower is not None:
+        base = replace(base, speed=base.speed / slower, slower=slower)
     smoothing_s = choose_smoothing(base, limits)
-    return plan_with_smoothing(track, limits, base, smoothing_s), base
+    motion = plan_with_smoothing(track, limits, base, smoothing_s)
+    best, times = smoothing_s, _measure_sections(motion, smoothing_s)
+    piece = track.piece[base.span]
+    pieces = np.bincount(base.section[np.flatnonzero(np.diff(piece, prepend=-1))], minlength=len(times))
+    short = (FEW * smoothing_s > times / np.maximum(pieces, 1)) & (np.bincount(base.section) > 2)
+    if not short.any():
+        return motion
+    for part in SHORTER:
+        tried = np.where(short, smoothing_s * part, smoothing_s)
+        better = _measure_sections(plan_with_smoothing(track, limits, base, tried), tried)
+        best, times = np.where(better < times, tried, best), np.minimum(times, better)
+    return plan_with_smoothing(track, limits, base, best)
+
+
+def _measure_sections(motion: PathMotion, smoothing_s: Array) -> Array:
+    """The time of each section; longer if its jerk is more than its largest acceleration in its smoothing time."""
+    begin = np.flatnonzero(np.diff(motion.section, prepend=-1))
+    times = np.add.reduceat(motion.ends_s - motion.t, begin)
+    most = np.maximum.reduceat(np.abs(motion.a), begin)
+    jerk = np.maximum.reduceat(np.abs(motion.j), begin) * smoothing_s
+    return times * np.cbrt(np.maximum(1.0, jerk / np.maximum(most, 1e-300)))
 
 
 def choose_smoothing(grid: Grid, limits: PathLimits) -> Array:

@@ -8,14 +8,20 @@ from orchestrator.plan.path.arc_length import Array
 from orchestrator.plan.path.check import LimitUse, measure_use
 from orchestrator.plan.path.corners import make_track
 from orchestrator.plan.path.errors import PathRefusal
+from orchestrator.plan.path.grid import place_nodes
 from orchestrator.plan.path.law import plan_law
 from orchestrator.plan.path.limits import PathLimits
 from orchestrator.plan.path.outline import SMOOTH, STOP, Outline
 from orchestrator.plan.path.smooth import PathMotion
+from orchestrator.plan.path.sweeps import find_range_minima
 from orchestrator.plan.path.track import Frame, Track
 
 MOST_STRETCH = 1.01
-ATTEMPTS = 3
+ATTEMPTS = 5
+LAST_STRETCH = 1.1  # a slower motion is of more use than a refusal
+NEAR = 4.0  # segments of middle length about a node that is too fast
+NEGLECTED = 1.002
+MARGIN = 1.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +63,14 @@ def plan_run(outline: Outline, frame: Frame | None, limits: PathLimits) -> Run:
     """
     even = limits.third_order
     rounded = make_track(outline, frame, blends=True, even=even)
-    plans = [(rounded, plan_law(rounded, limits)[0])]
+    plans = [(rounded, plan_law(rounded, limits))]
     if rounded.blend.any():
         stopped = make_track(outline, frame, blends=False, even=even)
-        plans.append((stopped, plan_law(stopped, limits)[0]))
+        plans.append((stopped, plan_law(stopped, limits)))
         tolerance = _choose_corners(outline, *plans)
         if (tolerance != outline.tolerance).any():
             mixed = make_track(replace(outline, tolerance=tolerance), frame, blends=True, even=even)
-            plans.append((mixed, plan_law(mixed, limits)[0]))
+            plans.append((mixed, plan_law(mixed, limits)))
     plans.sort(key=lambda plan: plan[1].duration_s)
     best = _hold_limits(*plans[0], limits)
     # The check may have stretched it behind the next one.
@@ -96,18 +102,35 @@ def find_middles(track: Track, outline: Outline) -> Array:
 
 
 def _hold_limits(track: Track, motion: PathMotion, limits: PathLimits) -> Run:
-    """Stretch what is over a limit. If that is more than a little, plan with lower limits. Raises `PathRefusal`."""
-    aim = limits
-    for _ in range(ATTEMPTS):
-        use = measure_use(track, motion, limits)
+    """Stretch what is over a limit. If that is more than a little, plan again, slower about those places.
+
+    Raises `PathRefusal`.
+    """
+    slower = np.ones(0)
+    use = measure_use(track, motion, limits)
+    for attempt in range(ATTEMPTS):
         sections = np.zeros(int(motion.section[-1]) + 1)
         np.maximum.at(sections, motion.section, use.stretch)
-        worst = float(sections.max())
-        if worst <= MOST_STRETCH:
+        if sections.max() <= (MOST_STRETCH if attempt < ATTEMPTS - 1 else LAST_STRETCH):
             return Run(track, motion.stretch_sections(np.maximum(sections, 1.0)), use)
-        aim = aim.scale_time(worst)
-        motion = plan_law(track, aim)[0]
+        if attempt < ATTEMPTS - 1:
+            more = _find_slower(track, motion, use)
+            slower = slower * more if len(slower) else more
+            motion = plan_law(track, limits, slower)
+            use = measure_use(track, motion, limits)
     k = int(use.stretch.argmax())
     piece = int(track.piece[track.find_spans(motion.s[k : k + 1])[0]]) + 1
-    text = f"piece {piece}: no motion within the limits was found; it would have to be {worst:.3f} times slower"
+    text = f"piece {piece}: no motion within the limits was found; the best one is {use.stretch[k]:.3f} times too fast"
     raise PathRefusal("over-limit", text, "choose lower speeds, or a larger tolerance, for this piece", piece)
+
+
+def _find_slower(track: Track, motion: PathMotion, use: LimitUse) -> Array:
+    """By how much to slow down at each node of the grid: as the worst segment near it needs, by time."""
+    span, local = place_nodes(track)
+    t = motion.find_instants(track.start[span] + local)
+    reach = NEAR * float(np.median(motion.ends_s - motion.t))
+    early = np.append(t[:1], t[:-1]) - reach
+    late = np.append(t[1:], t[-1:]) + reach
+    low, high = motion.find_segments(early), motion.find_segments(late)
+    worst = -find_range_minima(-use.stretch, low, high)
+    return np.where(worst > NEGLECTED, worst * MARGIN, 1.0)
