@@ -106,6 +106,7 @@ def describe_totals(job: "Job", forecast: "JobForecast", repeat: int = 1) -> str
 
 def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
     """Print every step with its duration and conditions, and the conditions of the job. commands: of each member."""
+    from orchestrator.monitor.path_words import describe_path
 
     def line(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -114,6 +115,8 @@ def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
         line(f"  {step.index} {step.text}: {_describe_span(step.least_s, step.most_s)}")
         for condition in step.conditions:
             line(f"      if {condition}")
+        for text in [] if step.path is None else describe_path(step.path):
+            line(f"      {text}")
         if commands:
             _print_commands(step, line)
     if forecast.conditions:

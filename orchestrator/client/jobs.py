@@ -12,7 +12,7 @@ from orchestrator.client.points import PointRequests
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
-from orchestrator.model.job import UNKNOWN_ACTOR, Job, iterate_steps
+from orchestrator.model.job import MOTION_STEPS, UNKNOWN_ACTOR, Job, iterate_steps
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.operation.approval import ApproveJob, JobPlan, JobPlanned
 from orchestrator.model.queue import QueueTerms
@@ -186,7 +186,7 @@ class JobRequests(PointRequests):
     async def load_result(self, report: JobReport) -> JobResult:
         """A report with the recordings of its first `MAX_RECORDINGS` motion steps, and the first `MAX_RESULT_POINTS`
         points of its scans."""
-        moves = [step.index for step in report.steps if step.do == "move"][:MAX_RECORDINGS]
+        moves = [step.index for step in report.steps if step.do in MOTION_STEPS][:MAX_RECORDINGS]
         found = [await self.load_recording(report.job_id, index) for index in moves]
         points: list[PointRecord] = []
         if any(step.scan is not None for step in report.steps):

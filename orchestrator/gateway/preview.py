@@ -8,7 +8,7 @@ from typing import Any
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
-from orchestrator.model.job import Job, Scan, Step
+from orchestrator.model.job import MOTION_STEPS, Job, Scan, Step
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.profile import Profile
@@ -97,7 +97,7 @@ class _Drawing:
         motion = self._forecaster.motion
         if motion is not None:
             self._draw_motion(motion, before)
-        elif step.do == "move":
+        elif step.do in MOTION_STEPS:
             self.note_gap(index, "it begins at a position that only the machine knows")
         self._now_s += forecast.least_s
         if forecast.most_s is None or forecast.most_s > forecast.least_s:

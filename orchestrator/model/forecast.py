@@ -6,6 +6,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from orchestrator.model.base import Model, Rational
+from orchestrator.model.report import PathReport
 
 
 class AxisForecast(Model):
@@ -40,6 +41,7 @@ class StepForecast(Model):
     most_s: float | None = 0.0
     conditions: list[str] = Field(default=[])
     budget: dict[str, Any] | None = None
+    path: PathReport | None = None
     commands: dict[str, list[str]] = Field(default={})
 
 

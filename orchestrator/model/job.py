@@ -9,6 +9,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.names import ALL_AXES, MoveTarget, is_position_name
 from orchestrator.model.numbers import Part
+from orchestrator.model.paths.spec import PathSpec, Piece
 from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.state import StartWish
 from orchestrator.model.units import Quantity
@@ -116,6 +117,41 @@ class Move(MotionOptions, MoveTargets):
         return self
 
 
+class FollowPath(StepBase, PathSpec):
+    """Move axes together along a path, without a stop where corners are rounded. How far they may be off it is known
+    before they move."""
+
+    do: Literal["path"] = "path"
+    tolerance: Quantity = Field(
+        description="How far the axes may be off the path, in the first axis's unit or with one; a path that cannot be "
+        "promised within it is refused. Corners `within` a distance are part of the path."
+    )
+    start_class: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
+    align: Duration = Field(
+        default=0,
+        ge=0,
+        le=600 * 1_000_000_000,
+        description="How long the start may be delayed to the moment at which the controllers' ticks coincide best.",
+    )
+    max_start_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            *,
+            axes: Sequence[str],
+            start: Sequence[float | str],
+            pieces: Sequence[Mapping[str, Any] | Piece],
+            tolerance: float | str,
+            **more: Any,
+        ) -> None: ...
+
+
+MOTION_STEPS = ("move", "path")
+"""The kinds of steps that are motion steps themselves; a scan consists of moves."""
+
+
 class Home(StepBase):
     """Find the reference of axes; without `axes`, of the whole fleet in its `home_order`."""
 
@@ -200,6 +236,7 @@ _NOT_AT_EACH = {
     "home": "it would take the reference away between two points; put it before the scan",
     "enable": "axes are switched before the scan; put it there",
     "disable": "the next point needs the axes; put it behind the scan",
+    "path": "a scan stops at its points; put the path before or behind the scan",
     "set-position": "it would shift the points after it; put it before the scan",
     "scan": "add its axes to `axes` of this scan instead",
     "repeat": "write its steps out, or repeat the scan",
@@ -305,7 +342,7 @@ class Repeat(StepBase):
 
 
 Step = Annotated[
-    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Scan | Repeat,
+    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Scan | FollowPath | Repeat,
     Field(discriminator="do"),
 ]
 Repeat.model_rebuild()
@@ -335,6 +372,8 @@ def named_axes(step: Step) -> list[str]:
         return [axis for axis in (*step.to, *step.by) if axis != ALL_AXES]
     if isinstance(step, Scan):
         return step.axis_names
+    if isinstance(step, FollowPath):
+        return list(step.axes)
     if isinstance(step, Home | Enable | Disable):
         return step.axes or []
     return list(step.axes) if isinstance(step, SetPosition) else []

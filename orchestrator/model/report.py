@@ -9,6 +9,7 @@ from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass
+from orchestrator.model.units import Unit
 
 JobState = Literal[
     "queued",
@@ -136,6 +137,54 @@ class SyncBudget(Model):
         return max(0, min([self.allowed_ns - self.predicted_ns, *left]))
 
 
+PathTermName = Literal["profile-fit", "execution", "start", "clock"]
+
+
+class PathTerm(Model):
+    """One term of a path-error bound.
+
+    member: the controller; empty for the plan itself. profile-fit: profiles against the path. execution: the member
+    against its profiles, as it states itself. start: its start window at its highest speed. clock: the bound of its
+    rate over the time since the start, at the speed of that moment.
+    """
+
+    name: PathTermName
+    member: str = ""
+    size: float = Field(ge=0)
+
+
+class PathBound(Model):
+    """The guaranteed greatest distance of the axes from the path, `predicted`: the sum of `terms`, in `unit`."""
+
+    unit: Unit
+    tolerance: float
+    predicted: float
+    terms: list[PathTerm]
+
+    @property
+    def largest(self) -> PathTerm:
+        """The term with the largest share."""
+        return max(self.terms, key=lambda term: term.size)
+
+
+class PathStretch(Model):
+    """A part of a path in time, and what limits the speed along it there."""
+
+    from_s: float
+    to_s: float
+    binds: str
+
+
+class PathReport(Model):
+    """A path as it is planned. length: along it, in `unit`. bound: once its members have answered."""
+
+    unit: Unit
+    length: float
+    duration_s: float
+    stretches: list[PathStretch] = Field(default=[])
+    bound: PathBound | None = None
+
+
 class MemberReport(Model):
     """One member's part in a step. arming_fleet_ns: when its adapter began to arm it; armed_in_ns: how long that took;
     stages_ns: the last parts of it, in their order."""
@@ -260,6 +309,7 @@ class StepReport(Model):
     feed_holds: list[FeedHold] = Field(default=[])
     scan: ScanSummary | None = None
     sampling: SamplingReport | None = None
+    path: PathReport | None = None
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
     @property

@@ -3,7 +3,7 @@
 import json
 
 from orchestrator.model.duration import format_ns, parse_duration
-from orchestrator.model.job import Repeat, Scan, Step
+from orchestrator.model.job import FollowPath, Repeat, Scan, Step
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.scan import ScanAxis
 
@@ -12,10 +12,14 @@ def describe_step(step: Step) -> str:
     """Describe what its file says, without defaults: `move to gantry.x=120 stage.u=6, speed=0.5`. Of a repeat only how
     many steps it has."""
     own = {"axes", "points", "scanspec", "at_each"} if isinstance(step, Scan) else set[str]()
+    if isinstance(step, FollowPath):
+        own = {"axes", "start", "pieces"}
     said = step.model_dump(mode="json", exclude_defaults=True, exclude={"do", "name", "steps", *own})
     words = [_describe_field(key, value) for key, value in said.items()]
     if isinstance(step, Repeat):
         words = [f"{step.times} times: {len(step.steps)} step{'' if len(step.steps) == 1 else 's'}"]
+    if isinstance(step, FollowPath):
+        words = [f"of {' '.join(step.axes)}, {len(step.pieces)} piece{'' if len(step.pieces) == 1 else 's'}", *words]
     if isinstance(step, Scan):
         words = [_describe_points(step), *words, *_describe_at_each(step)]
     return " ".join(part for part in (step.do, step.name and f"'{step.name}'", ", ".join(words)) if part)

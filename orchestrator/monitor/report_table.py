@@ -8,6 +8,7 @@ from rich.text import Text
 
 from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence
+from orchestrator.monitor.path_words import describe_path
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
 
@@ -150,9 +151,10 @@ def _make_budget_rows(step: StepReport) -> list[list[str]]:
 
 
 def _describe_deviations(step: StepReport) -> list[str]:
-    """Describe feed holds inside the step, and predicted end and path skew."""
+    """Describe a path with its bound, feed holds inside the step, and predicted end and path skew."""
     budget = step.budget
-    lines = [
+    lines = [f"step {step.index}: {text}" for text in ([] if step.path is None else describe_path(step.path))]
+    lines += [
         f"step {step.index}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
         for hold in step.feed_holds

@@ -5,6 +5,7 @@ with the soft limits although nothing is known about its beginning.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial, singledispatchmethod
@@ -19,6 +20,7 @@ from orchestrator.model.job import (
     Disable,
     Dwell,
     Enable,
+    FollowPath,
     Home,
     MotionOptions,
     Move,
@@ -29,7 +31,7 @@ from orchestrator.model.job import (
     Step,
     WaitInput,
 )
-from orchestrator.model.names import ALL_AXES, is_position_name
+from orchestrator.model.names import ALL_AXES, controller_of, is_position_name
 from orchestrator.model.positions.resolve import (
     PositionResolver,
     iterate_targets,
@@ -37,7 +39,7 @@ from orchestrator.model.positions.resolve import (
     replace_targets,
 )
 from orchestrator.model.step_words import describe_step
-from orchestrator.model.units import UnitError
+from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.forecast_axes import AxisForecaster, MoveWays, Order
 from orchestrator.plan.forecast_passes import (
     RUN_PASSES,
@@ -50,6 +52,7 @@ from orchestrator.plan.forecast_passes import (
     group_by_axis,
 )
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
+from orchestrator.plan.path_step import PathStart, PlannedPath, plan_path_step
 from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iterate_ways
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
@@ -61,8 +64,9 @@ class ForecastMotion:
     """A motion step in counts, planned from where the steps before it leave its axes."""
 
     moves: list[AxisMove]
-    exact: dict[str, tuple[Fraction, int]]
+    exact: Mapping[str, tuple[Fraction, int]]
     plan: StepPlan
+    path: PlannedPath | None = None
 
 
 class _Span(NamedTuple):
@@ -114,8 +118,9 @@ class JobForecaster(AxisForecaster):
         self._index, self._notes, self.motion = index, {}, None
         self._place, self._checks = ("steps", index), []
         span = yield from self._run_parts(step)
-        if not isinstance(step, Move):
+        if not isinstance(step, Move | FollowPath):
             self.motion = None
+        path = None if self.motion is None or self.motion.path is None else self.motion.path.report
         return StepForecast(
             index=index,
             do=step.do,
@@ -123,6 +128,7 @@ class JobForecaster(AxisForecaster):
             least_s=round(span.least, 6),
             most_s=None if span.most is None else round(span.most, 6),
             conditions=list(self._notes),
+            path=path,
         )
 
     def add_refusal(self, index: int, error: Refusal) -> None:
@@ -176,6 +182,42 @@ class JobForecaster(AxisForecaster):
         if ways.plan is not None and len(ways.exact) == len(step.to) + len(step.by):
             self.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
         return span
+
+    @_run.register
+    def _(self, step: FollowPath) -> _Span:
+        found = {name: self._find_axis(name, ("axes", number)) for number, name in enumerate(step.axes)}
+        axes = {name: axis for name, axis in found.items() if axis is not None}
+        for name in axes:
+            self._require_ready(name, ("axes",))
+        if len(axes) < len(found):
+            return _Span()
+        try:
+            path = plan_path_step(step, self._place_path(step, axes))
+        except (Refusal, PlanError) as error:
+            code, text, remedy = ("plan", str(error), "")
+            if isinstance(error, Refusal):
+                code, text, remedy = error.code, error.text, error.remedy
+            self._add_problem((), code, text, remedy)
+            self._lose_positions(axes)
+            return _Span()
+        for name, (end, _) in path.exact.items():
+            self.axes[name] = self._state(name).model_copy(update={"motor": end, "known": True})
+        self.motion = ForecastMotion(path.moves, path.exact, path.plan, path)
+        return _Span(path.plan.duration_s, path.plan.duration_s)
+
+    def _place_path(self, step: FollowPath, axes: Mapping[str, Axis]) -> list[PathStart]:
+        """Where the axes of a path are before it: an axis whose position is not known must be at its start."""
+        placed: list[PathStart] = []
+        for value, (name, axis) in zip(step.start, axes.items(), strict=True):
+            state = self._state(name)
+            here = state.motor
+            if not state.known or state.offset_kind != "motor":
+                self._notes[f"{name} stands at {value} when the path begins"] = None
+                with suppress(UnitError):  # refused with the path
+                    here = parse_quantity(value, axis.unit) - state.offset
+            order = self._orders.get(controller_of(name), 3)
+            placed.append(PathStart(name, axis, here, axis.to_counts(here), state.offset, order))
+        return placed
 
     @_run.register
     def _(self, step: Scan) -> _Span:

@@ -99,11 +99,12 @@ async def _load_scans(tutti: "Tutti", entry: "QueueEntry", step: int | None) -> 
 
 def _list_moves(shown: "JobShown") -> list[int]:
     """The numbers of the steps of a job that may have a recording, but for the points of scans."""
+    from orchestrator.model.job import MOTION_STEPS
     from orchestrator.model.queue import MAX_STEPS
     from orchestrator.model.scans.step_order import StepOrder
 
     if shown.report is not None:
-        return [step.index for step in shown.report.steps if step.do == "move"]
+        return [step.index for step in shown.report.steps if step.do in MOTION_STEPS]
     if shown.job is None or shown.entry is None:
         return []
     order = StepOrder(shown.job.steps, shown.entry.terms.repeat)

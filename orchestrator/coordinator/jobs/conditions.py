@@ -10,7 +10,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.jobs.queue import find_axes, find_needed_controllers
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Enable, Home, Move, Scan, Step, iterate_steps
+from orchestrator.model.job import Enable, FollowPath, Home, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
 from orchestrator.model.state import AxisState, ControllerState
 
@@ -53,7 +53,7 @@ def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
     for step in iterate_steps(steps):
         if isinstance(step, Enable):
             enabled |= set(find_axes(fleet, [step]))
-        elif isinstance(step, Move | Scan | Home):
+        elif isinstance(step, Move | FollowPath | Scan | Home):
             in_order = find_axes(fleet, [step])
             moved |= dict.fromkeys(in_order)
             axes = set(in_order)
@@ -68,7 +68,7 @@ def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
         tuple(moved),
         frozenset(enabled_before),
         frozenset(referenced_before),
-        any(isinstance(step, Move | Scan | Home | Enable) for step in iterate_steps(steps)),
+        any(isinstance(step, Move | FollowPath | Scan | Home | Enable) for step in iterate_steps(steps)),
     )
 
 

@@ -11,7 +11,7 @@ from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
 from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal import journal
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job, Move, Scan, iterate_steps
+from orchestrator.model.job import FollowPath, Job, Move, Scan, iterate_steps
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.scans.step_order import RemainingStep, StepOrder, count_point_steps, count_reports
@@ -192,6 +192,8 @@ def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
             axes = ", ".join(places.take_step(step))
             if axes and isinstance(step, Move):
                 return [f"step {index} moves {axes} by a distance, from the current position"]
+            if axes and isinstance(step, FollowPath):
+                return [f"step {index}, a path, begins at the current position of {axes}"]
             if axes:
                 return [f"step {index} sets the position of {axes}, at the current position"]
     return []

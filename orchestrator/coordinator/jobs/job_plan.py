@@ -18,6 +18,7 @@ from orchestrator.model.fleet import Axis, Fleet, Permit
 from orchestrator.model.job import (
     Disable,
     Enable,
+    FollowPath,
     Home,
     Job,
     Move,
@@ -104,10 +105,12 @@ class _JobUses:
         """Add what one step uses. Raises `UnknownName`."""
         axes = dict.fromkeys(find_axes(fleet, [step]))
         self.axes |= axes
-        if isinstance(step, Move | Scan | Home):
+        if isinstance(step, Move | FollowPath | Scan | Home):
             self.moved |= axes
         if isinstance(step, Move | Scan):
             self.absolute |= dict.fromkeys(step.to if isinstance(step, Move) else step.axis_names)
+        elif isinstance(step, FollowPath):
+            self.absolute |= axes
         elif isinstance(step, Home | Enable | Disable):
             self.groups |= dict.fromkeys(name for name in step.axes or [] if name in fleet.groups)
             self.homes_all |= step.axes is None

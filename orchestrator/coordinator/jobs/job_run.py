@@ -34,7 +34,7 @@ from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import Home, Job, Move, Scan, Step, iterate_steps
+from orchestrator.model.job import FollowPath, Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
 from orchestrator.model.operation.approval import join_changes, list_changes
 from orchestrator.model.operation.recording import JobBegun
@@ -200,6 +200,11 @@ class JobRun:
         if self._motion_step is not None:
             await self._motion_step.feed_hold(actor)
         await self._chain.feed_hold(actor)
+
+    @property
+    def is_on_path(self) -> bool:
+        """Whether its present step is a path, which a feed hold would leave: each axis brakes by itself."""
+        return self._motion_step is not None and isinstance(self._motion_step.request.move, FollowPath)
 
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
@@ -385,7 +390,7 @@ class JobRun:
     async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
         holds: list[FeedHold] = []
-        if isinstance(step, Move):
+        if isinstance(step, Move | FollowPath):
             self._motion_step = self._chain.begin_step(index, step)
         try:
             while True:
@@ -433,7 +438,7 @@ class JobRun:
             return await step.run_released(motion, callbacks)
         return await step.run(callbacks, self._seen_ns)
 
-    def _make_request(self, index: int, move: Move) -> StepRequest:
+    def _make_request(self, index: int, move: Move | FollowPath) -> StepRequest:
         return StepRequest(self.row.id, self.job, index, move)
 
     async def _on_state(self, state: JobState, reason: str) -> None:
@@ -520,7 +525,7 @@ class JobRun:
 
     def _moved_axes(self) -> list[str]:
         """Axes that it moves, and that are enabled for it if the fleet file says so."""
-        moves = [step for step in iterate_steps(self.steps_to_run) if isinstance(step, Move | Scan | Home)]
+        moves = [step for step in iterate_steps(self.steps_to_run) if isinstance(step, Move | FollowPath | Scan | Home)]
         return find_axes(self._services.view.fleet, moves)
 
     async def _enable_by_policy(self) -> None:

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Dwell, Move, SetOutput, Step
+from orchestrator.model.job import Dwell, FollowPath, Move, SetOutput, Step
 
 BETWEEN_MOST = 20  # steps between two motion steps that are looked at
 
@@ -43,6 +43,8 @@ def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMoti
             step = steps[number]
         except KeyError:
             return ChainBreak(number, "its point is not read yet")
+        if isinstance(step, FollowPath) or (isinstance(step, Move) and isinstance(moving, FollowPath)):
+            return ChainBreak(number, between or "a path begins and ends at rest")
         if isinstance(step, Move):
             broken = between or (_find_hindrance(fleet, moving, step) if isinstance(moving, Move) else "")
             return ChainBreak(number, broken) if broken else NextMotion(number, step, BetweenSteps(pause_ns, acts))

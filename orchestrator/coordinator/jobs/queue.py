@@ -17,7 +17,19 @@ from dataclasses import dataclass
 
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.fleet import Fleet, TriggerWire
-from orchestrator.model.job import Disable, Enable, Home, Job, Move, Scan, SetOutput, Step, iterate_steps, named_axes
+from orchestrator.model.job import (
+    Disable,
+    Enable,
+    FollowPath,
+    Home,
+    Job,
+    Move,
+    Scan,
+    SetOutput,
+    Step,
+    iterate_steps,
+    named_axes,
+)
 from orchestrator.model.names import controller_of
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL
 
@@ -138,7 +150,7 @@ def find_needed_controllers(fleet: Fleet, steps: list[Step]) -> frozenset[str]:
     by a trigger line. Raises `UnknownName`."""
     moved, outputs = set[str](), set[str]()
     for step in iterate_steps(steps):
-        if isinstance(step, Move | Scan):
+        if isinstance(step, Move | FollowPath | Scan):
             moved |= {controller_of(axis) for axis in named_axes(step)}
         elif isinstance(step, SetOutput):
             outputs.add(step.output)

@@ -13,7 +13,7 @@ from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, StepForecast, StepProblem
-from orchestrator.model.job import Move
+from orchestrator.model.job import FollowPath, Move
 from orchestrator.model.service import DryRun, DryRunDone
 from orchestrator.plan.forecast import JobForecaster
 
@@ -47,9 +47,10 @@ class JobRehearsal:
             index = request.first + number
             forecast, motion = await forecast_step(forecaster, index, step), forecaster.motion
             steps.append(forecast)
-            if isinstance(step, Move) and motion is not None and motion.plan.profiles:
+            if isinstance(step, Move | FollowPath) and motion is not None and motion.plan.profiles:
                 asked = StepRequest("dry-run", request.job, index, step)
-                planned = PlannedStep(asked, ResolvedMove(motion.moves, motion.exact), motion.plan, {}, rehearsal=True)
+                resolved = ResolvedMove(motion.moves, dict(motion.exact))
+                planned = PlannedStep(asked, resolved, motion.plan, {}, rehearsal=True, path=motion.path)
                 rehearsals.append(self._rehearse(planned, forecast, forecaster.problems))
             if len(rehearsals) == REHEARSALS_AT_ONCE or number == len(request.job.steps) - 1:
                 for done in await asyncio.gather(*rehearsals):
@@ -81,6 +82,7 @@ class JobRehearsal:
             update={
                 "least_s": duration_s,
                 "most_s": duration_s,
+                "path": agreement.path,
                 "budget": agreement.budget.to_plain() if agreement.budget else None,
                 "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},
             }

@@ -263,6 +263,12 @@ class Scheduler:
         run = self._running.get(job_id)
         if run is None:
             raise await self._make_refusal(job_id, "not-running", "to hold a queued job: `tutti job hold`")
+        if now and run.is_on_path:
+            raise Refusal(
+                "on-path",
+                f"job {job_id} is on a path, and its members, each braking by itself, would leave it",
+                "pause it at the end of the path (without --now), or stop it: `tutti stop`",
+            )
         if run.paused_by is None:
             self._services.log.info(f"to be paused by {actor}", job=job_id)
             run.pause(actor)

@@ -1,6 +1,6 @@
 """Which steps depend on where the axes stand when a job begins."""
 
-from orchestrator.model.job import Move, Scan, SetPosition, Step
+from orchestrator.model.job import FollowPath, Move, Scan, SetPosition, Step
 
 
 class StartPlaces:
@@ -16,6 +16,11 @@ class StartPlaces:
         if isinstance(step, Scan):
             self._known |= set(step.axis_names)
             return []
+        if isinstance(step, FollowPath):
+            # It begins where its axes stand.
+            begin = [axis for axis in step.axes if axis not in self._known]
+            self._known |= set(step.axes)
+            return begin
         if isinstance(step, Move):
             begin = [axis for axis in step.by if axis not in self._known]
             self._known |= {*step.to, *step.by}

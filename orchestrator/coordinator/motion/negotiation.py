@@ -15,6 +15,7 @@ from orchestrator.coordinator.motion.budget import (
     predict_path,
 )
 from orchestrator.coordinator.motion.chain import END_SEEN_NS, PresentMove
+from orchestrator.coordinator.motion.path_bound import make_path_bound, require_tolerance
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
@@ -33,7 +34,7 @@ from orchestrator.model.messages import (
 )
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.profile import Profile
-from orchestrator.model.report import PredictedSkew, SyncBudget
+from orchestrator.model.report import PathReport, PredictedSkew, SyncBudget
 from orchestrator.model.state import StepCosts
 from orchestrator.plan.step import StepPlan
 
@@ -55,8 +56,9 @@ class StartAgreement:
     """What the members of a step have agreed on.
 
     line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
-    hold. advance_ns: how much earlier than armed the step starts; within tick_residual_ns a whole number of the ticks
-    of every member. aligned: T0 is an instant at which ticks coincide, and is not advanced.
+    hold. path: of a path, with its bound. advance_ns: how much earlier than armed the step starts; within
+    tick_residual_ns a whole number of the ticks of every member. aligned: T0 is an instant at which ticks coincide, and
+    is not advanced.
     """
 
     plan: StepPlan
@@ -64,6 +66,7 @@ class StartAgreement:
     proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
     lead_ns: int = 0
     budget: SyncBudget | None = None
+    path: PathReport | None = None
     advance_ns: int = 0
     tick_residual_ns: int = 0
     aligned: bool = False
@@ -178,7 +181,7 @@ class StartNegotiation:
         """
         if self._present is not None:
             return await self._agree_following()
-        plan, by_line = self._planned.plan, self._request.move.start == "line"
+        plan, by_line = self._planned.plan, self._request.start_class == "line"
         first = StartAgreement(plan, aligned=bool(self._request.move.align))
         lines = [line for wire in self._view.fleet.wiring if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
@@ -254,12 +257,16 @@ class StartNegotiation:
             )
         profiles = {member: agreement.profiles(member) for member in movers}
         deviations = make_deviations(agreement.proposals, profiles, agreement.plan.duration_s)
-        if request.move.sync != "none":
+        if request.is_synchronised:
             end = predict_end(budget, deviations, request.max_end_skew_ns)
             path = predict_path(budget, deviations, request.max_path_skew_ns)
             agreement.budget = budget.model_copy(update={"end": end, "path": path})
             _require_allowed("end", end)
             _require_allowed("path", path)
+        if self._planned.path is not None:
+            bound = make_path_bound(self._planned.path, agreement.proposals, windows)
+            agreement.path = self._planned.path.make_report(agreement.plan.duration_s, bound)
+            require_tolerance(bound, agreement.movers)
 
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
         """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the
@@ -275,9 +282,10 @@ class StartNegotiation:
 
     def start_options(self, agreement: StartAgreement, members: Iterable[str]) -> dict[str, StartOptions]:
         """The start options of each of `members`."""
-        lead_ns, line, wish = agreement.lead_ns + READING_NS, agreement.line, self._request.move.start
+        lead_ns, line, wish = agreement.lead_ns + READING_NS, agreement.line, self._request.start_class
         common = {
-            "brake_s": _longest_braking_s(self._planned.resolved, agreement.plan),
+            # On a path no common time keeps braking axes on it: the shortest one leaves it least.
+            "brake_s": 0.0 if self._planned.path else _longest_braking_s(self._planned.resolved, agreement.plan),
             "early_ns": self._early_ns,
             "follows": agreement.present is not None,
         }
@@ -316,7 +324,7 @@ class StartNegotiation:
         # The lead time of the same members' last step usually saves a round; bounds over a longer one would be wider.
         movers = frozenset(agreement.movers)
         agreement.lead_ns = agreement.lead_ns or round(LEAD_FACTOR * self._estimator.last_leads_ns.get(movers, 0))
-        synchronised = self._request.move.sync != "none"
+        synchronised = self._request.is_synchronised
         for _ in range(ROUNDS):
             await self._propose(agreement)
             durations = {

@@ -8,23 +8,39 @@ from fractions import Fraction
 from orchestrator.bus.base import BusError
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
-from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, resolve_targets
+from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job, Move
+from orchestrator.model.job import FollowPath, Job, Move, named_axes
 from orchestrator.model.names import controller_of
-from orchestrator.model.state import AxisState, ControllerInfo, ControllerState
+from orchestrator.model.state import AxisState, ControllerInfo, ControllerState, StartWish
+from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan, plan_step
 
 
 @dataclass(frozen=True, slots=True)
 class StepRequest:
-    """A motion step of a job: step number `index`, the move, and the job with its defaults."""
+    """A motion step of a job: step number `index`, the move or path, and the job with its defaults."""
 
     job_id: str
     job: Job
     index: int
-    move: Move
+    move: Move | FollowPath
+
+    @property
+    def axes(self) -> list[str]:
+        """The axes that it moves."""
+        return named_axes(self.move)
+
+    @property
+    def start_class(self) -> StartWish:
+        """The start class that it asks for."""
+        return self.move.start_class if isinstance(self.move, FollowPath) else self.move.start
+
+    @property
+    def is_synchronised(self) -> bool:
+        """Whether all axes take one duration."""
+        return isinstance(self.move, FollowPath) or self.move.sync != "none"
 
     @property
     def max_start_skew_ns(self) -> int:
@@ -34,12 +50,14 @@ class StepRequest:
     @property
     def max_end_skew_ns(self) -> int | None:
         """The allowed end skew, None if neither step nor job states one."""
-        return self.move.max_end_skew or self.job.max_end_skew
+        own = self.move.max_end_skew if isinstance(self.move, Move) else None
+        return own or self.job.max_end_skew
 
     @property
     def max_path_skew_ns(self) -> int | None:
         """The allowed path skew, None if neither step nor job states one."""
-        return self.move.max_path_skew or self.job.max_path_skew
+        own = self.move.max_path_skew if isinstance(self.move, Move) else None
+        return own or self.job.max_path_skew
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +65,8 @@ class PlannedStep:
     """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller.
 
     ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
-    the steps before it will leave its axes; it is proposed, and never armed.
+    the steps before it will leave its axes; it is proposed, and never armed. path: of a path, for its
+    bound.
     """
 
     request: StepRequest
@@ -56,6 +75,7 @@ class PlannedStep:
     instances: Mapping[str, str]
     ends: Mapping[str, tuple[Fraction, int]] = field(default_factory=dict[str, tuple[Fraction, int]])
     rehearsal: bool = False
+    path: PlannedPath | None = None
 
 
 async def plan_request(
@@ -65,7 +85,7 @@ async def plan_request(
 
     goal: exact targets from before a feed hold. seen_ns: since when nothing has been done with the axes; None: unknown.
     """
-    names = list(request.move.to | request.move.by)
+    names = request.axes
     view = services.fleet.view
     controllers = list(dict.fromkeys(controller_of(name) for name in names))
     states: dict[str, AxisState] = {}
@@ -85,7 +105,7 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
     states: dict[str, AxisState] = {}
     infos: dict[str, ControllerInfo] = {}
     instances: dict[str, str] = {}
-    for controller in dict.fromkeys(map(controller_of, request.move.to | request.move.by)):
+    for controller in dict.fromkeys(map(controller_of, request.axes)):
         state = view.last_state(controller)
         if state is None or state.mode == "offline" or view.is_silent(controller):
             raise Refusal("offline", f"{controller} is offline or silent", "check its link", controller)
@@ -107,11 +127,15 @@ def _plan_from(
     instances: Mapping[str, str],
 ) -> PlannedStep:
     move = request.move
-    missing = services.fleet.permits.find_missing([*move.to, *move.by])
+    missing = services.fleet.permits.find_missing(request.axes)
     if missing is not None:
         raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
-    resolved = resolve_targets(move, context, goal)
     try:
+        if isinstance(move, FollowPath):
+            path = plan_path_step(move, make_path_starts(move, context))
+            resolved = ResolvedMove(path.moves, dict(path.exact))
+            return PlannedStep(request, resolved, path.plan, instances, path.exact, path=path)
+        resolved = resolve_targets(move, context, goal)
         plan = plan_step(resolved.moves, move.sync, move.speed, move.ramps)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None

@@ -138,7 +138,7 @@ def make_step_report(
         actual_s = (last_ns - first_ns) / NS_PER_S
     return StepReport(
         index=request.index,
-        do="move",
+        do=request.move.do,
         name=request.move.name or "",
         state="done" if failure is None else "stopped" if failure[0] == "stopped" else "failed",
         reason="" if failure is None else failure[1],
@@ -149,6 +149,7 @@ def make_step_report(
         t0_fleet_ns=state.t0_fleet_ns,
         members=reports,
         budget=agreement.budget,
+        path=agreement.path,
         start_skew=start_skew,
         promised_skew=None if promised_skew == start_skew else promised_skew,
         end_skew=end_skew,

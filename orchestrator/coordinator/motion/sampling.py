@@ -6,6 +6,7 @@ from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.job import Move
 from orchestrator.model.messages import BeginSampling, SamplesTaken, SamplingBegun, TakeSamples, raise_first_refusal
 from orchestrator.model.operation.recording import SampledAxis, StepSamples
 from orchestrator.model.report import SamplingReport
@@ -25,7 +26,8 @@ class StepSampler:
     async def begin(self, duration_s: float, lead_ns: int) -> None:
         """Have all controllers record. duration_s: planned; lead_ns: until the start, as far as it is known. Raises
         `Refusal`: then none goes on."""
-        wanted = self._request.move.record
+        move = self._request.move
+        wanted = move.record if isinstance(move, Move) else None
         if wanted is None:
             return
         fleet = self._services.fleet.view.fleet

@@ -115,7 +115,7 @@ class MotionStep:
         self._goal = {axis: exact for axis, (exact, _) in planned.resolved.exact.items()}
         if not planned.plan.profiles:
             name = request.move.name or ""
-            return StepReport(index=request.index, do="move", name=name, state="done", reason="already there")
+            return StepReport(index=request.index, do=request.move.do, name=name, state="done", reason="already there")
         motion = self._motion = await PlannedMotion.agree(services, planned)
         recorder = StepRecorder(services.fleet.view, motion.agreement.plan.profiles)
         sampler = StepSampler(services, request)

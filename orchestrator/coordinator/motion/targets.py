@@ -6,10 +6,11 @@ from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Move
+from orchestrator.model.job import FollowPath, Move
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.plan.path_step import PathStart
 from orchestrator.plan.step import AxisMove, ExactTargets
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits, make_axis_move
 
@@ -62,6 +63,19 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
         move = make_axis_move(name, axis, state.commanded_counts, counts, order)
         moves.append(replace(move, soft_limits=axis.soft_limits_counts))
     return ResolvedMove(moves, exact)
+
+
+def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
+    """Where the axes of a path stand. Raises `Refusal` for one that is not enabled or referenced, and for a member that
+    executes trapezoids only."""
+    starts: list[PathStart] = []
+    for name in step.axes:
+        axis, state, controller = context.fleet.axis(name), context.states[name], controller_of(name)
+        _require_ready(name, state, controller)
+        here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
+        order = max(context.infos[controller].orders)
+        starts.append(PathStart(name, axis, here, state.commanded_counts, state.offset, order))
+    return starts
 
 
 def _require_ready(name: str, state: AxisState, controller: str) -> None:

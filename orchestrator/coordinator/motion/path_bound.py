@@ -1,0 +1,83 @@
+"""How far the axes of a path step may be off it: a bound ahead, term by term and member by member.
+
+A common delay of all members changes nothing on the path: only what sets them apart counts. So the terms `start` and
+`clock` exist only where there are at least two members; they are taken around the middle of all start windows.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import hypot
+
+import numpy as np
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.motion.budget import StartWindow
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import Proposal
+from orchestrator.model.report import PathBound, PathTerm, PathTermName
+from orchestrator.plan.path_step import PlannedPath
+
+_REMEDIES: dict[PathTermName, str] = {
+    "profile-fit": "allow a larger `tolerance`",
+    "execution": "move slower (`speed`), which the controller then interpolates more finely, or ",
+    "start": "move slower (`speed`), give the clocks time to settle, or use a trigger line (`start_class: line`), or ",
+    "clock": "move slower or shorter, give the clocks time to settle, or ",
+}
+
+
+def make_path_bound(
+    path: PlannedPath, proposals: Mapping[str, Proposal], windows: Mapping[str, StartWindow]
+) -> PathBound:
+    """The bound of a path whose members have answered. windows: of their starts."""
+    terms = [PathTerm(name="profile-fit", size=path.fit_error)]
+    for member in windows:
+        errors = [
+            counts / abs(path.counts_per_unit[f"{member}.{axis}"])
+            for axis, counts in proposals[member].path_error_counts.items()
+            if f"{member}.{axis}" in path.counts_per_unit
+        ]
+        terms.append(PathTerm(name="execution", member=member, size=hypot(*errors)))
+    if len(windows) > 1:
+        halves = _find_half_windows(windows)
+        for member, half_s in halves.items():
+            times_s, speeds = path.find_speeds(member)
+            terms.append(PathTerm(name="start", member=member, size=half_s * float(speeds.max())))
+            drift = proposals[member].clock_ppm * 1e-6 * float((times_s * speeds).max())
+            terms.append(PathTerm(name="clock", member=member, size=drift))
+    return PathBound(
+        unit=path.report.unit,
+        tolerance=path.tolerance,
+        predicted=float(np.sum([term.size for term in terms])),
+        terms=terms,
+    )
+
+
+def require_tolerance(bound: PathBound, members: Sequence[str]) -> None:
+    """Raise `Refusal` for a bound above the tolerance: the largest term, its member, and what would fit."""
+    if bound.predicted <= bound.tolerance:
+        return
+    worst, unit = bound.largest, bound.unit
+    by = f"{worst.member}, by its {worst.name}" if worst.member else f"the {worst.name}"
+    more = "" if worst.name == "profile-fit" else f"allow `tolerance: {_round_up(bound.predicted)} {unit}`"
+    raise Refusal(
+        "path-error",
+        f"the axes may be {bound.predicted:.3g} {unit} off the path; the tolerance is {bound.tolerance:.3g} {unit}. "
+        f"Largest is {by}: {worst.size:.3g} {unit}",
+        _REMEDIES[worst.name] + more,
+        worst.member or members[0],
+    )
+
+
+def _round_up(value: float) -> str:
+    """A tolerance that fits, with two digits and some room for the next proposals."""
+    return f"{float(f'{value * 1.1:.1e}'):g}"
+
+
+def _find_half_windows(windows: Mapping[str, StartWindow]) -> dict[str, float]:
+    """By member, how far its start may be from the middle of all windows, s. The instant of the edge of a trigger line
+    that all of them wait for is common to them."""
+    edges = {window.edge for window in windows.values()}
+    common = next(iter(edges)) if len(edges) == 1 else None
+    early_ns, late_ns = common or (0, 0)
+    spans = {name: (each.earliest_ns - early_ns, each.latest_ns - late_ns) for name, each in windows.items()}
+    middle_ns = (min(early for early, _ in spans.values()) + max(late for _, late in spans.values())) / 2
+    return {name: max(middle_ns - early, late - middle_ns) / NS_PER_S for name, (early, late) in spans.items()}

@@ -1,0 +1,31 @@
+"""A planned path in a few lines."""
+
+from orchestrator.model.report import PathReport
+
+MAX_BINDING = 4  # limits that are named in one line
+
+
+def describe_path(report: PathReport) -> list[str]:
+    """A path in a few lines: length and duration, what limits it most of the time, and the bound term by term."""
+    unit = report.unit
+    lines = [f"path of {report.length:.6g} {unit} in {report.duration_s:.3f} s; limited by {_describe_binding(report)}"]
+    bound = report.bound
+    if bound is None:
+        return lines
+    lines.append(f"at most {bound.predicted:.3g} {unit} off the path; the tolerance is {bound.tolerance:.3g} {unit}:")
+    by_member: dict[str, list[str]] = {}
+    for term in bound.terms:
+        by_member.setdefault(term.member or "plan", []).append(f"{term.name} {term.size:.2g}")
+    return lines + [f"  {member}: {', '.join(sizes)} {unit}" for member, sizes in by_member.items()]
+
+
+def _describe_binding(report: PathReport) -> str:
+    """What limits the speed, the longest first, with its share of the time."""
+    spans: dict[str, float] = {}
+    for each in report.stretches:
+        spans[each.binds] = spans.get(each.binds, 0.0) + each.to_s - each.from_s
+    whole_s = sum(spans.values())
+    longest = sorted(spans, key=lambda binds: -spans[binds])
+    shown = [f"{binds} ({100 * spans[binds] / whole_s:.0f} %)" for binds in longest[:MAX_BINDING] if whole_s]
+    more = len(longest) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "") if shown else "nothing"

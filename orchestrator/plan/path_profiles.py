@@ -1,0 +1,163 @@
+"""A path in time as one profile of constant jerk per axis, for the makes that execute any profile.
+
+On a grid of instants that all axes share, each axis gets the cubic with the path's position and velocity at both ends:
+position and velocity are continuous, and the jerk of a piece is a weighted mean of the path's jerk over it (weight
+6u(1-u)), so that it never exceeds it. Where the profiles are farther from the path than allowed, the grid is halved.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.model.profile import Profile
+from orchestrator.plan.shape import PlanError
+
+Array = NDArray[np.float64]
+
+FIT_SHARE = 0.05  # of the tolerance: how far the profiles may be from the path
+LEAST_FIT_COUNTS = 0.05  # or this: a member's own count is coarser
+LONGEST_PIECE_S, SHORTEST_PIECE_S = 0.08, 0.5e-3
+INSIDE = np.arange(1, 8) / 8.0  # where a piece is compared with the path
+MAX_STRETCH = 1.01  # by which a plan may become longer to keep the limits to the last digit
+MAX_PIECES = 60_000  # of one axis: its profile must fit into a message several times
+
+
+class PathStates(NamedTuple):
+    """The path at instants: one row each, one column per axis. Units of the axes, per s, per s²."""
+
+    positions: Array
+    velocities: Array
+    accelerations: Array
+
+
+Evaluate = Callable[[Array], PathStates]
+
+
+class FittedAxis(NamedTuple):
+    """An axis of a path.
+
+    counts_per_unit: signed. velocity, acceleration: its limits, units/s, units/s². start_counts: where it stands,
+    end_counts: its exact target.
+    """
+
+    name: str
+    counts_per_unit: float
+    velocity: float
+    acceleration: float
+    start_counts: int
+    end_counts: int
+
+
+@dataclass(frozen=True, slots=True)
+class FittedPath:
+    """Profiles of a path. duration_s: of all of them. standing: axes that the path does not move. error: the largest
+    sampled distance between profiles and path at one instant, in the unit of the axes."""
+
+    duration_s: float
+    profiles: Mapping[str, Profile]
+    standing: Sequence[str]
+    error: float
+
+
+def fit_profiles(evaluate: Evaluate, duration_s: float, axes: Sequence[FittedAxis], tolerance: float) -> FittedPath:
+    """Make the profiles of a path. tolerance: of the path, in the unit of the axes. Raises `PlanError`."""
+    finest = LEAST_FIT_COUNTS / max(abs(axis.counts_per_unit) for axis in axes)
+    pieces = _refine_grid(evaluate, duration_s, axes, max(FIT_SHARE * tolerance, finest))
+    stretch = _find_stretch(pieces, axes)
+    profiles: dict[str, Profile] = {}
+    standing: list[str] = []
+    for column, axis in enumerate(axes):
+        profile = _make_profile(pieces, column, axis)
+        if profile.is_still:
+            standing.append(axis.name)
+        else:
+            profiles[axis.name] = profile if stretch == 1.0 else profile.stretch_time(stretch)
+    offsets = [axis.start_counts / axis.counts_per_unit for axis in axes] - pieces.positions[0]
+    ends = [axis.end_counts / axis.counts_per_unit for axis in axes] - pieces.positions[-1]
+    # The profiles begin and end at whole counts, which the path may be off by half a count.
+    rounding = max(float(np.linalg.norm(offsets)), float(np.linalg.norm(ends)))
+    return FittedPath(duration_s * stretch, profiles, standing, float(pieces.errors.max(initial=0.0)) + rounding)
+
+
+class _Pieces(NamedTuple):
+    """The cubics between instants `times_s`. positions, velocities: at these; accelerations, jerks: of each piece, at
+    its start. errors: the largest distance from the path in each. speeds, peaks: the largest velocity and acceleration
+    in each, by axis."""
+
+    times_s: Array
+    positions: Array
+    velocities: Array
+    accelerations: Array
+    jerks: Array
+    errors: Array
+    speeds: Array
+    peaks: Array
+
+
+def _refine_grid(evaluate: Evaluate, duration_s: float, axes: Sequence[FittedAxis], allowed: float) -> _Pieces:
+    """The pieces on the coarsest grid, of halves of equal parts, on which each is near enough to the path."""
+    limits = np.array([axis.acceleration for axis in axes])
+    times_s = np.linspace(0.0, duration_s, max(2, int(np.ceil(duration_s / LONGEST_PIECE_S))) + 1)
+    while True:
+        pieces = _make_pieces(evaluate, times_s)
+        # The acceleration of a cubic may exceed the path's; a finer grid follows that.
+        poor = (pieces.errors > allowed) | (pieces.peaks > limits * MAX_STRETCH).any(axis=1)
+        poor &= np.diff(times_s) > 2 * SHORTEST_PIECE_S
+        if not poor.any():
+            break
+        middles = (times_s[:-1] + times_s[1:])[poor] / 2
+        times_s = np.sort(np.concatenate([times_s, middles]))
+        if len(times_s) > MAX_PIECES:
+            raise PlanError(
+                f"the path of {duration_s:.0f} s needs more than {MAX_PIECES} pieces for its tolerance; split it"
+            )
+    return pieces
+
+
+def _make_pieces(evaluate: Evaluate, times_s: Array) -> _Pieces:
+    positions, velocities, _ = evaluate(times_s)
+    lengths = np.diff(times_s)[:, None]
+    slopes = np.diff(positions, axis=0) / lengths
+    before, after = velocities[:-1], velocities[1:]
+    accelerations = (6 * slopes - 4 * before - 2 * after) / lengths
+    jerks = (6 * (before + after) - 12 * slopes) / lengths**2
+    peaks = np.maximum(np.abs(accelerations), np.abs(accelerations + jerks * lengths))
+    # The velocity is largest at an end, or where the acceleration is zero.
+    turn = np.divide(-accelerations, jerks, out=np.zeros_like(jerks), where=jerks != 0.0).clip(0.0, lengths)
+    tops = np.abs(before + turn * (accelerations + turn * jerks / 2))
+    speeds = np.maximum(np.maximum(np.abs(before), np.abs(after)), tops)
+    inside = INSIDE[None, :, None] * lengths[:, :, None]
+    made = positions[:-1, None] + inside * (
+        before[:, None] + inside * (accelerations[:, None] / 2 + inside * jerks[:, None] / 6)
+    )
+    true = evaluate((times_s[:-1, None] + inside[:, :, 0]).ravel()).positions.reshape(made.shape)
+    errors = np.sqrt(((made - true) ** 2).sum(axis=2)).max(axis=1)
+    return _Pieces(times_s, positions, velocities, accelerations, jerks, errors, speeds, peaks)
+
+
+def _find_stretch(pieces: _Pieces, axes: Sequence[FittedAxis]) -> float:
+    """By how much longer the path must last for all limits to hold exactly. Raises `PlanError` if that is too much."""
+    fastest = pieces.speeds.max(axis=0) / [axis.velocity for axis in axes]
+    steepest = np.sqrt(pieces.peaks.max(axis=0) / [axis.acceleration for axis in axes])
+    over = np.maximum(fastest, steepest)
+    worst = int(over.argmax())
+    if over[worst] > MAX_STRETCH:
+        raise PlanError(
+            f"{axes[worst].name}: the path exceeds its limits by {100 * (over[worst] - 1):.1f} % of its speed"
+        )
+    return max(1.0, float(over[worst]))
+
+
+def _make_profile(pieces: _Pieces, column: int, axis: FittedAxis) -> Profile:
+    scale = axis.counts_per_unit
+    return Profile(
+        axis.start_counts,
+        axis.end_counts,
+        scale,
+        np.diff(pieces.times_s).tolist(),
+        pieces.accelerations[:, column].tolist(),
+        pieces.jerks[:, column].tolist(),
+    )

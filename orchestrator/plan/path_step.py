@@ -1,0 +1,187 @@
+"""A path step in counts: one profile per axis from where the axes stand, what limits it where, and how fast each member
+moves when."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Axis
+from orchestrator.model.job import FollowPath
+from orchestrator.model.names import controller_of
+from orchestrator.model.report import PathBound, PathReport, PathStretch
+from orchestrator.model.units import Unit, UnitError, parse_quantity
+from orchestrator.plan.path.axes import PathAxis
+from orchestrator.plan.path.plan import PathPlan, plan_path
+from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, fit_profiles
+from orchestrator.plan.step import AxisMove, StepPlan
+from orchestrator.plan.targets import make_axis_move
+
+MAX_STRETCHES = 200  # of a report
+ORDERS = ("", "velocity", "acceleration", "jerk")
+ALONG = ("its table", "speed along the path", "acceleration along the path", "jerk along the path")
+SAMPLES = 2001  # of the speeds of members
+MAX_START_COUNTS = 1  # by which an axis may stand beside the start of its path: rounding
+
+
+class PathStart(NamedTuple):
+    """An axis of a path before it. here: its exact motor position, which is start_counts; offset: user minus motor
+    position, both in its unit. order: of the profiles that its controller executes."""
+
+    name: str
+    axis: Axis
+    here: Fraction
+    start_counts: int
+    offset: Fraction
+    order: Literal[2, 3]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPath:
+    """A planned path.
+
+    exact: the end of each axis (motor position) and its counts. tolerance, fit_error: in the unit of `report`.
+    counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s.
+    """
+
+    plan: StepPlan
+    moves: list[AxisMove]
+    exact: Mapping[str, tuple[Fraction, int]]
+    report: PathReport
+    tolerance: float
+    fit_error: float
+    counts_per_unit: Mapping[str, float]
+    times_s: Array
+    speeds: Mapping[str, Array]
+
+    def find_speeds(self, member: str) -> tuple[Array, Array]:
+        """Instants, s, and the speed of the axes of a member together, in the unit of `report` per s."""
+        squares = [speeds**2 for axis, speeds in self.speeds.items() if controller_of(axis) == member]
+        return self.times_s, np.sqrt(np.sum(squares, axis=0))
+
+    def make_report(self, duration_s: float, bound: PathBound | None) -> PathReport:
+        """The report of the path in another time, as its members have agreed on it, with its bound."""
+        factor = duration_s / self.report.duration_s
+        stretches = [
+            each.model_copy(update={"from_s": each.from_s * factor, "to_s": each.to_s * factor})
+            for each in self.report.stretches
+        ]
+        return self.report.model_copy(update={"duration_s": duration_s, "stretches": stretches, "bound": bound})
+
+
+def plan_path_step(step: FollowPath, starts: Sequence[PathStart]) -> PlannedPath:
+    """Plan a path whose axes stand at its start. Raises `Refusal`, `PlanError`."""
+    _require_orders(starts)
+    unit = _find_unit(starts)
+    tolerance = _parse_tolerance(step, unit)
+    _require_start(step, starts)
+    plan = plan_path(step, [_describe_axis(start) for start in starts])
+    shift = np.array([float(start.offset) for start in starts])
+    ends = (plan.evaluate(np.array([plan.duration_s])).positions[0] - shift).tolist()
+    axes: list[FittedAxis] = []
+    exact: dict[str, tuple[Fraction, int]] = {}
+    for start, end in zip(starts, ends, strict=True):
+        exact[start.name] = Fraction(end), start.axis.to_counts(Fraction(end))
+        limits, scale = start.axis.limits, float(start.axis.counts_per_unit)
+        counts = start.start_counts, exact[start.name][1]
+        axes.append(FittedAxis(start.name, scale, limits.velocity, limits.acceleration, *counts))
+
+    def evaluate_motors(times_s: Array) -> PathStates:
+        rows = plan.evaluate(times_s)
+        return PathStates(rows.positions - shift, rows.velocities, rows.accelerations)
+
+    fitted = fit_profiles(evaluate_motors, plan.duration_s, axes, tolerance)
+    times_s = np.linspace(0.0, plan.duration_s, SAMPLES)
+    speeds = np.abs(plan.evaluate(times_s).velocities).T
+    path = PlannedPath(
+        StepPlan(fitted.duration_s, fitted.profiles, fitted.standing),
+        [make_axis_move(each.name, each.axis, each.start_counts, exact[each.name][1], each.order) for each in starts],
+        exact,
+        PathReport(unit=unit, length=plan.length, duration_s=plan.duration_s, stretches=_list_stretches(plan)),
+        tolerance,
+        fitted.error,
+        {axis.name: axis.counts_per_unit for axis in axes},
+        times_s,
+        {start.name: row for start, row in zip(starts, speeds, strict=True)},
+    )
+    return replace(path, report=path.make_report(fitted.duration_s, None))
+
+
+def _describe_axis(start: PathStart) -> PathAxis:
+    """An axis for the planner, which knows user positions only."""
+    axis, limits = start.axis, start.axis.soft_limits_counts
+    soft = None
+    if limits is not None:
+        low, high = sorted(axis.to_unit(limit) + float(start.offset) for limit in limits)
+        soft = low, high
+    return PathAxis(start.name, axis.unit, axis.limits.velocity, axis.limits.acceleration, axis.limits.jerk, soft)
+
+
+def _list_stretches(plan: PathPlan) -> list[PathStretch]:
+    """What limits a path when, without what lasts a moment only; neighbours differ."""
+    found: list[PathStretch] = []
+    least_s = plan.duration_s / MAX_STRETCHES
+    for each in plan.find_stretches():
+        binds = ALONG[each.order] if each.axis is None else f"{ORDERS[each.order]} of {each.axis}"
+        last = found[-1] if found else None
+        if last is not None and (last.binds == binds or each.t1_s - each.t0_s < least_s):
+            found[-1] = last.model_copy(update={"to_s": each.t1_s})
+        else:
+            found.append(PathStretch(from_s=each.t0_s, to_s=each.t1_s, binds=binds))
+    return found
+
+
+def _find_unit(starts: Sequence[PathStart]) -> Unit:
+    """The unit of all axes. Raises `Refusal` if they have several: a distance from the path would have none."""
+    units = {start.axis.unit: start.name for start in starts}
+    if len(units) > 1:
+        words = ", ".join(f"{name} in {unit}" for unit, name in units.items())
+        remedy = "name axes of one unit, or change the unit of one in the fleet file"
+        raise Refusal("path-units", f"the axes of a path must have one unit; it has {words}", remedy)
+    return next(iter(units))
+
+
+def _parse_tolerance(step: FollowPath, unit: Unit) -> float:
+    try:
+        tolerance = float(parse_quantity(step.tolerance, unit, "the path"))
+    except UnitError as error:
+        raise Refusal("bad-unit", f"`tolerance`: {error}", "correct the unit") from None
+    if tolerance <= 0:
+        raise Refusal("path-error", f"the tolerance is {step.tolerance}; it must be above 0", "allow some micrometres")
+    return tolerance
+
+
+def _require_start(step: FollowPath, starts: Sequence[PathStart]) -> None:
+    """Raise `Refusal` for an axis that does not stand where the path begins, to a count."""
+    for value, start in zip(step.start, starts, strict=True):
+        axis = start.axis
+        try:
+            wanted = parse_quantity(value, axis.unit)
+        except UnitError as error:
+            raise Refusal("bad-unit", f"`start` of {start.name}: {error}", "correct the unit") from None
+        if abs(axis.to_counts(wanted - start.offset) - start.start_counts) > MAX_START_COUNTS:
+            raise Refusal(
+                "other-start",
+                f"axis {start.name} is at {float(start.here + start.offset):g} {axis.unit}; the path begins at "
+                f"{float(wanted):g} {axis.unit}",
+                f"move it there before: a step `do: move` to {float(wanted):g}, or `tutti axis move`",
+                controller_of(start.name),
+            )
+
+
+def _require_orders(starts: Sequence[PathStart]) -> None:
+    """Raise `Refusal` for an axis whose controller executes trapezoids only."""
+    for start in starts:
+        if start.order < 3:
+            remedy = "leave the axis out of the path, and move it before or after"
+            if start.axis.limits.jerk is None:
+                remedy += "; if its make can follow positions (CiA 402, SMC-4000, SMC-2000), add `jerk` to its limits"
+            raise Refusal(
+                "path-class",
+                f"axis {start.name}: its controller executes moves from rest to rest only, and cannot follow a path",
+                remedy,
+                controller_of(start.name),
+            )

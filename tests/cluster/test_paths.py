@@ -1,0 +1,288 @@
+"""Paths through the running system, on one and on several makes, judged by the simulators' truth."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from cluster.test_contour import two_gantries
+from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
+
+from orchestrator.bench.sync_fleets import make_smc4000
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Job
+from orchestrator.model.report import JobReport, PathReport
+from orchestrator.plan.path_profiles import FIT_SHARE
+from orchestrator.runtime.virtual import VirtualFleet
+
+RADIUS, CENTRE = 50.0, 100.0  # mm
+SAMPLE_NS = 17 * NS_PER_MS  # beside the periods of records, polls and SYNCs
+ALONE, TWO = ("gantry.x", "gantry.y"), ("gantry.x", "portal.y")
+Point = tuple[float, float]
+
+
+def circle(axes: tuple[str, str], turns: int, tolerance: str = "1 mm", **fields: str) -> Job:
+    """A job of one circle of 50 mm at 100 mm/s, from its rightmost point on."""
+    fields = {"speed": "100 mm/s", "tolerance": tolerance} | fields
+    more = ", ".join(f"{name}: {value}" for name, value in fields.items())
+    piece = f"{{piece: helix, to: [150, 100], centre: [100, 100], turns: {turns - 1}}}"
+    return job(f"[{{do: path, axes: [{', '.join(axes)}], start: [150, 100], pieces: [{piece}], {more}}}]")
+
+
+def prepare(fleet: Fleet, axes: tuple[str, ...]) -> Job:
+    """Enable and home, and go to where the circle begins."""
+    names = ", ".join(fleet.controllers)
+    to = ", ".join(f"{axis}: {value}" for axis, value in zip(axes, (150, 100), strict=False))
+    return job(f"[{{do: enable, axes: [{names}]}}, {{do: home}}, {{do: move, to: {{{to}}}}}]")
+
+
+def gantries() -> Fleet:
+    """Two SMC-4000 whose crystals run 101 ppm apart."""
+    return two_gantries()
+
+
+def gantry_and_drive() -> Fleet:
+    """An SMC-4000, and a CiA 402 drive that follows positions at 100 Hz."""
+    limits = {"velocity": 200, "acceleration": 1000, "jerk": 20_000}
+    gantry = make_smc4000(0)
+    drive = {
+        "adapter": "cia402",
+        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 1},
+        "options": {"cycle_us": 100, "start_us": 50, "start_spread_us": 50},
+        "axes": {"y": {"motors": ["1"], "unit": "mm", "scale": 1000, "limits": limits}},
+        "simulate": {"drift_ppm": 40, "options": {"objects": {"6065": 500, "6066": 0}}},
+    }
+    x: dict[str, Any] = {**gantry["axes"]["x"], "limits": limits}
+    controllers = {"gantry": {**gantry, "axes": {"x": x}}, "drive": drive}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "paths", "controllers": controllers})
+
+
+def positions(fleet: VirtualFleet, axes: tuple[str, ...]) -> list[float]:
+    """The true positions of axes now, mm."""
+    return [
+        fleet.controllers[axis.partition(".")[0]].position(fleet.fleet.axis(axis).motors[0]) / 1000 for axis in axes
+    ]
+
+
+def is_moving(fleet: VirtualFleet, axes: tuple[str, ...]) -> bool:
+    return any(fleet.controllers[axis.partition(".")[0]].is_moving(fleet.fleet.axis(axis).motors[0]) for axis in axes)
+
+
+async def watch_truth(fleet: VirtualFleet, axes: tuple[str, ...]) -> list[list[float]]:
+    """The true positions from the start of a motion to its end."""
+    async with asyncio.timeout(30):
+        while not is_moving(fleet, axes):
+            await sleep_ns(fleet.clock, NS_PER_MS)
+    seen: list[list[float]] = []
+    while is_moving(fleet, axes):
+        seen.append(positions(fleet, axes))
+        await sleep_ns(fleet.clock, SAMPLE_NS)
+    return seen
+
+
+async def follow(fleet: VirtualFleet, axes: tuple[str, ...], path: Job) -> tuple[JobReport, np.ndarray]:
+    """Run a path; its report, and the true positions on the way."""
+    watched = asyncio.get_running_loop().create_task(watch_truth(fleet, axes))
+    report = await outcome(fleet, path)
+    if report.state != "done":
+        watched.cancel()
+        raise AssertionError(report.reason)
+    return report, np.array(await watched)
+
+
+def circle_errors(seen: np.ndarray) -> np.ndarray:
+    return np.abs(np.hypot(seen[:, 0] - CENTRE, seen[:, 1] - CENTRE) - RADIUS)
+
+
+def require_sound(path: PathReport | None) -> float:
+    """The bound of a report, which is the sum of its terms."""
+    assert path is not None and path.bound is not None
+    bound = path.bound
+    assert (
+        bound.predicted == pytest.approx(sum(term.size for term in bound.terms)) and bound.predicted <= bound.tolerance
+    )
+    (fit,) = [term for term in bound.terms if term.name == "profile-fit"]
+    assert fit.size <= FIT_SHARE * bound.tolerance * 1.001
+    assert path.stretches and path.stretches[0].from_s == 0.0
+    return bound.predicted
+
+
+def test_a_circle_on_one_controller_for_as_long_as_its_arrays_allow() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, ALONE))
+        report, seen = await follow(fleet, ALONE, circle(ALONE, 18, "100 um"))
+        step = report.steps[0]
+        assert step.do == "path" and step.verdict == "green" and not step.deviations
+        assert step.planned_s is not None and step.planned_s > 56
+        bound, errors = require_sound(step.path), circle_errors(seen)
+        assert len(seen) > 3000 and errors.max() < bound < 0.015
+        assert positions(fleet, ALONE) == [150.0, 100.0]
+
+    run_fleet(main, gantries())
+
+
+def test_a_circle_on_two_controllers_stays_within_the_bound_ahead() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        await sleep_ns(fleet.clock, 30 * NS_PER_S)  # of clock readings
+        report, seen = await follow(fleet, TWO, circle(TWO, 4))
+        step = report.steps[0]
+        bound, errors = require_sound(step.path), circle_errors(seen)
+        assert errors.max() < bound
+        assert np.percentile(errors, 99) < 0.06
+        assert step.path is not None and step.path.bound is not None
+        names = {(term.name, term.member) for term in step.path.bound.terms}
+        assert names == {("profile-fit", "")} | {
+            (name, member) for name in ("execution", "start", "clock") for member in ("gantry", "portal")
+        }
+        shown = await fleet.make_client().show_job(report.job_id)
+        assert shown.report is not None and shown.report.steps[0].path == step.path
+
+    run_fleet(main, gantries())
+
+
+def test_a_contour_and_a_stream_make_one_path() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        axes = ("gantry.x", "drive.y")
+        prepared = await outcome(fleet, prepare(fleet.fleet, axes))
+        assert prepared.state == "done", prepared.reason
+        await sleep_ns(fleet.clock, 10 * NS_PER_S)
+        report, seen = await follow(fleet, axes, circle(axes, 2))
+        assert circle_errors(seen).max() < require_sound(report.steps[0].path)
+        assert {member: each.start_class for member, each in report.steps[0].members.items()} == {
+            "gantry": "clock",
+            "drive": "sync",
+        }
+
+    run_fleet(main, gantry_and_drive())
+
+
+# Refused before anything moves
+
+
+def lines(axes: tuple[str, str], *points: Point) -> Job:
+    """A path of lines from 0, 0."""
+    pieces = ", ".join(f"{{piece: line, to: [{x}, {y}]}}" for x, y in points)
+    return job(f"[{{do: path, axes: [{', '.join(axes)}], start: [0, 0], pieces: [{pieces}], tolerance: 1 mm}}]")
+
+
+def count_motions(fleet: VirtualFleet) -> int:
+    return sum(len(each.commanded_motions) for each in fleet.controllers.values())
+
+
+def test_a_path_that_leaves_the_soft_limits_in_its_middle_only() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, ALONE))
+        before = count_motions(fleet)
+        # Both ends and the corner points of the arc are inside 300 mm; its top is not.
+        pieces = "[{piece: line, to: [150, 280]}, {piece: arc, to: [50, 280], centre: [100, 280]}]"
+        path = f"{{do: path, axes: [gantry.x, gantry.y], start: [150, 100], pieces: {pieces}, tolerance: 1 mm}}"
+        found = await refusal(fleet, job(f"[{path}]"))
+        assert found.code == "soft-limit" and "gantry.y reaches" in found.text, found.text
+        assert count_motions(fleet) == before
+
+    run_fleet(main, gantries())
+
+
+def test_a_member_that_can_only_move_from_rest_to_rest_is_named() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}, {do: home}]"))
+        before = count_motions(fleet)
+        found = await refusal(fleet, lines(("gantry.x", "stage.u"), (20, 10)))
+        assert found.code == "path-class" and "stage.u" in found.text and "leave the axis out" in found.remedy
+        assert count_motions(fleet) == before
+
+    run_fleet(main, demo_fleet())
+
+
+def test_a_tolerance_that_the_fleet_cannot_keep() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        before = count_motions(fleet)
+        path = circle(TWO, 2, "20 um")
+        forecast = await fleet.make_client().dry_run(path)
+        assert [each.code for each in forecast.problems] == ["path-error"]
+        found = await refusal(fleet, path)
+        assert found.code == "path-error" and "Largest is" in found.text and "by its start" in found.text
+        assert "the tolerance is 0.02 mm" in found.text and "allow `tolerance: 0." in found.remedy
+        assert count_motions(fleet) == before
+        fits = found.remedy.partition("tolerance: ")[2].rstrip("`")
+        report = await outcome(fleet, circle(TWO, 2, fits))
+        assert report.state == "done", report.reason
+
+    run_fleet(main, gantries())
+
+
+def test_a_dry_run_states_duration_binding_limits_and_bound() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, ALONE))
+        forecast = await fleet.make_client().dry_run(circle(ALONE, 1))
+        (step,) = forecast.steps
+        assert not forecast.problems and step.path is not None
+        require_sound(step.path)
+        assert step.least_s == step.most_s == pytest.approx(step.path.duration_s, abs=1e-3)
+        assert any("contour" in command for command in step.commands["gantry"])
+
+    run_fleet(main, gantries())
+
+
+# Inside a path
+
+
+async def begin(fleet: VirtualFleet, path: Job, axes: tuple[str, ...], after_s: float = 1.5) -> str:
+    """Submit a path, and wait until it has moved for some time."""
+    job_id = await fleet.make_client().submit(path)
+    async with asyncio.timeout(60):
+        while not is_moving(fleet, axes):
+            await sleep_ns(fleet.clock, NS_PER_MS)
+    await sleep_ns(fleet.clock, round(after_s * NS_PER_S))
+    return job_id
+
+
+def test_a_feed_hold_on_a_path_is_refused_and_a_pause_waits_for_its_end() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        client = fleet.make_client()
+        path = circle(TWO, 1)
+        both = path.model_copy(update={"steps": [*path.steps, *job("[{do: move, by: {gantry.x: -5}}]").steps]})
+        job_id = await begin(fleet, both, TWO)
+        with pytest.raises(Refusal, match="is on a path") as caught:
+            await client.pause_job(job_id, now=True)
+        assert caught.value.code == "on-path" and "at the end of the path" in caught.value.remedy
+        await client.pause_job(job_id)
+        while (await client.show_job(job_id)).transitions[-1].state != "paused":
+            await sleep_ns(fleet.clock, 50 * NS_PER_MS)
+        assert positions(fleet, TWO) == [150.0, 100.0]
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done" and positions(fleet, TWO) == [145.0, 100.0]
+        assert report.steps[1].chain is not None and report.steps[1].chain.broken == "a path begins and ends at rest"
+
+    run_fleet(main, gantries())
+
+
+def cut_link(fleet: VirtualFleet) -> None:
+    fleet.wires["portal"].cut = True
+
+
+@pytest.mark.parametrize("how", ["stop", "e-stop", "lost"])
+def test_whatever_ends_a_path_brings_all_members_to_rest(how: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        client = fleet.make_client()
+        job_id = await begin(fleet, circle(TWO, 3), TWO)
+        act: Callable[[], Any] = {"stop": client.stop, "e-stop": client.estop}.get(how, lambda: cut_link(fleet))
+        done = act()
+        if done is not None:
+            await done
+        report = await client.wait_for_job(job_id)
+        assert report.state in ("aborted", "failed"), report
+        assert how != "lost" or ("portal" in report.reason and report.steps[0].path is not None)
+        await sleep_ns(fleet.clock, 5 * NS_PER_S)
+        assert not is_moving(fleet, TWO)
+        assert circle_errors(np.array([positions(fleet, TWO)])).max() < 12.0
+
+    run_fleet(main, gantries())
