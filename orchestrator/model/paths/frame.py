@@ -91,4 +91,4 @@ class FrameSpec(Model):
 
     def find_coordinates(self, positions: Matrix, units: list[Unit]) -> Matrix:
         """The coordinates of positions (points, axes): the inverse map, for reports."""
-        return np.linalg.solve(self.make_matrix(), (positions - self.make_offset(units)).T).T
+        return np.asarray(np.linalg.solve(self.make_matrix(), (positions - self.make_offset(units)).T).T, np.float64)

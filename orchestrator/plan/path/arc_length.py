@@ -1,7 +1,7 @@
 """Arc length of polynomial curves, and its inverse.
 
-A curve is x(u) = sum of c_k u^k, u from 0 to 1, of degree 5 at most. Its length is integrated cell by cell: `CELLS` equal
-cells in u, five-point Gauss-Legendre in each. A row of coefficients has the shape (6, coordinates).
+A curve is x(u) = sum of c_k u^k, u from 0 to 1, of degree 5 at most. Its length is integrated cell by cell: `CELLS`
+equal cells in u, five-point Gauss-Legendre in each. A row of coefficients has the shape (6, coordinates).
 """
 
 from typing import NamedTuple
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 CELLS = 16
 DEGREE = 5

@@ -1,7 +1,7 @@
 """The check of a time law: every axis's velocity, acceleration and jerk, sampled, against its limits.
 
-Each segment of the motion is looked at at both of its ends and twice between them. What is over is made good by stretching a
-section, from rest to rest, in time; a little only, for what lies between the nodes of the grid.
+Each segment of the motion is looked at at both of its ends and twice between them. What is over is made good by
+stretching a section, from rest to rest, in time; a little only, for what lies between the nodes of the grid.
 """
 
 from dataclasses import dataclass

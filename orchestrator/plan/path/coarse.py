@@ -64,8 +64,8 @@ class Ladder:
 
 
 def integrate_ladder(ladder: Ladder, s: Array, squares: Array, source: Index) -> tuple[CoarseMotion, Array, Index]:
-    """(motion, smoothing times, sections) through nodes of a ladder. Between two sections it rests for half of the smoothing time
-    of each."""
+    """(motion, smoothing times, sections) through nodes of a ladder. Between two sections it rests for half of the
+    smoothing time of each."""
     width, section = ladder.smoothing_s[source], ladder.section[source]
     pause = np.where(np.diff(section) > 0, (width[:-1] + width[1:]) / 2, 0.0)
     return integrate_squares(s, squares, pause), width, section
@@ -121,7 +121,14 @@ def _lower_caps(ladder: Ladder, low: Array, high: Array, level: Array) -> Ladder
         np.minimum.at(caps, begin[inside] + k, level[inside])
         inner = begin + k < end - 1
         np.minimum.at(cell_caps, begin[inner] + k, level[inner])
-    return Ladder(s, caps, ladder.acceleration[np.minimum(cells, len(ladder.acceleration) - 1)], cell_caps, ladder.smoothing_s[source], ladder.section[source])
+    return Ladder(
+        s,
+        caps,
+        ladder.acceleration[np.minimum(cells, len(ladder.acceleration) - 1)],
+        cell_caps,
+        ladder.smoothing_s[source],
+        ladder.section[source],
+    )
 
 
 def insert_peaks(ladder: Ladder, squares: Array) -> tuple[Array, Array, Index]:
@@ -137,7 +144,10 @@ def insert_peaks(ladder: Ladder, squares: Array) -> tuple[Array, Array, Index]:
         level = h - rise - fall
         small = 1e-9 * h
         found = np.flatnonzero(
-            (rise > -small) & (fall > -small) & (rise + fall > small) & ((np.minimum(rise, fall) > small) | (level > small))
+            (rise > -small)
+            & (fall > -small)
+            & (rise + fall > small)
+            & ((np.minimum(rise, fall) > small) | (level > small))
         )
     flat = found[level[found] > small[found]]
     new_s = np.concatenate([s, s[found] + rise[found], s[flat + 1] - fall[flat]])
@@ -158,7 +168,10 @@ def flatten_peaks(ladder: Ladder, squares: Array) -> Ladder:
     begin, end, width = _find_peaks(motion, smoothing_s)
     if not len(begin):
         return ladder
-    parts = [_find_plateaus(motion, begin[k : k + BLOCK], end[k : k + BLOCK], width[k : k + BLOCK]) for k in range(0, len(begin), BLOCK)]
+    parts = [
+        _find_plateaus(motion, begin[k : k + BLOCK], end[k : k + BLOCK], width[k : k + BLOCK])
+        for k in range(0, len(begin), BLOCK)
+    ]
     return _lower_caps(ladder, *(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
@@ -166,7 +179,8 @@ def _find_plateaus(motion: CoarseMotion, begin: Array, end: Array, width: Array)
     """(begin, end, squared speed) of plateaus, as positions, for peaks in order of time."""
     first, last = np.searchsorted(motion.t, [begin[0] - width.max(), end[-1] + width.max()])
     first = max(int(first) - 1, 0)
-    motion = CoarseMotion(*(part[first : int(last) + 1] for part in (motion.t, motion.s, motion.v)), motion.a[first : int(last)])
+    nodes, cells = slice(first, int(last) + 1), slice(first, int(last))
+    motion = CoarseMotion(motion.t[nodes], motion.s[nodes], motion.v[nodes], motion.a[cells])
     window = width
     left = _find_left(motion, (end - window, begin), window)
     for _ in range(PLATEAU_ROUNDS):

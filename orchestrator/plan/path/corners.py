@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.plan.path.arc_length import COARSE_ERROR, NEWTON_ROUNDS, Array, Index, measure_curves
+from orchestrator.plan.path.arc_length import COARSE_ERROR, NEWTON_ROUNDS, Array, Flags, Index, measure_curves
 from orchestrator.plan.path.curves import LINE, POLY, QUICK, Derivatives, Polys, Shapes, evaluate_polys
 from orchestrator.plan.path.outline import CUSP, SMOOTH, STOP, Outline
 from orchestrator.plan.path.track import Frame, Track
@@ -36,8 +36,8 @@ class Joints:
     before: Index
     after: Index
     turn: Array
-    straight: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    even: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    straight: Flags
+    even: Flags
 
 
 def make_track(outline: Outline, frame: Frame | None, *, blends: bool, even: bool) -> Track:
@@ -77,7 +77,7 @@ def evaluate_ends(outline: Outline, span: Index, local: Array, rounds: int = NEW
     return outline.shapes.evaluate(outline.kind[span], outline.row[span], local, rounds)
 
 
-def _fit_blends(outline: Outline, joints: Joints, at: Index, tolerance: Array) -> tuple[Array, Array, Array]:
+def _fit_blends(outline: Outline, joints: Joints, at: Index, tolerance: Array) -> tuple[Array, Array, Flags]:
     """(trims, curves, which are sound) of the blends of corners `at`.
 
     No blend takes more than half of a span, so neighbours do not overlap.
@@ -150,7 +150,7 @@ def _find_distances(outline: Outline, at: Index, trims: Array, curves: Array) ->
 
 
 def _join_spans(
-    outline: Outline, frame: Frame | None, stop: Array, cut: Array, blends: tuple[Index, Array] | None
+    outline: Outline, frame: Frame | None, stop: Flags, cut: Array, blends: tuple[Index, Array] | None
 ) -> Track:
     """The track of spans shortened by `cut` (at the start, at the end), with blends behind spans `blends[0]`."""
     shapes, order = outline.shapes, np.arange(len(outline.kind), dtype=np.float64)
@@ -176,5 +176,15 @@ def _join_spans(
     blend = order != source
     start = np.concatenate([[0.0], np.cumsum(length[keep])])
     return Track(
-        shapes, frame, kind[keep], row[keep], low[keep], length[keep], piece[keep], source[keep], blend[keep], stop[keep], start
+        shapes,
+        frame,
+        kind[keep],
+        row[keep],
+        low[keep],
+        length[keep],
+        piece[keep],
+        source[keep],
+        blend[keep],
+        stop[keep],
+        start,
     )

@@ -7,14 +7,11 @@ Lines need few (their limits are constant), polynomials have one at every knot o
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orchestrator.plan.path.arc_length import CELLS, Array, Index, find_lengths, find_parameters
-from orchestrator.plan.path.curves import ARC, LINE, POLY, QUICK, Derivatives, evaluate_polys
+from orchestrator.plan.path.arc_length import CELLS, Array, Flags, Index, find_lengths, find_parameters
+from orchestrator.plan.path.curves import ARC, LINE, POLY, QUICK, Derivatives
 from orchestrator.plan.path.limits import PathLimits, find_accelerations, find_speed_caps
 from orchestrator.plan.path.track import Track
-
-Flags = NDArray[np.bool_]
 
 BLOCK = 2048  # nodes evaluated at a time, so that their derivatives stay in the processor's cache
 ARC_CELLS = 12
@@ -23,9 +20,12 @@ ARC_STEP = np.pi / 32  # the longest cell of an arc, in rad
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Nodes in order of length. span: of the track; line: whether on a straight line; rest: whether the motion rests
-    there; speed: the cap, with the axis and the order that set it; section: the number of the stretch from rest to
-    rest; slower: by how much speeds are to be lower than limits allow; at: derivatives, one row per node."""
+    """Nodes in order of length.
+
+    span: of the track; line: whether on a straight line; rest: whether the motion rests there; section: the number of
+    the stretch from rest to rest; speed: the cap; slower: by how much speeds are to be lower than limits allow; at:
+    derivatives, one row per node.
+    """
 
     s: Array
     span: Index
@@ -33,8 +33,6 @@ class Grid:
     rest: Flags
     section: Index
     speed: Array
-    order: Index
-    axis: Index
     slower: Array
     at: Derivatives
 
@@ -72,30 +70,27 @@ def _place_on_polys(track: Track, span: Index, number: Index) -> Array:
     local = table.lengths[row, number]
     cut = np.flatnonzero((track.low[span] > 0.0) | (track.length[span] < table.lengths[row, -1] * (1 - 1e-12)))
     if len(cut):
-        part, where = span[cut], row[cut]
-        ends = [
-            find_parameters(coefficients, table, where, s, 2) for s in (track.low[part], track.low[part] + track.length[part])
-        ]
-        u = ends[0] + (ends[1] - ends[0]) * number[cut] / CELLS
-        local[cut] = find_lengths(coefficients, table, where, u) - track.low[part]
-    return np.clip(local, 0.0, track.length[span])
+        spans, of = np.unique(span[cut], return_inverse=True)
+        first, length = track.low[spans], track.length[spans]
+        ends = [find_parameters(coefficients, table, track.row[spans], s, 2) for s in (first, first + length)]
+        u = ends[0][of] + (ends[1] - ends[0])[of] * number[cut] / CELLS
+        local[cut] = find_lengths(coefficients, table, row[cut], u) - first[of]
+    # The ends exactly: by them it is known where the motion rests.
+    return np.where(number == CELLS, track.length[span], np.where(number == 0, 0.0, local))
 
 
 def make_grid(track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:
     """Evaluate the nodes at `local` lengths of spans."""
-    parts: list[tuple[Array, Index, Index, Derivatives]] = []
-    for k in range(0, len(span), BLOCK):
-        at = track.evaluate_spans(span[k : k + BLOCK], local[k : k + BLOCK], QUICK)
-        parts.append((*find_speed_caps(limits, at), at))
-    caps, order, axis = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:3])
-    at = Derivatives(*(np.concatenate(each) for each in zip(*(part[3] for part in parts), strict=True)))
+    parts = [track.evaluate_spans(span[k : k + BLOCK], local[k : k + BLOCK], QUICK) for k in range(0, len(span), BLOCK)]
+    caps = np.concatenate([find_speed_caps(limits, part) for part in parts])
+    at = Derivatives(*(np.concatenate(each) for each in zip(*parts, strict=True)))
     first = local == 0.0
     last = local == track.length[span]
     after_stop = np.concatenate([[True], track.stop[:-1]])
     rest = (first & after_stop[span]) | (last & track.stop[span])
     section = np.cumsum(after_stop)[span] - 1
     line, even = track.kind[span] == LINE, np.ones(len(span))
-    return Grid(track.start[span] + local, span, line, rest, section, caps, order, axis, even, at)
+    return Grid(track.start[span] + local, span, line, rest, section, caps, even, at)
 
 
 def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:
@@ -107,9 +102,14 @@ def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local
     slower = np.maximum(grid.slower[cell - 1], grid.slower[cell])
     more = replace(more, slower=slower, speed=more.speed / slower)
 
-    def merge(old: Array, new: Array) -> Array:
-        return np.concatenate([old, new])[order]
-
-    fields = ("s", "span", "line", "rest", "section", "speed", "order", "axis", "slower")
-    merged = {name: merge(getattr(grid, name), getattr(more, name)) for name in fields}
-    return Grid(**merged, at=Derivatives(*(merge(*pair) for pair in zip(grid.at, more.at, strict=True))))
+    at = Derivatives(*(np.concatenate(pair)[order] for pair in zip(grid.at, more.at, strict=True)))
+    return Grid(
+        s[order],
+        np.concatenate([grid.span, more.span])[order],
+        np.concatenate([grid.line, more.line])[order],
+        np.concatenate([grid.rest, more.rest])[order],
+        np.concatenate([grid.section, more.section])[order],
+        np.concatenate([grid.speed, more.speed])[order],
+        np.concatenate([grid.slower, slower])[order],
+        at,
+    )

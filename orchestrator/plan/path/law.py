@@ -107,7 +107,7 @@ def _add_nodes(grid: Grid, track: Track, limits: PathLimits, width: Array) -> Gr
     ends = np.flatnonzero(np.diff(grid.span, append=-1))
     begins = np.concatenate([[0], ends[:-1] + 1])
     spans = np.flatnonzero(~track.blend)
-    parts: list[tuple[Array, Array]] = []
+    parts: list[tuple[Index, Array]] = []
     speed = grid.speed
     joint = np.minimum(speed[begins[1:]], speed[ends[:-1]])
     with np.errstate(invalid="ignore"):

@@ -1,16 +1,15 @@
 """Limits of the axes and of the path, and the caps that follow from them at a point of the path.
 
-With derivatives by arc length, speed v and tangential acceleration a and jerk j, an axis has velocity q' v, acceleration
-q'' v² + q' a, and jerk q''' v³ + 3 q'' v a + q' j (e.g. Constantinescu and Croft, "Smooth and time-optimal trajectory
-planning for industrial manipulators along specified paths", 2000).
+With derivatives by arc length, speed v and tangential acceleration a and jerk j, an axis has velocity q' v,
+acceleration q'' v² + q' a, and jerk q''' v³ + 3 q'' v a + q' j (e.g. Constantinescu and Croft, "Smooth and time-optimal
+trajectory planning for industrial manipulators along specified paths", 2000).
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from orchestrator.plan.path.arc_length import Array, Index
+from orchestrator.plan.path.arc_length import Array
 from orchestrator.plan.path.curves import Derivatives
 
 # What curvature may take of an axis's acceleration and jerk; the rest is for changing speed.
@@ -35,41 +34,15 @@ class PathLimits:
         """Whether anything limits jerk."""
         return bool(np.isfinite(self.jerk).any() or np.isfinite(self.path_jerk))
 
-    def scale_time(self, factor: float) -> "PathLimits":
-        """The limits of a motion that, in `1 / factor` of its time, is on these."""
-        orders = (factor, factor**2, factor**3)
-        axes = (self.velocity, self.acceleration, self.jerk)
-        path = (self.path_speed, self.path_acceleration, self.path_jerk)
-        low = [limit / power for limit, power in zip((*axes, *path), orders * 2, strict=True)]
-        return PathLimits(*low)
 
-
-class Binding(NamedTuple):
-    """A cap at each point, and what sets it: `order` 1 velocity, 2 acceleration, 3 jerk, and the axis (-1: the path)."""
-
-    cap: Array
-    order: Index
-    axis: Index
-
-
-def _pick_least(caps: Array, order: Index, axis: Index) -> Binding:
-    """The least of several caps (rows) at each point."""
-    least = caps.argmin(axis=0)
-    at = np.arange(caps.shape[1])
-    return Binding(caps[least, at], order[least], axis[least])
-
-
-def find_speed_caps(limits: PathLimits, at: Derivatives) -> Binding:
+def find_speed_caps(limits: PathLimits, at: Derivatives) -> Array:
     """The highest speed at each point that leaves something of acceleration and jerk."""
-    n = len(limits.velocity)
     with np.errstate(divide="ignore"):
         by_velocity = limits.velocity / np.abs(at.first)
         by_acceleration = np.sqrt(ACCELERATION_SHARE * limits.acceleration / np.abs(at.second))
         by_jerk = np.cbrt(JERK_SHARE * limits.jerk / np.abs(at.third))
-    path = np.full((len(at.q), 1), limits.path_speed)
-    caps = np.concatenate([by_velocity, by_acceleration, by_jerk, path], axis=1).T
-    order = np.append(np.repeat([1, 2, 3], n), 1)
-    return _pick_least(caps, order, np.append(np.tile(np.arange(n), 3), -1))
+    caps = np.minimum(np.minimum(by_velocity, by_acceleration), by_jerk).min(axis=1)
+    return np.minimum(caps, limits.path_speed)
 
 
 def find_accelerations(limits: PathLimits, at: Derivatives, speed: Array, smoothing_s: Array) -> Array:
@@ -84,7 +57,13 @@ def find_accelerations(limits: PathLimits, at: Derivatives, speed: Array, smooth
         rate = 1.0 / smoothing_s[:, None]
         jerk_left = np.maximum(limits.jerk - third * v**3, 0.0) / (3 * second * v + first * rate)
     # 0/0 and inf/inf are axes that stand, or have no limit.
-    left = np.minimum(np.nan_to_num(left, nan=np.inf, posinf=np.inf), np.nan_to_num(jerk_left, nan=np.inf, posinf=np.inf))
+    left = np.minimum(
+        np.nan_to_num(left, nan=np.inf, posinf=np.inf), np.nan_to_num(jerk_left, nan=np.inf, posinf=np.inf)
+    )
     # Without smoothing jerk is not limited.
-    along = np.where(smoothing_s > 0.0, np.minimum(limits.path_acceleration, limits.path_jerk * np.maximum(smoothing_s, 1e-12)), limits.path_acceleration)
+    along = np.where(
+        smoothing_s > 0.0,
+        np.minimum(limits.path_acceleration, limits.path_jerk * np.maximum(smoothing_s, 1e-12)),
+        limits.path_acceleration,
+    )
     return np.minimum(left.min(axis=1), along)

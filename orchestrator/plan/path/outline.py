@@ -91,7 +91,10 @@ class OutlineBuilder:
             if np.linalg.norm(chord) <= SHORTEST * self._scale(to):
                 text = f"piece {end.piece + 1} (arc): {name} are the same point"
                 raise PathRefusal(
-                    "doubled-point", text, "give three different points; for a full circle give its centre", end.piece + 1
+                    "doubled-point",
+                    text,
+                    "give three different points; for a full circle give its centre",
+                    end.piece + 1,
                 )
         aa, ab, bb = float(a @ a), float(a @ b), float(b @ b)
         area = aa * bb - ab * ab
@@ -123,7 +126,9 @@ class OutlineBuilder:
             text = (
                 f"piece {end.piece + 1} (arc): its start is {radii[0]:.9g} from the centre, and its end {radii[1]:.9g}"
             )
-            raise PathRefusal("no-circle", text, "correct `centre` or `to`: both distances are the radius", end.piece + 1)
+            raise PathRefusal(
+                "no-circle", text, "correct `centre` or `to`: both distances are the radius", end.piece + 1
+            )
         chord = finish - begin
         full = bool(np.linalg.norm(chord) <= SHORTEST * self._scale(to))
         if not full:  # centre onto the bisector of the chord: the arc ends exactly at its end

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,9 +24,9 @@ _ORDERS = ("", "speed", "acceleration", "jerk")
 class Stretch:
     """A stretch of a path with one limit that binds: the most used one.
 
-    t0_s, t1_s, s0, s1: when and where; piece: its number from 1; corner: whether it rounds the corner behind that piece;
-    order: of the limit, 1 speed, 2 acceleration, 3 jerk, 0: the time is given by a table; axis: None: the path's own
-    limit; used: the largest part of the limit that is used.
+    t0_s, t1_s, s0, s1: when and where; piece: its number from 1; corner: whether it rounds the corner behind that
+    piece; order: of the limit, 1 speed, 2 acceleration, 3 jerk, 0: the time is given by a table; axis: None: the path's
+    own limit; used: the largest part of the limit that is used.
     """
 
     t0_s: float
@@ -35,8 +36,8 @@ class Stretch:
     piece: int
     corner: bool
     order: int
-    axis: str | None
-    used: float
+    axis: str | None = None
+    used: float = 1.0
 
     @property
     def words(self) -> str:
@@ -47,30 +48,13 @@ class Stretch:
         return f"{place}: {_ORDERS[self.order]} of {self.axis or 'the path'}, used to {self.used:.0%}"
 
 
-class MotionRows(tuple[Array, Array, Array, Array]):
-    """Positions, velocities, accelerations and jerks of all axes: each (instants, axes), in the axes' units."""
+class MotionRows(NamedTuple):
+    """The motion of all axes: each (instants, axes), in the axes' units, per second (², ³)."""
 
-    __slots__ = ()
-
-    @property
-    def positions(self) -> Array:
-        """Positions."""
-        return self[0]
-
-    @property
-    def velocities(self) -> Array:
-        """Velocities per second."""
-        return self[1]
-
-    @property
-    def accelerations(self) -> Array:
-        """Accelerations per second²."""
-        return self[2]
-
-    @property
-    def jerks(self) -> Array:
-        """Jerks per second³."""
-        return self[3]
+    positions: Array
+    velocities: Array
+    accelerations: Array
+    jerks: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,20 +84,20 @@ class PathPlan:
         t = np.asarray(t, dtype=np.float64)
         which = self._find_parts(self.starts_s, t)
         rows = [np.zeros((len(t), len(self.axes))) for _ in range(4)]
-        for k in np.unique(which):
+        for k, planned in enumerate(self.parts):
             at = np.flatnonzero(which == k)
-            for whole, part in zip(rows, self.parts[k].evaluate(t[at] - self.starts_s[k]), strict=True):
+            for whole, part in zip(rows, planned.evaluate(t[at] - self.starts_s[k]), strict=True):
                 whole[at] = part
-        return MotionRows(rows)
+        return MotionRows(*rows)
 
     def path(self, s: Array) -> Array:
         """Positions of the axes at lengths of the path: (points, axes)."""
         s = np.asarray(s, dtype=np.float64)
         which = self._find_parts(self.starts, s)
         positions = np.zeros((len(s), len(self.axes)))
-        for k in np.unique(which):
+        for k, planned in enumerate(self.parts):
             at = np.flatnonzero(which == k)
-            positions[at] = self.parts[k].find_positions(s[at] - self.starts[k])
+            positions[at] = planned.find_positions(s[at] - self.starts[k])
         return positions
 
     def find_stretches(self) -> list[Stretch]:
@@ -122,7 +106,7 @@ class PathPlan:
         for part, t0, s0 in zip(self.parts, self.starts_s.tolist(), self.starts.tolist(), strict=False):
             if isinstance(part, TableRun):
                 found.append(
-                    Stretch(t0, t0 + part.duration_s, s0, s0 + part.length, part.piece + 1, False, 0, None, 1.0)
+                    Stretch(t0, t0 + part.duration_s, s0, s0 + part.length, part.piece + 1, corner=False, order=0)
                 )
             else:
                 found += _list_stretches(part, self.axes, t0, s0)
@@ -139,6 +123,7 @@ def _list_stretches(run: Run, axes: Sequence[str], t0: float, s0: float) -> list
     span = run.track.find_spans(middle)
     keys = np.stack([run.track.piece[span], run.track.blend[span], use.order, use.axis])
     begin = np.flatnonzero(np.append(True, (np.diff(keys, axis=1) != 0).any(axis=0)))
+    at_begin: list[list[int]] = keys[:, begin].T.tolist()
     ends_s = np.append(motion.t[begin[1:]], motion.duration_s)
     ends = np.append(motion.s[begin[1:]], motion.length)
     used = np.maximum.reduceat(use.used, begin)
@@ -148,13 +133,13 @@ def _list_stretches(run: Run, axes: Sequence[str], t0: float, s0: float) -> list
             t0 + ends_s[n],
             s0 + motion.s[k],
             s0 + ends[n],
-            int(keys[0, k]) + 1,
-            bool(keys[1, k]),
-            int(keys[2, k]),
-            None if keys[3, k] < 0 else axes[keys[3, k]],
+            piece + 1,
+            bool(blend),
+            order,
+            None if axis < 0 else axes[axis],
             float(used[n]),
         )
-        for n, k in enumerate(begin.tolist())
+        for n, (k, (piece, blend, order, axis)) in enumerate(zip(begin.tolist(), at_begin, strict=True))
     ]
 
 

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.model.paths.frame import FrameSpec
-from orchestrator.model.paths.spec import ArcPiece, HelixPiece, LinePiece, PathSpec, Piece, SplinePiece, TablePiece, Within
+from orchestrator.model.paths.spec import (
+    ArcPiece,
+    HelixPiece,
+    LinePiece,
+    PathSpec,
+    Piece,
+    SplinePiece,
+    TablePiece,
+    Within,
+)
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, parse_rate
 from orchestrator.plan.path.arc_length import Array
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
@@ -120,7 +129,9 @@ class _Collector:
         try:
             return float(parse_quantity(corner.within, self._coordinates.units[0], "the path"))
         except UnitError as error:
-            raise PathRefusal("bad-unit", f"`within` of a corner: {error}", "give a length in the path's unit") from None
+            raise PathRefusal(
+                "bad-unit", f"`within` of a corner: {error}", "give a length in the path's unit"
+            ) from None
 
     def _add_piece(self, end: PieceEnd, piece: Piece) -> None:
         place = f"piece {end.piece + 1} ({piece.piece})"

@@ -17,8 +17,8 @@ MERGED = 1e-5  # of the smoothing time (at least 1 ns): shorter segments are lef
 @dataclass(frozen=True, slots=True)
 class PathMotion:
     """The motion s(t) along a path: segments of constant jerk. Entries: instant, position, speed, acceleration at the
-    start of each segment, its jerk, and the number of the stretch from rest to rest that it belongs to; `duration_s` is the
-    end of the last one, `length` its position."""
+    start of each segment, its jerk, and the number of the stretch from rest to rest that it belongs to; `duration_s` is
+    the end of the last one, `length` its position."""
 
     t: Array
     s: Array
@@ -101,7 +101,7 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array, section: Index) -> P
 
 
 def _sum_sections(steps: Array, number: Index, ends: Array) -> Array:
-    """Positions before each step. Sums have rounding of their own: each section begins and ends exactly at its `ends`."""
+    """Positions before each step. Sums have rounding of their own: a section begins and ends exactly at its `ends`."""
     first = np.flatnonzero(np.diff(number, prepend=-1))
     total = np.concatenate([[0.0], np.cumsum(steps)])
     begin = total[first]

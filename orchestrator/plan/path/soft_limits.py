@@ -57,36 +57,38 @@ def check_table(run: TableRun, axes: list[PathAxis]) -> None:
     for k, axis in enumerate(axes):
         if axis.soft_limits is None:
             continue
-        instants, positions = _find_turns(run, k)
+        instants = _find_turns(run, k)
+        positions = run.evaluate(instants)[0][:, k]
         for sign, limit in zip((-1.0, 1.0), axis.soft_limits, strict=True):
             worst = int(np.argmax(sign * positions))
-            if sign * positions[worst] > sign * limit + ROUNDING * (axis.soft_limits[1] - axis.soft_limits[0]):
-                gap = int(np.clip(np.searchsorted(run.knots, instants[worst]) - 1, 0, len(run.row) - 1))
+            value = float(positions[worst])
+            if sign * value > sign * limit + ROUNDING * (axis.soft_limits[1] - axis.soft_limits[0]):
+                before = int(np.searchsorted(run.knots, float(instants[worst]))) - 1
+                gap = min(max(before, 0), len(run.row) - 1)
                 side = "below" if sign < 0 else "above"
                 text = (
-                    f"piece {run.piece + 1} (table): {axis.axis} reaches {positions[worst]:.9g} {axis.unit} between rows "
+                    f"piece {run.piece + 1} (table): {axis.axis} reaches {value:.9g} {axis.unit} between rows "
                     f"{run.row[gap]} and {run.row[gap] + 1}, {side} its soft limit {limit:.9g}"
                 )
                 raise PathRefusal("soft-limit", text, "keep the path inside, or move it", run.piece + 1)
 
 
-def _find_turns(run: TableRun, axis: int) -> tuple[Array, Array]:
-    """Instants and positions at knots and where the velocity is zero."""
-    c1, c2, c3 = (run.cubics[:, k, axis] for k in (1, 2, 3))
+def _find_turns(run: TableRun, axis: int) -> Array:
+    """The instants of knots, and those at which the axis's velocity is zero."""
+    c1, c2, c3 = run.cubics[:, 1, axis], run.cubics[:, 2, axis], run.cubics[:, 3, axis]
     h = np.diff(run.knots)
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c2**2 - 3 * c1 * c3)
         found = [(-c2 + root) / (3 * c3), (-c2 - root) / (3 * c3), -c1 / (2 * c2)]
     inside = [run.knots[:-1][(x > 0) & (x < h)] + x[(x > 0) & (x < h)] for x in found]
-    instants = np.concatenate([run.knots, *inside])
-    return instants, run.evaluate(instants)[0][:, axis]
+    return np.concatenate([run.knots, *inside])
 
 
 def _refuse(piece: int, axis: PathAxis, found: tuple[float, float], limit: float) -> None:
     place, value = found
     side = "above" if value > limit else "below"
     text = (
-        f"piece {piece + 1}: {axis.axis} reaches {value:.9g} {axis.unit} at {place:.6g} along the path, {side} its soft "
-        f"limit {limit:.9g}"
+        f"piece {piece + 1}: {axis.axis} reaches {value:.9g} {axis.unit} at {place:.6g} along the path, {side} its "
+        f"soft limit {limit:.9g}"
     )
     raise PathRefusal("soft-limit", text, "keep the path inside, or move it", piece + 1)

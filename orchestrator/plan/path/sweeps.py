@@ -2,7 +2,8 @@
 
 b is the squared speed: along a cell of constant acceleration a and length h it grows by 2 a h. The largest b that keeps
 all caps is a running minimum of (cap - sum of 2 a h), in one numpy call for the whole path, once from each side. This
-is the phase-plane method of Bobrow, Dubowsky and Gibson (1985) and Shin and McKay (1985) with accelerations fixed ahead.
+is the phase-plane method of Bobrow, Dubowsky and Gibson (1985) and Shin and McKay (1985), with accelerations fixed
+ahead.
 """
 
 import numpy as np

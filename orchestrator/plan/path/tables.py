@@ -1,8 +1,8 @@
 """Timed tables: positions at instants, as cubics in time from rest to rest.
 
 The spline is twice continuously differentiable, and begins and ends with neither velocity nor acceleration. That needs
-two more coefficients than a clamped spline has: a free knot in the middle of the first and of the last gap (Biagiotti and
-Melchiorri, "Trajectory Planning for Automatic Machines and Robots", 2008, section 4.4.4).
+two more coefficients than a clamped spline has: a free knot in the middle of the first and of the last gap (Biagiotti
+and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", 2008, section 4.4.4).
 """
 
 from dataclasses import dataclass
@@ -88,7 +88,9 @@ def plan_table(table: TimedTable, frame: Frame | None, limits: PathLimits, names
     powers = factor ** -np.arange(4.0)
     by_u = curves_t * (np.diff(knots)[:, None] ** np.arange(4))[:, :, None]
     curves = np.concatenate([by_u, np.zeros((len(by_u), 2, by_u.shape[2]))], axis=1)
-    return TableRun(table.piece, (knots - knots[0]) * factor, cubics * powers[:, None], curves, measure_curves(curves), row)
+    return TableRun(
+        table.piece, (knots - knots[0]) * factor, cubics * powers[:, None], curves, measure_curves(curves), row
+    )
 
 
 def _check_start(table: TimedTable) -> None:

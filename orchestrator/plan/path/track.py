@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.plan.path.arc_length import NEWTON_ROUNDS, Array, Index
+from orchestrator.plan.path.arc_length import NEWTON_ROUNDS, Array, Flags, Index
 from orchestrator.plan.path.curves import Derivatives, Shapes
 
 
@@ -23,9 +23,12 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Spans of curves, one entry each: `kind` and `row` in `shapes`; `low`: where on its curve it begins; its length;
-    piece: its number from 0, and source: its span of the outline (of a blend, those before it); blend: whether it rounds a corner; stop: whether
-    the motion rests at its end (the last one does). start: lengths from the track's start, one more entry."""
+    """Spans of curves, one entry each: `kind` and `row` in `shapes`; `low`: where on its curve it begins; its length.
+
+    piece: its number from 0, and source: its span of the outline (of a blend, those before it); blend: whether it
+    rounds a corner; stop: whether the motion rests at its end (the last one does). start: lengths from the track's
+    start, one more entry.
+    """
 
     shapes: Shapes
     frame: Frame | None
@@ -35,8 +38,8 @@ class Track:
     length: Array
     piece: Index
     source: Index
-    blend: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    stop: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    blend: Flags
+    stop: Flags
     start: Array
 
     @property
