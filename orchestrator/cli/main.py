@@ -20,7 +20,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "queue": ("queue", "Start, stop and show the queue of jobs."),
     "job": ("job", "Submit, list, show, cancel jobs; read reports."),
     "axis": ("axis", "Manual operation: list, enable, home, jog, move."),
-    "path": ("paths.command", "Paths before they run: plot them."),
+    "path": ("paths.command", "Paths: plot them before they run, import them."),
     "position": ("positions.command", "Named positions: save, list, move to them."),
     "io": ("io", "Inputs and outputs by name."),
     "fleet": ("fleet_file", "Check a fleet file; load it into the running fleet."),

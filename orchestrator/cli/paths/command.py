@@ -11,6 +11,7 @@ from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import json_option, print_result
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.looking.pictures import picture_option, write_picture
+from orchestrator.cli.paths.import_command import import_path
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
 
 @click.group(epilog="Example: tutti path plot part.job.yaml --fleet lab.fleet.yaml -o part.png")
 def path() -> None:
-    """Look at the paths of jobs before they run."""
+    """Look at the paths of jobs before they run; take paths of other programs."""
+
+
+path.add_command(import_path)
 
 
 @path.command(epilog="Example: tutti path plot part.job.yaml --fleet lab.fleet.yaml --at gantry.x=20 -o part.png")
