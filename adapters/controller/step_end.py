@@ -6,7 +6,7 @@ from adapters.contract import HostInterval, MoveOutcome
 from adapters.controller.armed_step import ArmedStep
 from adapters.controller.settling import SettlingResult
 from orchestrator.clock.fleet import FleetScale
-from orchestrator.model.interval import find_other_duration
+from orchestrator.clock.interval import find_other_duration
 from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval
 
 _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}

@@ -9,7 +9,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.names import ALL_AXES, MoveTarget, is_position_name
 from orchestrator.model.numbers import Part
-from orchestrator.model.paths.spec import PathSpec, Piece
+from orchestrator.model.path import PathSpec, Piece
 from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.state import StartWish
 from orchestrator.model.units import Quantity

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.interval import find_other_duration
 from orchestrator.coordinator.motion.budget import Verdict, judge_skew, measure_skew, worse_verdict
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.start import StartState
-from orchestrator.model.interval import find_other_duration
 from orchestrator.model.messages import ArmedReply
 from orchestrator.model.report import MemberReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval

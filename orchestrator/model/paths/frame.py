@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from orchestrator.model.base import Model
+from orchestrator.model.path import MAX_COORDINATES
 from orchestrator.model.units import Quantity, Unit, parse_quantity
 
-MAX_COORDINATES = 32
 # A frame that maps a small square to one so much longer than wide has lost a coordinate in practice.
 WORST_CONDITION = 1e6
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.model.paths.frame import FrameSpec
-from orchestrator.model.paths.spec import (
+from orchestrator.model.path import (
     ArcPiece,
     HelixPiece,
     LinePiece,
@@ -16,6 +15,7 @@ from orchestrator.model.paths.spec import (
     TablePiece,
     Within,
 )
+from orchestrator.model.paths.frame import FrameSpec
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, parse_rate
 from orchestrator.plan.path.arc_length import Array
 from orchestrator.plan.path.axes import AlongLimits, PathAxis

@@ -6,9 +6,9 @@ from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.base import Id, Model
 from orchestrator.model.numbers import split_number
-from orchestrator.model.paths.frame import MAX_COORDINATES
 from orchestrator.model.units import Quantity
 
+MAX_COORDINATES = 32
 MAX_PIECES = 100_000
 MAX_ROWS = 100_000  # of a table, and points of a spline
 
