@@ -92,8 +92,9 @@ class StartAgreement:
     @property
     def start_tolerance_ns(self) -> int:
         """How much later than promised a member may start within what the job allows: a slightly late start is better
-        than none. 0 where a trigger line starts members, which rely on its promise."""
-        if self.budget is None or self.line is not None:
+        than none. 0 where a trigger line starts members, which rely on its promise, and on a path of several, whose
+        bound is made of what they promise."""
+        if self.budget is None or self.line is not None or (self.path is not None and len(self.movers) > 1):
             return 0
         # A single axis cannot be late relative to another.
         return MAX_TOLERANCE_NS if len(self.plan.profiles) == 1 else min(self.budget.margin_ns, MAX_TOLERANCE_NS)
@@ -265,8 +266,8 @@ class StartNegotiation:
             _require_allowed("path", path)
         if self._planned.path is not None:
             bound = make_path_bound(self._planned.path, agreement.proposals, windows)
-            agreement.path = self._planned.path.make_report(agreement.plan.duration_s, bound)
             require_tolerance(bound, agreement.movers)
+            agreement.path = self._planned.path.make_report(agreement.plan.duration_s, bound)
 
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
         """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the
