@@ -30,11 +30,8 @@ _AT: Array = np.linspace(0.0, 1.0, COMPARED)
 
 @dataclass(frozen=True, slots=True)
 class Joints:
-    """Where spans join, one entry each: the spans before and after, the turn in rad, whether both are lines, whether
-    curvature continues."""
+    """Where a span joins the next one: the turn in rad, whether both are lines, whether curvature continues."""
 
-    before: Index
-    after: Index
     turn: Array
     straight: Flags
     even: Flags
@@ -69,7 +66,7 @@ def _look_at_joints(outline: Outline) -> Joints:
     bend = np.linalg.norm(starts.second - ends.second, axis=1)
     most = np.maximum(np.linalg.norm(starts.second, axis=1), np.linalg.norm(ends.second, axis=1))
     straight = (outline.kind[:-1] == LINE) & (outline.kind[1:] == LINE)
-    return Joints(before, before + 1, turn, straight, bend <= SAME_CURVATURE * most)
+    return Joints(turn, straight, bend <= SAME_CURVATURE * most)
 
 
 def evaluate_ends(outline: Outline, span: Index, local: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
