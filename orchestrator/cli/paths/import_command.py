@@ -34,10 +34,23 @@ Examples:
     metavar="LETTER=MM",
     help="Where an axis of G-code stands before it, in mm; without it at 0.",
 )
+@click.option(
+    "--tolerance",
+    default="200 um",
+    show_default=True,
+    help="How far the axes may be off the path; a job for which that cannot be guaranteed is refused before it moves.",
+)
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
 @json_option
 def import_path(
-    file: Path, target: Path, axes: tuple[str, ...], starts: tuple[str, ...], *, force: bool, as_json: bool
+    file: Path,
+    target: Path,
+    axes: tuple[str, ...],
+    starts: tuple[str, ...],
+    tolerance: str,
+    *,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Write the path in FILE as a job file: G-code (.ngc, .gcode, .nc), a table of points (.csv), or a joint trajectory
     (.yaml, .json).
@@ -55,7 +68,8 @@ def import_path(
     named = _read_pairs(axes, "--axis")
     places = {letter.upper(): _read_number(value, letter) for letter, value in _read_pairs(starts, "--from").items()}
     with expected_errors():
-        steps = read_path_file(file, named, places)
+        read = read_path_file(file, named, places)
+    steps = [{**step, "tolerance": tolerance} if step["do"] == "path" else step for step in read]
     name = file.stem[:60]
     job, problems = validate_value(make_job(name, steps), Job)
     if job is None:

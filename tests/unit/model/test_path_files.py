@@ -40,18 +40,25 @@ def test_lines_arcs_corners_and_feeds() -> None:
     first, dwell, last = steps
     assert first["axes"] == ["gantry.x", "gantry.y"] and first["start"] == ["0 mm", "0 mm"]
     line, other, arc = first["pieces"]
-    assert line == {"piece": "line", "to": ["10 mm", "0 mm"], "speed": "10 mm/s", "corner": {"within": "0.05 mm"}}
+    assert line == {"piece": "line", "to": ["10 mm", "0 mm"], "corner": {"within": "0.05 mm"}}
+    assert first["speed"] == "10 mm/s"
     assert other["to"] == ["10 mm", "10 mm"]
     assert (arc["piece"], arc["direction"], arc["centre"], arc["corner"]) == ("arc", "cw", ["20 mm", "10 mm"], "stop")
     assert arc["plane"] == ["gantry.x", "gantry.y"]
     assert dwell == {"do": "dwell", "duration": "0.25 s"}
-    assert last["start"] == ["20 mm", "20 mm"] and "speed" not in last["pieces"][0]
+    assert last["start"] == ["20 mm", "20 mm"] and "speed" not in last
 
 
 def test_inches_and_increments() -> None:
     (step,) = read_gcode("G20 G91 F10\nG1 X1\nX1 Y.5\n")
     assert [piece["to"] for piece in step["pieces"]] == [["25.4 mm", "0 mm"], ["50.8 mm", "12.7 mm"]]
-    assert step["pieces"][0]["speed"] == "4.233333333 mm/s"
+    assert step["speed"] == "4.233333333 mm/s"
+
+
+def test_the_axes_rest_where_the_feed_changes() -> None:
+    steps = read_gcode("G64 P0.1 F600 G1 X1\nX2\nF300 X3\nG0 X4\n")
+    assert [(step.get("speed"), len(step["pieces"])) for step in steps] == [("10 mm/s", 2), ("5 mm/s", 1), (None, 1)]
+    assert [step["start"][0] for step in steps] == ["0 mm", "2 mm", "3 mm"]
 
 
 @pytest.mark.parametrize(
