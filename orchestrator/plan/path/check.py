@@ -1,7 +1,8 @@
 """The check of a time law: every axis's velocity, acceleration and jerk, sampled, against its limits.
 
-Each segment of the motion is looked at at both of its ends and twice between them. What is over is made good by
-stretching a section, from rest to rest, in time; a little only, for what lies between the nodes of the grid.
+Each segment of the motion is looked at at both of its ends and twice between them, and where spans join. What is over
+is made good by stretching a section, from rest to rest, in time; a little only, for what lies between the nodes of the
+grid.
 """
 
 from dataclasses import dataclass
@@ -33,7 +34,20 @@ class LimitUse:
 def measure_use(track: Track, motion: PathMotion, limits: PathLimits) -> LimitUse:
     """Compare a motion with all limits."""
     parts = [_measure_block(track, motion, limits, slice(k, k + BLOCK)) for k in range(0, len(motion.t), BLOCK)]
-    return LimitUse(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    use = LimitUse(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    _measure_junctions(track, motion, limits, use.stretch)
+    return use
+
+
+def _measure_junctions(track: Track, motion: PathMotion, limits: PathLimits, stretch: Array) -> None:
+    """Raise `stretch` by what both sides of the junctions need at which the motion goes on: jerk jumps there."""
+    before = np.flatnonzero(~track.stop[:-1])
+    t = motion.find_instants(track.start[before + 1])
+    segment = motion.find_segments(t)
+    _, v, a, j = motion.evaluate(t)
+    for span, local in ((before, track.length[before]), (before + 1, np.zeros(len(before)))):
+        needed = find_needed(find_uses(track.evaluate_spans(span, local, QUICK), (v, a, j), limits))
+        np.maximum.at(stretch, segment, needed)
 
 
 def _measure_block(
@@ -59,8 +73,7 @@ def _measure_block(
     ends[rest] = 3 * n + np.arange(len(rest))
     for points in (number, ends, number + n, number + 2 * n):
         uses = find_uses(Derivatives(*(each[points] for each in at)), (v[points], a[points], j), limits)
-        for use, root in zip(uses, (np.abs, np.sqrt, np.cbrt), strict=True):
-            worst = np.maximum(worst, root(use.max(axis=1)))
+        worst = np.maximum(worst, find_needed(uses))
     flat = np.concatenate(uses, axis=1)
     most = flat.argmax(axis=1)
     width = uses[0].shape[1]
@@ -79,3 +92,9 @@ def find_uses(at: Derivatives, motion: tuple[Array, Array, Array], limits: PathL
     axes = (velocity, acceleration, jerk)
     found = [np.concatenate(pair, axis=1) for pair in zip(axes, along, strict=True)]
     return found[0], found[1], found[2]
+
+
+def find_needed(uses: tuple[Array, Array, Array]) -> Array:
+    """What the time must be multiplied by at each point, so that no limit is exceeded."""
+    velocity, acceleration, jerk = (use.max(axis=1, initial=0.0) for use in uses)
+    return np.maximum(velocity, np.maximum(np.sqrt(acceleration), np.cbrt(jerk)))

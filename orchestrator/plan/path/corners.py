@@ -14,15 +14,17 @@ import numpy as np
 
 from orchestrator.plan.path.arc_length import COARSE_ERROR, NEWTON_ROUNDS, Array, Flags, Index, measure_curves
 from orchestrator.plan.path.curves import LINE, POLY, QUICK, Derivatives, Polys, Shapes, evaluate_polys
-from orchestrator.plan.path.outline import CUSP, SMOOTH, STOP, Outline
+from orchestrator.plan.path.outline import SMOOTH, STOP, Outline
 from orchestrator.plan.path.track import Frame, Track
 
 # Where the control points of a blend lie between its end and the corner, in parts of `trim`.
 INNER, OUTER = 0.4, 0.75
 SAME_TANGENT = 1e-9  # rad
 SAME_CURVATURE = 1e-6  # relative
-# A blend that turns further is nearly a cusp: it would be slower than a stop.
-SHARPEST = np.pi * 160 / 180
+# A blend that turns further, or whose |x'(u)| falls below that part of its length, is nearly a cusp: it would be slower
+# than a stop, and its third derivative is too steep for the grid.
+SHARPEST = np.pi * 150 / 180
+SLOWEST = 0.4
 ROUNDS = 5
 COMPARED = 17  # points of a blend compared with the outline
 _AT: Array = np.linspace(0.0, 1.0, COMPARED)
@@ -96,7 +98,7 @@ def _fit_blends(outline: Outline, joints: Joints, at: Index, tolerance: Array) -
         trims[curved] = np.where((off > 1.0) | (off < 0.8), grown, trims[curved])
         curves[curved] = _make_blends(outline, part, trims[curved])
     table = measure_curves(curves)
-    sound = (table.slowest > CUSP * table.lengths[:, -1]) & (table.error < COARSE_ERROR)
+    sound = (table.slowest > SLOWEST * table.lengths[:, -1]) & (table.error < COARSE_ERROR)
     if len(curved):
         off = _find_distances(outline, at[curved], trims[curved], curves[curved])
         sound[curved] &= off <= tolerance[curved] * (1 + 1e-9)

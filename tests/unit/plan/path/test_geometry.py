@@ -88,7 +88,7 @@ def test_where_the_motion_goes_on_tangent_and_curvature_do_too(seed: int) -> Non
     assert (np.abs(ends.second - starts.second) <= 1e-5 * (1 + curvature)).all()
 
 
-@pytest.mark.parametrize("turn", [1, 20, 60, 90, 120, 150, 159])
+@pytest.mark.parametrize("turn", [1, 20, 60, 90, 120, 140, 149])
 @pytest.mark.parametrize("tolerance", [0.05, 1.0])
 def test_the_tolerance_is_the_true_distance_from_the_corner(turn: float, tolerance: float) -> None:
     angle = np.radians(turn)
@@ -149,7 +149,7 @@ def test_a_tangent_arc_is_blended_for_third_order_and_joined_for_second() -> Non
     assert second.stop.tolist() == [False, True] and not second.blend.any()
 
 
-@pytest.mark.parametrize("turn", [165.0, 180.0])
+@pytest.mark.parametrize("turn", [155.0, 180.0])
 def test_a_reversal_is_a_stop(turn: float) -> None:
     angle = np.radians(turn)
     track = rounded(lines([[0, 0], [50, 0], [50 + 50 * np.cos(angle), 50 * np.sin(angle)]]))
