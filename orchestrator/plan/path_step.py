@@ -24,6 +24,7 @@ MAX_STRETCHES = 200  # of a report
 ORDERS = ("", "velocity", "acceleration", "jerk")
 ALONG = ("its table", "speed along the path", "acceleration along the path", "jerk along the path")
 SAMPLES = 2001  # of the speeds of members
+LEAST_RAMP_S = 0.02  # of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it
 MAX_START_COUNTS = 1  # by which an axis may stand beside the start of its path: rounding
 
 
@@ -117,7 +118,8 @@ def _describe_axis(start: PathStart) -> PathAxis:
     if limits is not None:
         low, high = sorted(axis.to_unit(limit) + float(start.offset) for limit in limits)
         soft = low, high
-    return PathAxis(start.name, axis.unit, axis.limits.velocity, axis.limits.acceleration, axis.limits.jerk, soft)
+    jerk = axis.limits.jerk or axis.limits.acceleration / LEAST_RAMP_S
+    return PathAxis(start.name, axis.unit, axis.limits.velocity, axis.limits.acceleration, jerk, soft)
 
 
 def _list_stretches(plan: PathPlan) -> list[PathStretch]:
