@@ -24,7 +24,8 @@ MAX_STRETCHES = 200  # of a report
 ORDERS = ("", "velocity", "acceleration", "jerk")
 ALONG = ("its table", "speed along the path", "acceleration along the path", "jerk along the path")
 SAMPLES = 2001  # of the speeds of members
-LEAST_RAMP_S = 0.02  # of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it
+# Of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it.
+LEAST_RAMP_S = 0.02
 MAX_START_COUNTS = 1  # by which an axis may stand beside the start of its path: rounding
 
 
