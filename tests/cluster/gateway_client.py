@@ -5,9 +5,10 @@ import json
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from argon2 import PasswordHasher
+from cluster.worlds import run_fleet
 
 from orchestrator.bus.log import ProcessLog
 from orchestrator.client.api import Tutti
@@ -131,12 +132,29 @@ class Socket:
             self.frames.append(frame)
 
 
+def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]]) -> None:
+    """Run `main` with a started virtual fleet, and end its gateways: what a socket has begun ends in its own loop."""
+
+    async def run(fleet: VirtualFleet) -> None:
+        try:
+            await main(fleet)
+        finally:
+            for gateway in VirtualGateway.started:
+                await gateway.close()
+            VirtualGateway.started.clear()
+
+    run_fleet(run)
+
+
 class VirtualGateway:
     """The gateway of a virtual fleet, in a process of its own. roles: its users, each with `PASSWORD`."""
+
+    started: ClassVar[list["VirtualGateway"]] = []
 
     def __init__(self, fleet: VirtualFleet, folder: Path, roles: Mapping[str, Role] | None = None) -> None:
         self.fleet = fleet
         self.lines: list[str] = []
+        self.sockets: list[Socket] = []
         self.users = UserFile(folder / "users.json")
         for name, role in (roles or {}).items():
             self.users.add_user(name, role, PASSWORD, "2026-01-01T00:00:00.000000Z")
@@ -151,7 +169,16 @@ class VirtualGateway:
         self.gateway = self.process.run_inside(lambda: Gateway(tutti, fleet.clock, log, run_inline, options))
 
     async def start(self) -> None:
+        self.started.append(self)
         await self._run_inside(self.gateway.start())
+
+    async def close(self) -> None:
+        """End it, with its sockets, unless it was killed."""
+        for socket in self.sockets:
+            socket.reads = True
+        if self.process.alive:
+            await self._run_inside(self.gateway.close())
+            await asyncio.sleep(3.0)  # for the leases of its sockets
 
     async def request(self, method: str, path: str, body: Any = None, headers: Headers | None = None) -> Answer:
         """Send a request. body: bytes, or what is sent as JSON."""
@@ -190,6 +217,7 @@ class VirtualGateway:
     async def connect(self, headers: Headers | None = None) -> Socket:
         """Open a socket, and wait for the state, or the refusal."""
         socket = Socket()
+        self.sockets.append(socket)
         socket._inwards.put_nowait({"type": "websocket.connect"})
         scope = _make_scope("websocket", "/v1/stream", {**OWN, **(headers or {})})
         scope |= {"scheme": "ws", "subprotocols": [], "extensions": {"websocket.http.response": {}}}

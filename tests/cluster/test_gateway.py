@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cluster.gateway_client import Socket, VirtualGateway
-from cluster.worlds import PREPARE, demo_fleet, outcome, run_fleet
+from cluster.gateway_client import Socket, VirtualGateway, run_with_gateway
+from cluster.worlds import PREPARE, demo_fleet, outcome
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -62,7 +62,7 @@ def test_the_stream_gives_the_state_and_differences_that_lead_to_the_present_one
         assert without_time[0] == without_time[1]
         assert (await gateway.get("/v1/state")).json["controllers"].keys() == {"gantry", "stage"}
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_there_are_at_most_20_differences_a_second_and_at_least_2(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_there_are_at_most_20_differences_a_second_and_at_least_2(tmp_path: Path
             await asyncio.sleep(0.005)
         assert 36 <= (socket.number or 0) - begin <= 41
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_what_is_old_says_so_and_a_difference_comes_twice_a_second_all_the_same(tmp_path: Path) -> None:
@@ -94,6 +94,9 @@ def test_what_is_old_says_so_and_a_difference_comes_twice_a_second_all_the_same(
         assert 6 <= (socket.number or 0) - begin <= 12
         assert not socket.state["coordinator"]["present"]
         assert socket.state["controllers"]["gantry"]["age_s"] >= 4
+        for name in (*(f"host/{each}" for each in fleet.hosts), "coordinator/first"):
+            fleet.resume(name)
+        await VirtualGateway.started.pop().close()
 
     run_virtual(main)
 
@@ -112,7 +115,7 @@ def test_a_reader_that_stops_reading_gets_the_newest_state_when_it_reads_again(t
         assert socket.sent - sent < 20_000  # not all that it has missed
         assert gateway.gateway.hub.readers == 1
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_reader_that_never_reads_is_disconnected(tmp_path: Path) -> None:
@@ -122,7 +125,7 @@ def test_a_reader_that_never_reads_is_disconnected(tmp_path: Path) -> None:
         await asyncio.sleep(20.0)
         assert gateway.gateway.hub.readers == 0
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_gap_is_healed_on_request(tmp_path: Path) -> None:
@@ -133,7 +136,7 @@ def test_a_gap_is_healed_on_request(tmp_path: Path) -> None:
         await socket.wait_for(lambda: socket.state)
         assert socket.whole == 2
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_jog_that_is_let_go_decelerates_at_once(tmp_path: Path) -> None:
@@ -145,7 +148,7 @@ def test_a_jog_that_is_let_go_decelerates_at_once(tmp_path: Path) -> None:
         socket.send("end-jog")
         assert await find_end_ns(fleet) - let_go_ns < RAMP_NS
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_the_end_of_a_jog_is_one_request_to_the_controller_without_a_pause(tmp_path: Path) -> None:
@@ -158,7 +161,8 @@ def test_the_end_of_a_jog_is_one_request_to_the_controller_without_a_pause(tmp_p
         request = bus.request
 
         async def note_request(key: str, payload: bytes, *rest: Any) -> bytes:
-            sent.append((fleet.clock.now_ns(), json.loads(payload)["velocities"]))
+            if key.endswith("/cmd/jog"):
+                sent.append((fleet.clock.now_ns(), json.loads(payload)["velocities"]))
             return await request(key, payload, *rest)
 
         bus.request = note_request  # type: ignore[method-assign]
@@ -167,7 +171,7 @@ def test_the_end_of_a_jog_is_one_request_to_the_controller_without_a_pause(tmp_p
         await find_end_ns(fleet)
         assert sent == [(let_go_ns, {"x": 0.0})]
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 @pytest.mark.parametrize("end", ["closed", "silent", "killed", "end-of-gateway"])
@@ -191,7 +195,7 @@ def test_a_jog_ends_with_its_socket(tmp_path: Path, end: str) -> None:
         async with fleet.make_client("other").manual_control(["gantry.x"]):
             pass
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_axes_are_released_when_a_page_sends_nothing_for_a_second(tmp_path: Path) -> None:
@@ -208,7 +212,7 @@ def test_axes_are_released_when_a_page_sends_nothing_for_a_second(tmp_path: Path
         await asyncio.sleep(0.5)
         assert not socket.state["leases"]
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_one_step_job_ends_with_the_socket_that_waits_for_it(tmp_path: Path) -> None:
@@ -224,7 +228,7 @@ def test_a_one_step_job_ends_with_the_socket_that_waits_for_it(tmp_path: Path) -
         jobs = await fleet.make_client().list_jobs(1)
         assert jobs.jobs[0].state == "cancelled"
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_one_step_job_reports_progress_and_end(tmp_path: Path) -> None:
@@ -243,7 +247,7 @@ def test_a_one_step_job_reports_progress_and_end(tmp_path: Path) -> None:
         for step in ({"do": "scan"}, {"do": "dwell", "duration": "1s"}, 7, {"do": "home", "axes": 3}):
             assert (await socket.ask("work", step=step))["refused"]["code"] == "bad-request"
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_two_operators_want_one_axis(tmp_path: Path) -> None:
@@ -259,7 +263,7 @@ def test_two_operators_want_one_axis(tmp_path: Path) -> None:
         await first.ask("release")
         assert "ok" in await second.ask("acquire", axes=["gantry.x"])
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 @pytest.mark.parametrize("what", ["stop", "estop"])
@@ -286,7 +290,7 @@ def test_a_stop_needs_no_coordinator_and_is_shown_on_every_page(tmp_path: Path, 
             await asyncio.sleep(0.5)
             assert socket.state["controllers"]["gantry"]["estop"]["actor"] == "operator@127.0.0.1"
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 @pytest.mark.parametrize(
@@ -301,7 +305,7 @@ def test_a_frame_that_is_none_ends_the_socket_and_no_other(tmp_path: Path, text:
         assert socket.closed == 1008
         assert (await other.ask("stop"))["ok"]["answers"] == {"gantry": None, "stage": None}
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 @pytest.mark.parametrize(
@@ -328,7 +332,7 @@ def test_a_frame_with_wrong_values_is_refused_in_words(tmp_path: Path, frame: di
         assert answer["refused"]["text"] and answer["refused"]["remedy"]
         assert socket.closed is None
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_too_many_frames_end_a_socket(tmp_path: Path) -> None:
@@ -339,7 +343,7 @@ def test_too_many_frames_end_a_socket(tmp_path: Path) -> None:
         await socket.wait_for(lambda: socket.closed)
         assert socket.closed == 1008
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_running_job_shows_its_targets_members_and_last_motion(tmp_path: Path) -> None:
@@ -369,4 +373,4 @@ def test_a_running_job_shows_its_targets_members_and_last_motion(tmp_path: Path)
         await asyncio.sleep(0.3)
         assert "target" not in socket.state["controllers"]["gantry"]["axes"]["x"]
 
-    run_fleet(main)
+    run_with_gateway(main)

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cluster.gateway_client import OWN, PASSWORD, VirtualGateway
-from cluster.worlds import EXAMPLES, PREPARE, outcome, run_fleet
+from cluster.gateway_client import OWN, PASSWORD, VirtualGateway, run_with_gateway
+from cluster.worlds import EXAMPLES, PREPARE, outcome
 
 from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
@@ -76,7 +76,7 @@ def test_every_verb_is_refused_below_its_role_and_passed_on_from_it(tmp_path: Pa
             assert (await gateway.post("/v1/estop", {}, session)).status == 200
             await fleet.make_client().reset()
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_without_a_session_nothing_is_answered(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_without_a_session_nothing_is_answered(tmp_path: Path) -> None:
             assert socket.denied is not None and socket.denied.status == 401
         assert (await gateway.get("/")).status == 404  # the page itself is no secret; here it is not built
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_session_needs_its_csrf_token_for_what_changes_something(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_a_session_needs_its_csrf_token_for_what_changes_something(tmp_path: Pat
             assert (answer.status, answer.refused) == (403, "bad-csrf")
         assert (await gateway.post("/v1/stop-queue", {}, session)).status == 200
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_the_cookie_is_for_this_site_and_no_script(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_the_cookie_is_for_this_site_and_no_script(tmp_path: Path) -> None:
         assert "httponly" in words and "samesite=strict" in words and "path=/" in words
         assert "default-src 'self'" in answer.headers["content-security-policy"]
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_session_ends_by_sign_out_and_with_its_user(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_a_session_ends_by_sign_out_and_with_its_user(tmp_path: Path) -> None:
             assert (await gateway.get("/v1/state", session)).status == 401
             assert socket.closed == 4401
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_sign_ins_that_fail_take_longer_and_longer(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_sign_ins_that_fail_take_longer_and_longer(tmp_path: Path) -> None:
         assert (await gateway.post("/v1/login", {"user": "olga", "password": PASSWORD})).status == 200
         assert (await gateway.post("/v1/login", {"user": "nobody", "password": PASSWORD})).status == 401
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_token_has_its_own_limits(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_token_has_its_own_limits(tmp_path: Path) -> None:
         await asyncio.sleep(1.0)
         assert (await gateway.post("/v1/submit", {"job": JOB}, headers)).refused == "bad-token"
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_file_of_users_that_cannot_be_read_lets_nothing_in(tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_a_file_of_users_that_cannot_be_read_lets_nothing_in(tmp_path: Path) -> 
             assert (answer.status, answer.refused) == (401, "bad-users")
             assert "users.json" in answer.json["refused"]["text"]
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 @pytest.mark.parametrize("path", ["/v1/state", "/v1/stop", "/v1/submit"])
@@ -229,7 +229,7 @@ def test_another_host_or_origin_is_refused_and_a_stop_as_well(tmp_path: Path, pa
         for headers in ({"origin": "http://127.0.0.1:8080"}, {"host": "localhost:8080"}, OWN):
             assert (await gateway.request("GET", "/v1/state", None, headers)).status == 200
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_a_body_that_is_not_right_is_refused(tmp_path: Path, body: bytes, header
         assert answer.status == status, answer.body
         assert answer.json["refused"]["text"]
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_repeated_key_is_the_same_request(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_a_repeated_key_is_the_same_request(tmp_path: Path) -> None:
         answer = await gateway.post("/v1/submit", {"job": JOB | {"name": "other"}}, key)
         assert (answer.status, answer.refused) == (409, "key-reused")
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_the_verbs_of_the_queue_and_of_jobs(tmp_path: Path) -> None:
@@ -296,7 +296,7 @@ def test_the_verbs_of_the_queue_and_of_jobs(tmp_path: Path) -> None:
         assert (await gateway.get("/v1/jobs?limit=many")).status == 400
         assert (await gateway.get("/v1/nothing")).status == 404
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_what_is_read_of_a_run(tmp_path: Path) -> None:
@@ -326,7 +326,7 @@ def test_what_is_read_of_a_run(tmp_path: Path) -> None:
         assert (await gateway.get("/v1/schemas/nothing")).status == 404
         assert (await gateway.get("/v1/trace/nothing")).status == 503
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_job_file_is_checked_drawn_and_submitted(tmp_path: Path) -> None:
@@ -357,7 +357,7 @@ def test_a_job_file_is_checked_drawn_and_submitted(tmp_path: Path) -> None:
             assert (await gateway.post("/v1/check-job", bad)).json.get("refused") or True
         assert (await gateway.post("/v1/check-job", {"template": "../../etc/passwd"})).status == 404
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_a_fleet_file_is_compared_with_the_running_one(tmp_path: Path) -> None:
@@ -376,7 +376,7 @@ def test_a_fleet_file_is_compared_with_the_running_one(tmp_path: Path) -> None:
         bad = (await gateway.post("/v1/check-fleet", {"text": text.replace("unit: mm", "unit: miles")}, session)).json
         assert bad["configuration"] is None and bad["problems"][0]["line"] > 0
 
-    run_fleet(main)
+    run_with_gateway(main)
 
 
 def test_the_description_for_programs_names_every_verb(tmp_path: Path) -> None:
@@ -391,4 +391,4 @@ def test_the_description_for_programs_names_every_verb(tmp_path: Path) -> None:
         for reference in set(text.split('"$ref": "')[1:]):
             assert reference.partition('"')[0].rpartition("/")[2] in described["components"]["schemas"]
 
-    run_fleet(main)
+    run_with_gateway(main)
