@@ -67,7 +67,8 @@ def prepare_fleet(connect: str, folder: Path) -> None:
     for name, options in (("reference scan", ["--priority", "5"]), ("night run", ["--repeat", "3"]), ("proposed", [])):
         (folder / "next.job.yaml").write_text(JOB.replace("raster of sample 7", name), encoding="utf-8")
         tutti("submit", str(folder / "next.job.yaml"), *options, *(["--proposed"] if name == "proposed" else []))
-    time.sleep(8.0)  # for a report of motion steps, and some history of the clocks
+    # The pictures show seconds of history, of the clocks and of motion: these have to pass by the wall clock.
+    time.sleep(8.0)
 
 
 def take_pictures(browser: Browser, address: str, folder: Path, figures: Path) -> None:

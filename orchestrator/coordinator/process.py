@@ -21,7 +21,7 @@ from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
-from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
@@ -35,9 +35,9 @@ from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.private_files import UnsafePath, replace_private_file
+from orchestrator.model.private_files import replace_private_file
 
-BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN = 2, 3, 4, 5, 6, 7
+ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN = 4, 5, 6, 7
 CLOSE_S = 2.0  # after a defect
 
 
@@ -166,16 +166,8 @@ def main() -> int:
     if options.parent:
         die_with_parent(options.parent)
     urgent = set_realtime_priority(RealtimePriority.SERVICE)
-    try:
-        return asyncio.run(run_coordinator(options, urgent=urgent))
-    except (FileError, UnsafePath, RouterUnreachable, AnotherLeader, JournalError) as error:
-        sys.stderr.write(f"{error}\n")
-        codes = ((RouterUnreachable, NO_BUS), (AnotherLeader, ANOTHER), (JournalError, BAD_JOURNAL))
-        return next((code for kind, code in codes if isinstance(error, kind)), BAD_INPUT)
-    except OSError as error:
-        place = error.filename or options.log
-        sys.stderr.write(f"{place}: {error.strerror}; free space there, or choose another place\n")
-        return BAD_INPUT
+    codes: dict[type[Exception], int] = {FileError: BAD_INPUT, AnotherLeader: ANOTHER, JournalError: BAD_JOURNAL}
+    return run_service(run_coordinator(options, urgent=urgent), options.log, codes)
 
 
 if __name__ == "__main__":

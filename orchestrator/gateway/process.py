@@ -18,7 +18,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
-from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
@@ -26,10 +26,7 @@ from orchestrator.clock.parent import die_with_parent
 from orchestrator.gateway.access.users import USERS_FILE
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.server import ADDRESS, NotServed, make_server, open_port
-from orchestrator.model.private_files import UnsafePath
 from orchestrator.runtime.state_folder import RECORDINGS
-
-BAD_INPUT, NO_BUS = 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,16 +112,7 @@ def main() -> int:
     )
     if given.parent:
         die_with_parent(given.parent)
-    try:
-        return asyncio.run(serve_gateway(place, _print_ready))
-    except (NotServed, UnsafePath, RouterUnreachable) as error:
-        sys.stderr.write(f"{error}\n")
-        return NO_BUS if isinstance(error, RouterUnreachable) else BAD_INPUT
-    except OSError as error:
-        sys.stderr.write(
-            f"{error.filename or place.log}: {error.strerror}; free space there, or choose another place\n"
-        )
-        return BAD_INPUT
+    return run_service(serve_gateway(place, _print_ready), place.log, {NotServed: BAD_INPUT})
 
 
 if __name__ == "__main__":

@@ -42,6 +42,17 @@ class StepBase(Model):
     name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
 
 
+_Align = Annotated[
+    Duration,
+    Field(
+        ge=0,
+        le=600 * 1_000_000_000,
+        description="How long the start may be delayed to the moment at which the controllers' ticks coincide best.",
+    ),
+]
+_OwnSkew = Annotated[Duration | None, Field(description="Overrides the job's value.")]
+
+
 class MotionOptions(StepBase):
     """How axes move together."""
 
@@ -57,15 +68,10 @@ class MotionOptions(StepBase):
         "maximum acceleration.",
     )
     start: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
-    align: Duration = Field(
-        default=0,
-        ge=0,
-        le=600 * 1_000_000_000,
-        description="How long the start may be delayed to the moment at which the controllers' ticks coincide best.",
-    )
-    max_start_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
-    max_end_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
-    max_path_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
+    align: _Align = 0
+    max_start_skew: _OwnSkew = None
+    max_end_skew: _OwnSkew = None
+    max_path_skew: _OwnSkew = None
 
 
 class StepSampling(Model):
@@ -127,13 +133,8 @@ class FollowPath(StepBase, PathSpec):
         "promised within it is refused. Corners `within` a distance are part of the path."
     )
     start_class: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
-    align: Duration = Field(
-        default=0,
-        ge=0,
-        le=600 * 1_000_000_000,
-        description="How long the start may be delayed to the moment at which the controllers' ticks coincide best.",
-    )
-    max_start_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
+    align: _Align = 0
+    max_start_skew: _OwnSkew = None
 
     if TYPE_CHECKING:
 

@@ -94,7 +94,7 @@ def test_a_jog_that_is_let_go_stops(page: Page, ready: RunningFleet) -> None:
 
 @pytest.mark.parametrize("how", ["closed", "silent"])
 def test_a_socket_killed_in_mid_jog_stops_the_axis(page: Page, ready: RunningFleet, how: str) -> None:
-    """closed: both ends are told. silent: frames no longer arrive, in neither direction, and nothing is closed."""
+    """closed: both ends are closed. silent: frames no longer arrive, in neither direction, and nothing is closed."""
     sockets: list[tuple[WebSocketRoute, WebSocketRoute]] = []
     cut: list[int] = []
 
@@ -299,7 +299,7 @@ def test_an_acknowledged_alarm_is_acknowledged_after_a_restart_of_everything_sho
     expect(page.get_by_text("acknowledged by operator").first).to_be_visible(timeout=30_000)
 
 
-# What everybody can use
+# Accessibility
 
 
 @pytest.mark.parametrize("colours", ["light", "dark"])

@@ -6,7 +6,6 @@ from orchestrator.coordinator.jobs.job_plan import make_plan, resolve_job
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.queue import WaitingJob
 from orchestrator.coordinator.jobs.scheduler import Scheduler
-from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply
 from orchestrator.model.operation.approval import (
@@ -66,12 +65,7 @@ class JobApprovals:
 
     async def _load_approved(self, job_id: str) -> JobPlan | None:
         """The plan of the job that was approved last, also if the approval is void."""
-        services = self._services
-        try:
-            approval = await services.execute(services.journal.approvals.load_approval, job_id)
-        except DamagedRecord as error:
-            services.log.warning(str(error), job=job_id)
-            return None
+        approval = await self._services.load_approval(job_id)
         return None if approval is None else approval.plan
 
     async def _explain_change(self, request: ApproveJob, plan: JobPlan) -> str:

@@ -36,7 +36,7 @@ from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import FollowPath, Home, Job, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import RefusalDetails, StopMode
-from orchestrator.model.operation.approval import join_changes, list_changes
+from orchestrator.model.operation.approval import JobApproval, join_changes, list_changes
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import (
     FeedHold,
@@ -95,6 +95,15 @@ class JobServices:
         """A change of a job's state, now."""
         fleet_ns = self.leadership.fleet_now_ns()
         return JobTransition(state=state, reason=reason, actor=actor, utc=self.clock.utc(), fleet_ns=fleet_ns)
+
+    async def load_approval(self, job_id: str) -> JobApproval | None:
+        """The last approval of a job, also one that is void. One that cannot be read is logged, and counts as none.
+        Raises `JournalError`."""
+        try:
+            return await self.execute(self.journal.approvals.load_approval, job_id)
+        except DamagedRecord as error:
+            self.log.warning(str(error), job=job_id)
+            return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,7 +99,8 @@ class Scheduler:
             elif row.state == "queued":
                 waiting = self._waiting[row.id] = WaitingJob(row, job, row.after)
                 if waiting.awaits_approval:
-                    waiting.deviation = await self._load_deviation(row.id)
+                    approval = await self._services.load_approval(row.id)
+                    waiting.deviation = "" if approval is None else approval.void
             else:
                 left.append((row, job))
         for row, job in left:
@@ -130,16 +131,6 @@ class Scheduler:
         report = self._report_of(row, None).model_copy(update=ended)
         await services.execute(services.journal.fail_damaged, row, transition, report)
         return None
-
-    async def _load_deviation(self, job_id: str) -> str:
-        """Why the approval of a job counts no longer; empty if it has none that can be read."""
-        services = self._services
-        try:
-            approval = await services.execute(services.journal.approvals.load_approval, job_id)
-        except DamagedRecord as error:
-            services.log.warning(str(error), job=job_id)
-            return ""
-        return "" if approval is None else approval.void
 
     async def close(self, reason: str) -> None:
         """End: running jobs are stopped and recorded as interrupted."""

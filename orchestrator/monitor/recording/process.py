@@ -19,11 +19,10 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
-from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
-from orchestrator.model.private_files import UnsafePath
 from orchestrator.monitor.metrics.fleet_metrics import FleetMetrics
 from orchestrator.monitor.metrics.server import NoPort, serve_metrics
 from orchestrator.monitor.recording.folder import RecorderLimits, RecordingFolder
@@ -31,8 +30,6 @@ from orchestrator.monitor.recording.lock import FolderInUse, FolderLock
 from orchestrator.monitor.recording.recorder import FleetRecorder
 from orchestrator.monitor.recording.unfinished import list_unfinished, repair_left
 from orchestrator.monitor.recording.writer import RecordingWriter
-
-BAD_INPUT, NO_BUS = 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,15 +141,7 @@ def main() -> int:
     )
     if options.parent:
         die_with_parent(options.parent)
-    try:
-        return asyncio.run(record_fleet(chosen, _print_ready))
-    except (FolderInUse, UnsafePath, RouterUnreachable) as error:
-        sys.stderr.write(f"{error}\n")
-        return NO_BUS if isinstance(error, RouterUnreachable) else BAD_INPUT
-    except OSError as error:
-        place = error.filename or options.folder
-        sys.stderr.write(f"{place}: {error.strerror}; free space there, or choose another place\n")
-        return BAD_INPUT
+    return run_service(record_fleet(chosen, _print_ready), options.folder, {FolderInUse: BAD_INPUT})
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ def plan_law(track: Track, limits: PathLimits, slower: Array | None = None) -> P
         tried = np.where(short, smoothing_s * part, smoothing_s)
         better = _measure_sections(plan_with_smoothing(track, limits, base, tried), tried)
         best, times = np.where(better < times, tried, best), np.minimum(times, better)
-    return plan_with_smoothing(track, limits, base, best)
+    return motion if (best == smoothing_s).all() else plan_with_smoothing(track, limits, base, best)
 
 
 def _measure_sections(motion: PathMotion, smoothing_s: Array) -> Array:
