@@ -24,6 +24,12 @@ class Tab:
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
+    def open(self, url: str) -> None:
+        """Load a page and wait until it is loaded: until then the tab has at times no context that runs a script."""
+        self.call("Page.enable")
+        self.call("Page.navigate", url=url)
+        self._tools.wait_for_event("Page.loadEventFired", self._session)
+
     def call(self, method: str, **fields: Any) -> Any:
         return self._tools.call(method, self._session, **fields)
 
@@ -42,18 +48,25 @@ class DevTools:
     def __init__(self, link: ClientConnection) -> None:
         self._link = link
         self._numbers = itertools.count(1)
+        self._events: list[dict[str, Any]] = []
 
     def call(self, method: str, session: str | None = None, **fields: Any) -> Any:
         number = next(self._numbers)
         message = {"id": number, "method": method, "params": fields} | ({"sessionId": session} if session else {})
         self._link.send(json.dumps(message))
         while (answer := json.loads(self._link.recv(timeout=LIMIT_S))).get("id") != number:
-            pass
+            self._events.append(answer)
         assert "error" not in answer, answer
         return answer["result"]
 
+    def wait_for_event(self, method: str, session: str) -> None:
+        while not any(each.get("method") == method and each.get("sessionId") == session for each in self._events):
+            self._events.append(json.loads(self._link.recv(timeout=LIMIT_S)))
+
     def open_tab(self, url: str) -> Tab:
-        return Tab(self, self.call("Target.createTarget", url=url)["targetId"])
+        tab = Tab(self, self.call("Target.createTarget", url="about:blank")["targetId"])
+        tab.open(url)
+        return tab
 
 
 @contextmanager
