@@ -182,12 +182,18 @@ def _find_plateaus(motion: CoarseMotion, begin: Array, end: Array, width: Array)
     nodes, cells = slice(first, int(last) + 1), slice(first, int(last))
     motion = CoarseMotion(motion.t[nodes], motion.s[nodes], motion.v[nodes], motion.a[cells])
     window = width
+    longest = width
     left = _find_left(motion, (end - window, begin), window)
-    for _ in range(PLATEAU_ROUNDS):
+    for k in range(BISECTIONS):
         # A plateau is slower than the peak, and takes longer.
         level = np.minimum(motion.speeds_at(left), motion.speeds_at(left + window))
+        # A window that is wider than the whole rise and fall has no level, which would be a stop for ever.
+        if k >= PLATEAU_ROUNDS and (level > 0.0).all():
+            break
         covered = motion.positions_at(left + window) - motion.positions_at(left)
-        narrower = np.clip(window * width * level / np.maximum(covered, 1e-300), end - begin, width)
+        longest = np.where(level > 0.0, longest, window / 2)
+        narrower = np.clip(window * width * level / np.maximum(covered, 1e-300), np.minimum(end - begin, longest), longest)
+        narrower = np.where(level > 0.0, narrower, longest)
         moved = np.abs(window - narrower)
         bracket = np.maximum(left - moved, end - narrower), np.minimum(left + moved, begin)
         left, window = _find_left(motion, bracket, narrower), narrower

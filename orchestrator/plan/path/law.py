@@ -19,6 +19,7 @@ from orchestrator.plan.path.track import Track
 ROUNDS = 5
 # Pieces that take fewer smoothing times than this are tried with shorter ones: there they cost more than they give.
 FEW = 6.0
+LEAST_SMOOTHING_S = 1e-8
 SHORTER = (0.5, 0.25, 0.125)
 
 
@@ -65,7 +66,9 @@ def choose_smoothing(grid: Grid, limits: PathLimits) -> Array:
     # From rest to rest over L with jerk alone: four ramps of (L / 2J)^(1/3).
     single = end - begin == 1
     length = grid.s[end] - grid.s[begin]
-    return np.where(single, np.minimum(smoothing_s, np.cbrt(length / (2 * jerk[begin]))), smoothing_s)
+    smoothing_s = np.where(single, np.minimum(smoothing_s, np.cbrt(length / (2 * jerk[begin]))), smoothing_s)
+    # An axis that moves by rounding alone limits nothing: no instant of a path is known as well as that.
+    return np.where(smoothing_s < LEAST_SMOOTHING_S, 0.0, smoothing_s)
 
 
 def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_s: Array) -> PathMotion:

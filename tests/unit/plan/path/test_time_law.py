@@ -68,6 +68,18 @@ def test_limits_hold_with_uneven_limits_and_tiny_pieces(seed: int) -> None:
     check_motion(run, limits)
 
 
+@pytest.mark.parametrize(
+    "seed",
+    [
+        3503,  # an axis that moves by rounding alone, with the only jerk limit: smoothing times of 1e-18 s
+        4167,  # a peak that lasts less than its smoothing time, on both flanks together
+    ],
+)
+def test_limits_hold_where_times_are_out_of_proportion(seed: int) -> None:
+    _, limits, run = plan_hard(seed)
+    check_motion(run, limits)
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
 def test_limits_hold_on_10_000_paths() -> None:
