@@ -50,13 +50,15 @@ class _IntegrationCache:
 # Not frozen, although no code changes one: a plan of 64 axes makes 64 of these, and freezing would double their cost.
 @dataclass(slots=True)
 class Profile(_IntegrationCache):
-    """A motion from rest to rest.
+    """A motion that ends at rest, and begins at rest unless it is a chunk of a longer one.
 
-    start_counts, end_counts: absolute commanded positions of the controller, exact.
+    start_counts, end_counts: absolute commanded positions of the controller, exact; of a chunk, start_counts is where
+    the whole motion begins.
     scale_counts: counts per unit of the shape (its sign is the direction).
     durations_s, accelerations, jerks: one entry per segment (additional accelerations, such as one at the end, are
     ignored): segment k starts with accelerations[k] and has constant jerks[k]; in units of the shape per second², ³.
-    Velocity and position are continuous, from 0.
+    first_position, first_velocity: of a chunk, where and how fast it begins, in units of the shape (per second), from
+    start_counts. Velocity and position are continuous from there.
     """
 
     start_counts: int
@@ -65,6 +67,8 @@ class Profile(_IntegrationCache):
     durations_s: Sequence[float]
     accelerations: Sequence[float]
     jerks: Sequence[float]
+    first_position: float = 0.0
+    first_velocity: float = 0.0
 
     @property
     def duration_s(self) -> float:
@@ -82,8 +86,8 @@ class Profile(_IntegrationCache):
 
     def _integrate_segments(self) -> list[Segment]:
         segments: list[Segment] = []
-        clock_s = position = velocity = 0.0
-        scale = self.scale_counts
+        clock_s, scale = 0.0, self.scale_counts
+        position, velocity = self.first_position * scale, self.first_velocity * scale
         # `Segment.state_at` written out: lowering and planning of a fleet run this some hundred times per step.
         for t, plain_a, plain_j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
             a, j = plain_a * scale, plain_j * scale
@@ -94,8 +98,8 @@ class Profile(_IntegrationCache):
         return segments
 
     def state_at(self, time_s: float) -> MotionState:
-        """The motion `time_s` after the start. Before the start and after the end the axis is at rest; the end is
-        exact."""
+        """The motion `time_s` after the start. Before the start it is as at the start, after the end the axis is at rest;
+        the end is exact."""
         return self.make_evaluator()(time_s)
 
     def make_evaluator(self) -> Callable[[float], MotionState]:
@@ -104,10 +108,13 @@ class Profile(_IntegrationCache):
         starts = [segment.start_s for segment in segments]
         end_s = self.duration_s
         end = MotionState(float(self.end_counts - self.start_counts), 0.0, 0.0)
+        begin = _AT_REST
+        if self.first_position or self.first_velocity:
+            begin = MotionState(segments[0].position, segments[0].velocity, segments[0].acceleration)
 
         def at(time_s: float) -> MotionState:
             if time_s <= 0.0:
-                return _AT_REST
+                return begin
             if time_s >= end_s:
                 return end
             segment = segments[bisect_right(starts, time_s) - 1]
@@ -151,7 +158,7 @@ class Profile(_IntegrationCache):
     @property
     def extent_counts(self) -> tuple[float, float]:
         """The smallest and largest absolute position during the motion, turning points inside segments included."""
-        points = [0.0, float(self.end_counts - self.start_counts)]
+        points = [self.first_position * self.scale_counts, float(self.end_counts - self.start_counts)]
         for each in self.segments:
             points += (each.position, each.state_at(each.duration_s).position)
             for root in _find_turning_points(each.velocity, each.acceleration, each.jerk):
@@ -183,6 +190,8 @@ class Profile(_IntegrationCache):
             [t * factor for t in self.durations_s],
             [a / factor**2 for a in self.accelerations],
             [j / factor**3 for j in self.jerks],
+            self.first_position,
+            self.first_velocity / factor,
         )
 
 

@@ -7,6 +7,7 @@ position and velocity are continuous, and the jerk of a piece is a weighted mean
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,8 @@ Evaluate = Callable[[Array], PathStates]
 class FittedAxis(NamedTuple):
     """An axis of a path.
 
-    counts_per_unit: signed. velocity, acceleration: its limits, units/s, units/s². start_counts: where it stands,
-    end_counts: its exact target.
+    counts_per_unit: signed. velocity, acceleration, jerk: its limits, units/s, units/s², units/s³. start_counts: where
+    it stands, end_counts: its exact target.
     """
 
     name: str
@@ -49,23 +50,53 @@ class FittedAxis(NamedTuple):
     acceleration: float
     start_counts: int
     end_counts: int
+    jerk: float = inf
+
+
+class FittedMotion(NamedTuple):
+    """The motion of all profiles of a path: cubics between instants `times_s`. positions, velocities: at these;
+    accelerations, jerks: of each piece, at its start. One column per axis, in its unit, per second (², ³)."""
+
+    times_s: Array
+    positions: Array
+    velocities: Array
+    accelerations: Array
+    jerks: Array
+
+    def evaluate(self, times_s: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions, velocities, accelerations and jerks at instants: (instants, axes); at rest from the end on."""
+        k = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.jerks) - 1)
+        x = np.minimum(times_s - self.times_s[k], np.diff(self.times_s)[k])[:, None]
+        v, a, j = self.velocities[k], self.accelerations[k], self.jerks[k]
+        moving = (times_s < self.times_s[-1])[:, None]
+        return (
+            self.positions[k] + x * (v + x * (a / 2 + x * j / 6)),
+            (v + x * (a + x * j / 2)) * moving,
+            (a + x * j) * moving,
+            j * moving,
+        )
+
+    def stretch_time(self, factor: float) -> "FittedMotion":
+        """The same motion in `factor` times the time."""
+        times_s, v, a, j = self.times_s * factor, self.velocities / factor, self.accelerations, self.jerks
+        return FittedMotion(times_s, self.positions, v, a / factor**2, j / factor**3)
 
 
 @dataclass(frozen=True, slots=True)
 class FittedPath:
     """Profiles of a path. duration_s: of all of them. standing: axes that the path does not move. error: the largest
-    sampled distance between profiles and path at one instant, in the unit of the axes."""
+    sampled distance between profiles and path at one instant, in the unit of the axes. motion: of all axes."""
 
     duration_s: float
     profiles: Mapping[str, Profile]
     standing: Sequence[str]
     error: float
+    motion: FittedMotion
 
 
 def fit_profiles(evaluate: Evaluate, duration_s: float, axes: Sequence[FittedAxis], tolerance: float) -> FittedPath:
     """Make the profiles of a path. tolerance: of the path, in the unit of the axes. Raises `PlanError`."""
-    finest = LEAST_FIT_COUNTS / max(abs(axis.counts_per_unit) for axis in axes)
-    pieces = _refine_grid(evaluate, duration_s, axes, max(FIT_SHARE * tolerance, finest))
+    pieces = _refine_grid(evaluate, duration_s, axes, find_fit_error(axes, tolerance))
     stretch = _find_stretch(pieces, axes)
     profiles: dict[str, Profile] = {}
     standing: list[str] = []
@@ -79,7 +110,20 @@ def fit_profiles(evaluate: Evaluate, duration_s: float, axes: Sequence[FittedAxi
     ends = [axis.end_counts / axis.counts_per_unit for axis in axes] - pieces.positions[-1]
     # The profiles begin and end at whole counts, which the path may be off by half a count.
     rounding = max(float(np.linalg.norm(offsets)), float(np.linalg.norm(ends)))
-    return FittedPath(duration_s * stretch, profiles, standing, float(pieces.errors.max(initial=0.0)) + rounding)
+    error = float(pieces.errors.max(initial=0.0)) + rounding
+    return FittedPath(duration_s * stretch, profiles, standing, error, pieces.motion.stretch_time(stretch))
+
+
+def find_fit_error(axes: Sequence[FittedAxis], tolerance: float) -> float:
+    """How far profiles may be from a path with this tolerance."""
+    finest = LEAST_FIT_COUNTS / max(abs(axis.counts_per_unit) for axis in axes)
+    return max(FIT_SHARE * tolerance, finest)
+
+
+def fit_stretch(evaluate: Evaluate, duration_s: float, axes: Sequence[FittedAxis], allowed: float) -> FittedMotion:
+    """The cubics of a stretch of a path from 0 to `duration_s`; it need not begin or end at rest. Raises
+    `PlanError`."""
+    return _refine_grid(evaluate, duration_s, axes, allowed).motion
 
 
 class _Pieces(NamedTuple):
@@ -95,6 +139,11 @@ class _Pieces(NamedTuple):
     errors: Array
     speeds: Array
     peaks: Array
+
+    @property
+    def motion(self) -> FittedMotion:
+        """The cubics alone."""
+        return FittedMotion(self.times_s, self.positions, self.velocities, self.accelerations, self.jerks)
 
 
 def _refine_grid(evaluate: Evaluate, duration_s: float, axes: Sequence[FittedAxis], allowed: float) -> _Pieces:

@@ -34,6 +34,7 @@ DURATION_TOLERANCE_SAMPLES = 0.2  # allowed deviation of an independent move's d
 STRETCH = 1e-3  # or longer by this fraction, where a limit restricts it: the plan is stretched to it
 SKEW_SAMPLES = 10.0  # allowed path deviation, at its peak speed,
 NEAR_COUNTS = 2.0  # or this number of counts
+WHOLE_MASK = (1 << 14) - 1  # of an array as large as they can be
 LATER_TICKS = 4.0  # largest delay of a common end of all participants after the plan's end
 HOST_COMMANDS = 2  # of the host, that may interrupt one round of the contour's loop: one before each of its lines
 LOOP_SPREAD = 2.0  # factor of a command's duration: the manual does not state what expressions add (L1626)
@@ -124,7 +125,10 @@ class ContourLoad:
 
     @property
     def program_variables(self) -> dict[str, int]:
-        return {"XN": self.contour.records, "XM": self.contour.record_count, "XDT": self.contour.interval}
+        contour = self.contour
+        # The last record of full length begins the end; the mask keeps every index.
+        variables = {"XN": contour.records - 1, "XTB": contour.records - 1, "XV": contour.records}
+        return {**variables, "XM": contour.record_count, "XDT": contour.interval, "XW": WHOLE_MASK}
 
     @property
     def load_commands(self) -> tuple[str, ...]:

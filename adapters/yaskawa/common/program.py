@@ -8,7 +8,9 @@ through a trip-point, so that it costs the interpreter little, and is decided so
 nothing in between. Contour mode is entered before.
 
 A contour's records after the first follow in a loop whose next CD comes immediately after WC has passed (L11717), so
-that the whole length of a record is available for it. `#DOG`, the watchdog, runs in a thread of its own from after the
+that the whole length of a record is available for it. The loop reads a ring of XW + 1 elements up to record XN, which
+the host raises while it runs: a contour may be longer than the arrays. Its end is in elements of their own, behind the
+ring: records of full length, then shorter ones. Where XN is not raised in time, that end brakes the axes to rest. `#DOG`, the watchdog, runs in a thread of its own from after the
 start of a step to its end: it stops the axes when the deadline XDL has not been extended in time, or when the program
 has died.
 
@@ -25,8 +27,10 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XE1..4 sample in which an axis (of a contour: its first one, all of it) ended
     XDONE  1: all axes have ended
     XDL    sample of the watchdog deadline  XDOG   1: the watchdog has fired
-    XN     records of full length           XM     all records
-    XDT    DT of the full ones              XI     next record
+    XN     records that the ring gives      XI     next one of them
+    XW     mask of the ring                 XDT    DT of records of full length
+    XTB    first element of the end         XJ     next one of it
+    XV     behind its full records          XM     behind all of it
     XFT    XT0 of the following step        XFGO   1: it is released
     XFARM  XFT, once it waits               XFL    1: it was not started
     XFA    its XACT                         XOFF   counts that axes are off the end of the present step
@@ -57,12 +61,12 @@ SECOND_STEP_THREAD = 2  # a step that follows another one runs in the thread tha
 STEP_THREADS = (STEP_THREAD, SECOND_STEP_THREAD)
 EDGE_THREAD = 3
 WATCHDOG_STEP_TICKS = 32
-LOOP_COMMANDS = 4  # one round per record: WC, CD, count, jump
+LOOP_COMMANDS = 4  # one round per record: WC, CD, count, jump; one more, once, where the end begins
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
 
 LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
 OUTPUT_PASSIVE = "OB XLO,1-XLV"  # of the trigger line; XLO is 0, and this command refused, while no line is driven
-CONTOUR_VARIABLES = ("XN", "XM", "XDT", "XI")
+CONTOUR_VARIABLES = ("XN", "XM", "XDT", "XI", "XW", "XTB", "XV", "XJ")
 REGISTER_VARIABLES = {"PA": "XP", "SP": "XS", "AC": "XU", "DC": "XW"}
 BEGIN_VARIABLE = "XB"
 FOLLOWING_VARIABLES = ("XFT", "XFGO", "XFARM", "XFL", "XFA", "XFOK", "XOFF", "XZT", "XZA")
@@ -176,8 +180,9 @@ def _gate_lines() -> tuple[str, str]:
     return "JS #GATE", "JP #SHUT,XOK=0"
 
 
-def contour_lines(mask: int, axes: int) -> list[str]:
-    """Return the lines that play the arrays of the axes of `mask`, of `axes` in all.
+def contour_lines(mask: int, axes: int, *, ring: bool = True) -> list[str]:
+    """Return the lines that play the arrays of the axes of `mask`, of `axes` in all. ring: they can be loaded again
+    while they are played.
 
     Contour mode is left by DT 0 and CD 0 (L4274), which are queued after the last record like a record.
     """
@@ -192,9 +197,11 @@ def contour_lines(mask: int, axes: int) -> list[str]:
         f"CM {axis_letters(mask)};DT XDT;XI=1",
         f"JP #K{mask},XLI<>0",
         f"WT XT0-TIME;{increment_command('0')};XACT=TIME;XQ #DOG,{WATCHDOG_THREAD}",
-        f"#P{mask};WC;{increment_command('XI')};XI=XI+1;JP #P{mask},XI<XN",
-        f"#T{mask};JP #U{mask},XI>=XM",
-        f"WC;DT {TAIL}[XI-XN];{increment_command('XI')};XI=XI+1;JP #T{mask}",
+        f"#P{mask};WC;{increment_command('XI&XW' if ring else 'XI')};XI=XI+1;JP #P{mask},XI<XN",
+        "XJ=XTB",
+        f"#E{mask};WC;{increment_command('XJ')};XJ=XJ+1;JP #E{mask},XJ<XV",
+        f"#T{mask};JP #U{mask},XJ>=XM",
+        f"WC;DT {TAIL}[XJ-XV];{increment_command('XJ')};XJ=XJ+1;JP #T{mask}",
         f"#U{mask};WC;DT 0;CD 0",
         f"WC;XE{chosen[0] + 1}=TIME;XDONE=1;EN",
         f"#K{mask};AI XLI;{increment_command('0')};XACT=TIME;XQ #DOG,{WATCHDOG_THREAD}",

@@ -123,7 +123,7 @@ def _start_lines(axes: Sequence[int], gate: GateTiming, *, follows: bool) -> Ite
             yield f"WT XT0-TIME;{begin}XACT=TIME;JP#DONE"
             yield f"#L{mask};AI XLI;{begin}XACT=TIME;JP#DONE"
             if chosen and supports_contours(axes):
-                yield from contour_lines(mask, chosen[-1] + 1)
+                yield from contour_lines(mask, chosen[-1] + 1, ring=False)
             if chosen and follows:
                 yield from _following_lines(chosen, axes)
     # An axis that does not move does not delay the others here. The watchdog of the step before may still run.

@@ -63,7 +63,7 @@ def test_an_error_report_of_a_program_is_not_taken_for_an_answer(seed: int, hold
 
         async def fail() -> None:
             nonlocal reports
-            for _ in range(60):
+            for _ in range(80):
                 await sleep_ns(world.clock, draw.randrange(100 * NS_PER_MS))
                 unit = world.units[draw.randrange(3)]
                 reports += unit.machine.selected is True

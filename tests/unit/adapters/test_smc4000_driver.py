@@ -63,8 +63,8 @@ def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(see
                 assert motion.end_ns is not None
                 real_s = (motion.end_ns - motion.start_ns) * 1e-9
                 tick_s = lowered.tick_ns * 1e-9
-                # To the sample, at the rate of the clock mapping after a few seconds.
-                assert real_s == pytest.approx(lowered.durations_s[axis], abs=tick_s + 1e-5 + 5e-6 * real_s)
+                # To the sample, at the rate of the clock mapping, which is known to some 10 ppm after a few seconds.
+                assert real_s == pytest.approx(lowered.durations_s[axis], abs=tick_s + 1e-5 + 1.2e-5 * real_s)
                 assert lowered.durations_s[axis] == pytest.approx(profiles[axis].duration_s, abs=0.501 * tick_s)
                 # Nothing wider than the clock's own bound and the two samples that the program cannot distinguish.
                 clock_ns = lowered.terms[0].latest_ns - lowered.terms[0].earliest_ns

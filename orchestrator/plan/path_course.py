@@ -1,0 +1,227 @@
+"""A planned path in chunks: each is loaded while the one before it is executed, and ends in a stopping tail.
+
+A chunk follows the path up to its end, and then brakes along it to rest. The next chunk begins a little before that end
+(`SWITCH_S`), with the same motion up to it: so every member can change over at an instant of its own in between. Where
+no next chunk comes, the members brake along the path together.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.profile import Profile
+from orchestrator.plan.path_clock import PathClock
+from orchestrator.plan.path_profiles import Array, FittedAxis, FittedMotion, PathStates, fit_stretch
+
+SWITCH_S = 0.1  # in which a chunk and the one after it are the same
+LEAST_CHUNK_S = 1.0  # between two ends: loading takes a good part of that
+END_STEP_S = 0.1  # between two ends that are tried
+RAMPS_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
+RAMP_SAMPLES = 33
+MOST_USE = 0.985  # of acceleration and jerk in a ramp: the cubics may exceed the path by a hundredth
+BRAKE_SEARCH_S = 1.0  # after the earliest instant at which a hold could begin
+
+
+class ChunkPlan(NamedTuple):
+    """A chunk, in seconds of the motion: from `begin_s`; along the path to `end_s`; at rest at `stop_s`.
+
+    last: it ends where the path ends. profiles: by axis, from `begin_s` to `stop_s`.
+    """
+
+    begin_s: float
+    end_s: float
+    stop_s: float
+    last: bool
+    profiles: Mapping[str, Profile]
+
+
+@dataclass(frozen=True, slots=True)
+class PathCourse:
+    """The motion along a path, from where the axes stand at the start of the motion.
+
+    motion: of all axes, over path time. axes: by column; their start_counts are where they stand. columns: the axes
+    that the path moves. origin: positions of the axes at the start, in their units. fit_error: how far a ramp may be
+    off the path.
+    """
+
+    motion: FittedMotion
+    axes: Sequence[FittedAxis]
+    columns: Sequence[int]
+    origin: Array
+    fit_error: float
+
+    @property
+    def duration_s(self) -> float:
+        """Of the whole path, at rate 1."""
+        return float(self.motion.times_s[-1])
+
+    def find_counts(self, path_s: float) -> dict[str, int]:
+        """Where the axes are at an instant of the path, counts."""
+        positions = self.motion.evaluate(np.array([path_s]))[0][0]
+        return {self.axes[column].name: self._round(column, positions[column]) for column in self.columns}
+
+    def restart(self, path_s: float, counts: Mapping[str, int]) -> "PathCourse":
+        """The same path for a motion that begins at rest at `path_s`, where the axes stand at `counts`."""
+        axes = [axis._replace(start_counts=counts.get(axis.name, axis.start_counts)) for axis in self.axes]
+        return replace(self, axes=axes, origin=self.motion.evaluate(np.array([path_s]))[0][0])
+
+    # Rates
+
+    def begin_at(self, path_s: float) -> PathClock:
+        """The clock of a motion that begins at rest at `path_s`. Raises `Refusal`."""
+        if path_s <= 0.0:
+            return PathClock.from_rest(0.0, 0.0)
+        for ramp_s in RAMPS_S:
+            clock = PathClock.from_rest(path_s, ramp_s)
+            if self._fits(clock, 0.0, ramp_s):
+                return clock
+        raise Refusal("path-ramp", "from this place of the path no start along it keeps the limits", "run it again")
+
+    def change_rate(self, clock: PathClock, from_s: float, rate: float) -> PathClock:
+        """The clock with another rate as soon as possible after `from_s`. Raises `Refusal` naming the highest rate that
+        keeps the limits."""
+        most, axis = self._find_most_rate(float(clock.evaluate(np.array([from_s])).path_s[0]))
+        if rate > max(1.0, most):
+            text = f"{rate:.0%} is too fast for the rest of the path: {axis} allows {max(1.0, most):.0%}"
+            raise Refusal("override", text, f"choose at most {int(100 * max(1.0, most))} %")
+        return self._find_ramp(clock, from_s, rate)
+
+    def brake(self, clock: PathClock, from_s: float) -> PathClock:
+        """The clock that brakes along the path as soon as possible after `from_s`. Raises `Refusal`."""
+        return self._find_ramp(clock, from_s, 0.0)
+
+    def _find_ramp(self, clock: PathClock, from_s: float, rate: float) -> PathClock:
+        at_s = max(from_s, clock.ramps[-1].end_s)
+        for begin_s in np.arange(at_s, at_s + BRAKE_SEARCH_S, END_STEP_S / 2).tolist():
+            for ramp_s in RAMPS_S:
+                changed = clock.change_rate(begin_s, rate, ramp_s)
+                if changed.ramps[-1].end_path_s >= self.duration_s:
+                    break
+                if self._fits(changed, begin_s, ramp_s):
+                    return changed
+        text = f"no change of speed within {BRAKE_SEARCH_S:g} s keeps the limits of the axes, or the path ends before"
+        raise Refusal("path-ramp", text, "try again a little later")
+
+    def _find_most_rate(self, path_s: float) -> tuple[float, str]:
+        """The highest rate from `path_s` on, and the axis that allows no higher one."""
+        motion, k = self.motion, max(0, int(np.searchsorted(self.motion.times_s, path_s, side="right")) - 1)
+        ends = np.abs(motion.accelerations + motion.jerks * np.diff(motion.times_s)[:, None])
+        rates = [
+            limits / np.maximum(np.abs(values).max(axis=0), 1e-300) ** (1.0)
+            for limits, values in (
+                (self._limits(0), motion.velocities[k:]),
+                (self._limits(1), np.maximum(np.abs(motion.accelerations), ends)[k:]),
+                (self._limits(2), motion.jerks[k:]),
+            )
+        ]
+        most = np.minimum(np.minimum(rates[0], np.sqrt(rates[1])), np.cbrt(rates[2]))
+        worst = int(most.argmin())
+        return float(most[worst]), self.axes[worst].name
+
+    # Chunks
+
+    def plan_chunk(self, clock: PathClock, begin_s: float, most_s: float) -> ChunkPlan:
+        """The chunk from `begin_s` on, at most `most_s` long with its tail. Raises `Refusal`, `PlanError`."""
+        ends_s = clock.find_instant(self.duration_s)
+        if ends_s - begin_s <= most_s:
+            return self._make_chunk(clock, begin_s, ends_s, ends_s, last=True)
+        if clock.rate <= 0.0:
+            return self.plan_stop(clock, begin_s)
+        least_s = max(begin_s + SWITCH_S, clock.ramps[-1].end_s)
+        latest_s = begin_s + most_s - RAMPS_S[0]
+        for end_s in np.arange(latest_s, least_s, -END_STEP_S).tolist():
+            for ramp_s in RAMPS_S:
+                if end_s + ramp_s > begin_s + most_s:
+                    break
+                tail = clock.change_rate(end_s, 0.0, ramp_s)
+                if tail.ramps[-1].end_path_s < self.duration_s and self._fits(tail, end_s, ramp_s):
+                    return self._make_chunk(tail, begin_s, end_s, end_s + ramp_s, last=False)
+        text = f"from {begin_s:.1f} s of the path on, it could not be braked along the path within {most_s:.1f} s"
+        raise Refusal("path-brake", text, "allow the path less `acceleration` than its axes, or corners that stop")
+
+    def plan_stop(self, clock: PathClock, begin_s: float) -> ChunkPlan:
+        """The chunk from `begin_s` to the end of a clock that comes to rest."""
+        brake = clock.ramps[-1]
+        return self._make_chunk(clock, begin_s, brake.begin_s, brake.end_s, last=False)
+
+    def _make_chunk(self, clock: PathClock, begin_s: float, end_s: float, stop_s: float, *, last: bool) -> ChunkPlan:
+        parts = self._cut(clock, begin_s, stop_s)
+        durations = np.concatenate([np.diff(part.times_s) for part in parts]).tolist()
+        accelerations = np.concatenate([part.accelerations for part in parts])
+        jerks = np.concatenate([part.jerks for part in parts])
+        positions, velocities, *_ = self._evaluate(clock, np.array([begin_s, stop_s]))
+        profiles = {
+            self.axes[column].name: Profile(
+                self.axes[column].start_counts,
+                self.axes[column].end_counts if last else self._round(column, positions[1, column]),
+                self.axes[column].counts_per_unit,
+                durations,
+                accelerations[:, column].tolist(),
+                jerks[:, column].tolist(),
+                float(positions[0, column] - self.origin[column]),
+                float(velocities[0, column]),
+            )
+            for column in self.columns
+        }
+        return ChunkPlan(begin_s, end_s, stop_s, last, profiles)
+
+    def _round(self, column: int, position: float) -> int:
+        axis = self.axes[column]
+        return axis.start_counts + round(axis.counts_per_unit * float(position - self.origin[column]))
+
+    def _cut(self, clock: PathClock, begin_s: float, stop_s: float) -> list[FittedMotion]:
+        """The cubics of the motion between two instants: those of the path where the rate is constant, others in
+        ramps."""
+        marks = {begin_s, stop_s}
+        marks |= {at for ramp in clock.ramps for at in (ramp.begin_s, ramp.end_s) if begin_s < at < stop_s}
+        edges = sorted(marks)
+        parts: list[FittedMotion] = []
+        for first_s, last_s in zip(edges, edges[1:], strict=False):
+            times = clock.evaluate(np.array([first_s, (first_s + last_s) / 2, last_s]))
+            if times.changes[1] == 0.0 and times.rates[1] > 0.0:
+                ends = float(times.path_s[0]), float(times.path_s[2])
+                parts.append(_slice(self.motion, *ends).stretch_time(1.0 / float(times.rates[1])))
+            else:
+                parts.append(self._fit_ramp(clock, first_s, last_s))
+        return parts
+
+    def _fit_ramp(self, clock: PathClock, first_s: float, last_s: float) -> FittedMotion:
+        def evaluate(times_s: Array) -> PathStates:
+            return PathStates(*self._evaluate(clock, first_s + times_s)[:3])
+
+        return fit_stretch(evaluate, last_s - first_s, self.axes, self.fit_error)
+
+    # Limits
+
+    def _evaluate(self, clock: PathClock, times_s: Array) -> tuple[Array, Array, Array, Array]:
+        path_s, rates, changes, jerks = clock.evaluate(times_s)
+        q, v, a, j = self.motion.evaluate(path_s)
+        r, c = rates[:, None], changes[:, None]
+        return q, v * r, a * r**2 + v * c, j * r**3 + 3 * a * r * c + v * jerks[:, None]
+
+    def _fits(self, clock: PathClock, begin_s: float, ramp_s: float) -> bool:
+        """Whether a ramp keeps all limits."""
+        _, v, a, j = self._evaluate(clock, begin_s + ramp_s * np.linspace(1e-6, 1.0 - 1e-6, RAMP_SAMPLES))
+        if (np.abs(v).max(axis=0) > self._limits(0) * (1 + 1e-9)).any():
+            return False
+        over = [np.abs(values).max(axis=0) > MOST_USE * limits for values, limits in ((a, self._limits(1)),)]
+        return not any(each.any() for each in over) and bool((np.abs(j).max(axis=0) <= self._limits(2)).all())
+
+    def _limits(self, order: int) -> Array:
+        return np.array([(axis.velocity, axis.acceleration, axis.jerk)[order] for axis in self.axes])
+
+
+def _slice(motion: FittedMotion, begin_s: float, stop_s: float) -> FittedMotion:
+    """The cubics of a motion between two instants."""
+    first = int(np.searchsorted(motion.times_s, begin_s, side="right")) - 1
+    last = int(np.searchsorted(motion.times_s, stop_s, side="left")) - 1
+    first, last = max(0, first), min(max(first, last), len(motion.jerks) - 1)
+    times_s = np.concatenate([[begin_s], motion.times_s[first + 1 : last + 1], [stop_s]])
+    shift = begin_s - float(motion.times_s[first])
+    accelerations = motion.accelerations[first : last + 1].copy()
+    accelerations[0] += motion.jerks[first] * shift
+    positions, velocities, *_ = motion.evaluate(times_s)
+    return FittedMotion(times_s, positions, velocities, accelerations, motion.jerks[first : last + 1])
