@@ -121,6 +121,8 @@ class DriverCapabilities:
     orders: orders of profiles that it can execute: 2 for trapezoids, 3 for jerk-limited profiles.
     independent_axes: axes may move in different steps at the same time, and one can stop without the other.
     checks_while_moving: `check_settings` may be called while an axis moves.
+    chunk_s: the longest chunk of a path that it can load while it executes the one before, s; 0: a path is loaded as a
+    whole. chunk_load_s: how long loading it takes at most.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
     last axis is at rest (transport, and the ramp from full speed).
     """
@@ -130,6 +132,44 @@ class DriverCapabilities:
     independent_axes: bool
     costs: StepCosts
     checks_while_moving: bool = False
+    chunk_s: float = 0.0
+    chunk_load_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PathChunk:
+    """A chunk of a path, in seconds after its T0: profiles from `begin_s`, along the path to `end_s`, then to rest.
+
+    Up to `end_s` of the chunk before, which is later than `begin_s`, both are the same motion: the controller changes
+    over at an instant of its own in between. last: it ends at the end of the path. profiles: by axis.
+    """
+
+    number: int
+    begin_s: float
+    end_s: float
+    last: bool
+    profiles: Mapping[str, Profile]
+
+    @property
+    def stop_s(self) -> float:
+        """When it is at rest."""
+        return self.begin_s + max(profile.duration_s for profile in self.profiles.values())
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkFit:
+    """How a chunk fits to the controller's clock.
+
+    drift_ns: how far the clock had drifted from the plan at its beginning; it is corrected on the way. left_ns: what of
+    that remains at its end. bound_ns: guaranteed error of the clock mapping. path_error_counts: by axis. stop_s: when
+    it is at rest, from T0.
+    """
+
+    stop_s: float
+    drift_ns: int
+    left_ns: int
+    bound_ns: int
+    path_error_counts: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -484,6 +524,21 @@ class Driver(ABC):
         """The present move has ended, `wait_for_end` has returned: the next move is the present one from now on, for
         every method."""
         raise Refusal("not-armed", "no next move is loaded", "arm it first")
+
+    # Long paths in chunks: only makes with a `chunk_s`.
+
+    async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
+        """Load the next chunk of the path that the controller executes; without `release_chunk` it is not executed.
+
+        A chunk may begin inside the present one, and end before it: the present one is cut short there. Raises
+        `Refusal`; then the controller continues as if nothing had been loaded.
+        """
+        raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
+
+    async def release_chunk(self, number: int) -> None:
+        """Have the controller change over to the chunk that was loaded last, in one act of its own. Raises `Refusal`
+        (code `late`): then it certainly continues with the present one."""
+        raise Refusal("not-loaded", f"chunk {number} is not loaded", "load it first")
 
     # Sampling by the controller itself
 

@@ -17,10 +17,16 @@ _ROUNDING = 1e-6  # of a period: tolerance for a plan that slightly exceeds its 
 
 @dataclass(frozen=True, slots=True)
 class SetpointTrajectory:
-    """The set-points of `profile`, numbered from 0. period_ns: period of SYNC."""
+    """The set-points of `profile`, numbered from 0. period_ns: period of SYNC. begin_s: when the profile begins, after
+    the motion did; is_chunk: it is a part of a path. peak_acceleration, peak_jerk: of the whole path.
+    """
 
     profile: Profile
     period_ns: int
+    begin_s: float = 0.0
+    is_chunk: bool = False
+    peak_acceleration: float = 0.0
+    peak_jerk: float = 0.0
 
     @property
     def point_count(self) -> int:
@@ -34,27 +40,27 @@ class SetpointTrajectory:
 
     @property
     def _planned_periods(self) -> float:
-        return self.profile.duration_s * NS_PER_S / self.period_ns
+        return (self.begin_s + self.profile.duration_s) * NS_PER_S / self.period_ns
 
     def setpoint_function(self) -> Callable[[int], int]:
         """Return the function of set-points by SYNC number; before the first one the start, after the last one the end.
 
         The first set-point is at least one count from the start, and the last but one a count from the end: so the
         executed motion begins and ends with the plan, also where the plan has not moved a count yet. An axis that turns
-        back may be beyond both, and has no such first and last count. A linear segment between points of a curve lies
-        on one side of it: half of that deviation is subtracted, so that it lies on both sides.
+        back, as on a path, may be beyond both, and has no such first and last count. A linear segment between points of
+        a curve lies on one side of it: half of that deviation is subtracted, so that it lies on both sides.
         """
         at, last, period_s = self.profile.make_evaluator(), self.point_count - 1, self.period_ns / NS_PER_S
         start, end = self.profile.start_counts, self.profile.end_counts
         low, high = (start + 1, end - 1) if end > start else (end + 1, start - 1)
-        keeps_ends = self.profile.stays_between_ends
+        keeps_ends, begin_s = not self.is_chunk and self.profile.stays_between_ends, self.begin_s
 
         def setpoint_at(number: int) -> int:
             if number < 0:
                 return start
             if number >= last:
                 return end
-            there = at((number + 1) * period_s)
+            there = at((number + 1) * period_s - begin_s)
             here = start + round(there.position - there.acceleration * period_s**2 / 16)
             return min(max(here, low), high) if keeps_ends else here
 
@@ -65,10 +71,14 @@ class SetpointTrajectory:
         """Return the largest distance between the plan and linear segments between set-points in whole counts."""
         period_s, profile = self.period_ns / NS_PER_S, self.profile
         # The last term is the variation of the deviation within a period, by the jerk.
-        jerk = max(map(abs, profile.jerks)) * abs(profile.scale_counts)
-        bow = profile.peak_acceleration * period_s**2 / 16 + jerk * period_s**3 / 100
+        jerk = max(max(map(abs, profile.jerks)) * abs(profile.scale_counts), self.peak_jerk)
+        acceleration = max(profile.peak_acceleration, self.peak_acceleration)
+        bow = acceleration * period_s**2 / 16 + jerk * period_s**3 / 100
+        if self.is_chunk:
+            # The path, or a stopping tail, may end anywhere within a period.
+            return max(bow, min(acceleration * period_s**2 / 2, jerk * period_s**3 / 6)) + 1.5
         if not isclose(self._planned_periods, self.point_count, abs_tol=_ROUNDING):
             # The plan ends within the last period, and the drive at the end of that period.
-            before = profile.state_at((self.point_count - 1) * period_s).position
+            before = profile.state_at((self.point_count - 1) * period_s - self.begin_s).position
             bow = max(bow, abs(profile.end_counts - profile.start_counts - before))
         return bow + 1.5

@@ -36,12 +36,14 @@ from adapters.cia402.states import DriveState
 from adapters.cia402.watch import AT_ARM, SettingsWatch
 from adapters.contract import (
     AxisReading,
+    ChunkFit,
     ControllerIdentity,
     ControllerReading,
     DriverCapabilities,
     DriverSetup,
     JogMove,
     Lowered,
+    PathChunk,
     SampledPositions,
     SamplingPlan,
     SettingDifference,
@@ -58,6 +60,7 @@ from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import FaultReport, StepCosts
 
+LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
 _STARTS = "cia402 starts"
 _NEGATIVE_LIMIT, _POSITIVE_LIMIT = 1, 2  # bits of 60FDh
 
@@ -193,6 +196,8 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
             orders=(2, 3) if self._streams else (2,),
             independent_axes=False,
             costs=self._step_costs(self._ramp_s),
+            chunk_s=LONGEST_CHUNK_S if self._streams else 0.0,
+            chunk_load_s=LOAD_S if self._streams else 0.0,
         )
 
     async def poll(self) -> ControllerReading:
@@ -305,6 +310,15 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         assert isinstance(lowered, Cia402Lowered)
         with log_refusals(self._log, "arming"):
             return await self.connection.mover.arm_move(lowered, t0_ns)
+
+    async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
+        del mapping
+        with log_refusals(self._log, "the loading of a chunk"):
+            return await self.connection.mover.load_chunk(chunk)
+
+    async def release_chunk(self, number: int) -> None:
+        with log_refusals(self._log, "the release of a chunk"):
+            await self.connection.mover.release_chunk(number)
 
     async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
         del axes  # it has one

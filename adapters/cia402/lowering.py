@@ -16,7 +16,7 @@ from adapters.toolkit.wired_points import find_driven_output
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import BudgetTerm, StartOptions, TriggerDrive, sum_terms
+from orchestrator.model.messages import BudgetTerm, ChunkOptions, StartOptions, TriggerDrive, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
@@ -43,6 +43,7 @@ class Cia402Lowered(Lowered):
 
     lead_ns: the SYNC is written this long before T0.
     target: None when nothing moves; otherwise shape or trajectory describes the motion.
+    chunk: the trajectory is the first chunk of a path.
     mode: of operation."""
 
     axis: str = ""
@@ -50,6 +51,7 @@ class Cia402Lowered(Lowered):
     target: int | None = None
     shape: DriveTrapezoid | None = None
     trajectory: SetpointTrajectory | None = None
+    chunk: ChunkOptions | None = None
     mode: int = PROFILE_POSITION_MODE
     lead_ns: int = 0
     drive: SyncOutput | None = None
@@ -118,13 +120,13 @@ def lower_step(
         lead_ns=sync_ns(bus.bitrate) + bus.start_ns,
         drive=drive,
     )
-    if profile is None or profile.is_still:
+    if profile is None or (profile.is_still and start.chunk is None):
         return done
     _require_range(name, profile)
     low, high = profile.extent_counts
     # A single count has no path.
-    if any(profile.jerks) and high - low > 1.5:
-        return _lower_stream(done, config, options, traits, profile)
+    if start.chunk is not None or (any(profile.jerks) and high - low > 1.5):
+        return _lower_stream(replace(done, chunk=start.chunk), config, options, traits, profile)
     return _lower_set_point(done, config, options, profile, start)
 
 
@@ -177,6 +179,9 @@ def _lower_stream(
             "remove `jerk` from the axis's limits",
         )
     course = SetpointTrajectory(profile, options.period_ms * NS_PER_MS)
+    if done.chunk is not None:
+        peaks = done.chunk.peak_accelerations.get(done.axis, 0.0), done.chunk.peak_jerks.get(done.axis, 0.0)
+        course = replace(course, is_chunk=True, peak_acceleration=peaks[0], peak_jerk=peaks[1])
     share = stream_ns(bus.bitrate, bus.drives) / course.period_ns
     if share > _MOST_LOAD:
         raise Refusal(

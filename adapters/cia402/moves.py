@@ -4,12 +4,13 @@ bus, and followed to its end."""
 import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, floor
 
 from adapters.cia402 import objects as o
 from adapters.cia402 import states
 from adapters.cia402.costs import full_frame_ns, sync_ns
+from adapters.cia402.course import SetpointTrajectory
 from adapters.cia402.handshake import settle_handshake, standing_refusal
 from adapters.cia402.lowering import Cia402Lowered
 from adapters.cia402.node import BusDrive
@@ -21,7 +22,7 @@ from adapters.cia402.sdo import bus_off_fault
 from adapters.cia402.starts import SyncScheduler, SyncStart
 from adapters.cia402.states import DriveState
 from adapters.cia402.stream import COPIES, TAIL_SYNCS
-from adapters.contract import HostInterval, MoveOutcome
+from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
 from adapters.toolkit.firing import missed_write_fault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, ClockTimer
 from orchestrator.link.base import LinkClosed
@@ -29,6 +30,7 @@ from orchestrator.model.errors import ControllerFault, Refusal
 
 _FIRST_COUNT_NS = 50 * NS_PER_MS  # from a start to the first reported count of its motion
 _OVERDUE_NS = NS_PER_S  # a motion that ends later than this is blocked, or has never begun
+_LONGEST_PATH_NS = 86_400 * NS_PER_S  # for which a path in chunks keeps the SYNC of its bus
 _MODES = {
     o.PROFILE_POSITION_MODE: "profile position",
     o.INTERPOLATED_MODE: "interpolated position",
@@ -42,7 +44,8 @@ class DriveStep:
     """A loaded step.
 
     boots, left: how often the drive had started, and this computer had left the bus.
-    streamed_move: its part in a stream."""
+    streamed_move: its part in a stream. end_s: of a path, where the released chunk begins to brake; next_chunk: the one
+    that is loaded behind it."""
 
     lowered: Cia402Lowered
     t0_ns: int
@@ -56,6 +59,8 @@ class DriveStep:
     started: HostInterval | None = None
     stopped_ns: int | None = None
     release: ClockTimer | None = None
+    end_s: float = 0.0
+    next_chunk: PathChunk | None = None
 
     @property
     def waits_for_sync(self) -> bool:
@@ -106,8 +111,11 @@ class Cia402Mover:
             if lowered.trajectory is None
             else (lowered.trajectory.point_count + TAIL_SYNCS) * lowered.trajectory.period_ns
         )
+        if lowered.chunk is not None and not lowered.chunk.last:
+            course_ns = _LONGEST_PATH_NS
         shot = self._sync_scheduler.reserve_start(node.number, t0_ns, t0_ns + course_ns)
         move = self.move = DriveStep(lowered, t0_ns, shot, node.boots, node.left_bus, node.outputs)
+        move.end_s = 0.0 if lowered.chunk is None else lowered.chunk.end_s
         try:
             return await self._load_step(move)
         except BaseException:
@@ -315,6 +323,47 @@ class Cia402Mover:
             if move.release is not None:
                 move.release.cancel()
 
+    # A path in chunks
+
+    async def load_chunk(self, chunk: PathChunk) -> ChunkFit:
+        """Take the next chunk of the present path. This computer times every position: no clock drifts. Raises
+        `Refusal`."""
+        move, lowered = self._require_path()
+        trajectory = self._make_trajectory(lowered, chunk)
+        move.next_chunk = chunk
+        return ChunkFit(trajectory.duration_s, 0, 0, 0, {lowered.axis: trajectory.path_error_counts})
+
+    async def release_chunk(self, number: int) -> None:
+        """Take positions from the loaded chunk, from the next one that is not sent yet. Raises `Refusal`."""
+        move, lowered = self._require_path()
+        chunk, streamed = move.next_chunk, move.streamed_move
+        if chunk is None or chunk.number != number or streamed is None:
+            raise Refusal("not-loaded", f"chunk {number} of the path is not loaded", "load it first")
+        move.next_chunk = None
+        trajectory = self._make_trajectory(lowered, chunk)
+        period_s = trajectory.period_ns / NS_PER_S
+        # Position n is that of the plan n + 1 periods after the start.
+        first = max(streamed.next_number, ceil(chunk.begin_s / period_s - 1e-6) - 1)
+        if first * period_s > min(move.end_s, chunk.end_s) or streamed.is_done:
+            raise Refusal("late", "the positions up to the place where the path was to be continued are sent", "")
+        streamed.continue_with(trajectory, first)
+        move.end_s = chunk.end_s
+        profile = trajectory.profile
+        durations_s = {lowered.axis: trajectory.duration_s}
+        move.lowered = replace(lowered, durations_s=durations_s, target=profile.end_counts, trajectory=trajectory)
+
+    def _make_trajectory(self, lowered: Cia402Lowered, chunk: PathChunk) -> SetpointTrajectory:
+        assert lowered.trajectory is not None
+        return SetpointTrajectory(
+            chunk.profiles[lowered.axis], lowered.trajectory.period_ns, chunk.begin_s, is_chunk=True
+        )
+
+    def _require_path(self) -> tuple[DriveStep, Cia402Lowered]:
+        move = self._require_step()
+        if move.lowered.chunk is None or move.lowered.trajectory is None:
+            raise Refusal("not-a-path", "the drive executes no path that can be continued", "")
+        return move, move.lowered
+
     # After the start
 
     async def wait_for_start(self) -> Mapping[str, HostInterval]:
@@ -402,9 +451,7 @@ class Cia402Mover:
                 if move.stopped_ns is None
                 else MoveOutcome("stopped", at_t0, "stopped on request")
             )
-        seconds = lowered.durations_s[lowered.axis]
-        earliest_ns = move.started.earliest_ns + self._device_ns(seconds, -1) - self._between_ns(lowered)
-        latest_ns = move.started.latest_ns + self._device_ns(seconds, 1) + self._between_ns(lowered)
+        earliest_ns, latest_ns = self._end_interval(move, move.started)
 
         def has_arrived() -> bool:
             if move.streamed_move is not None:
@@ -415,9 +462,16 @@ class Cia402Mover:
                 and node.demand == lowered.target
             )
 
-        await node.wait_until(lambda: self._interrupted_now(move), earliest_ns)
-        overdue_ns = latest_ns + self._settle_ns + _OVERDUE_NS
-        there = await node.wait_until(lambda: has_arrived() or self._interrupted_now(move), overdue_ns)
+        while True:
+            if move.streamed_move is None:
+                await node.wait_until(lambda: self._interrupted_now(move), earliest_ns)
+            overdue_ns = latest_ns + self._settle_ns + _OVERDUE_NS
+            there = await node.wait_until(lambda: has_arrived() or self._interrupted_now(move), overdue_ns)
+            expected = self._end_interval(move, move.started)
+            if there or expected == (earliest_ns, latest_ns):
+                break
+            earliest_ns, latest_ns = expected  # the path was continued meanwhile
+        lowered = move.lowered
         if move.stopped_ns is None and not self._interrupted_now(move) and there:
             await self._wait_until_passive(move)
         trouble = self._failure_text(move)
@@ -436,6 +490,15 @@ class Cia402Mover:
         if stopped:
             return MoveOutcome("stopped", spans, f"stopped on request; {stands}")
         return MoveOutcome("fault", spans, f"{node.name} {trouble or 'does not come to its end'}; {stands}")
+
+    def _end_interval(self, move: DriveStep, started: HostInterval) -> tuple[int, int]:
+        """Return when the step ends, as far as it is released."""
+        lowered = move.lowered
+        seconds, between_ns = lowered.durations_s[lowered.axis], self._between_ns(lowered)
+        return (
+            started.earliest_ns + self._device_ns(seconds, -1) - between_ns,
+            started.latest_ns + self._device_ns(seconds, 1) + between_ns,
+        )
 
     def _between_ns(self, lowered: Cia402Lowered) -> int:
         """Return the tolerance of the duration: a drive that was stopped may stand between two counts, and reports the

@@ -14,7 +14,9 @@ class StreamedMove:
 
     def __init__(self, node: BusDrive, trajectory: SetpointTrajectory, failed: Callable[[], None]) -> None:
         self._node = node
-        self._setpoint_at = trajectory.setpoint_function()
+        self._from = 0
+        self._later = self._earlier = trajectory.setpoint_function()
+        self._sent = -1
         self._failed = failed
         self._written_ns = 0
         self.position_count = trajectory.point_count
@@ -30,7 +32,21 @@ class StreamedMove:
         """Whether it has arrived, or failed."""
         return self.has_arrived or bool(self.failure)
 
+    def _setpoint_at(self, number: int) -> int:
+        return (self._later if number >= self._from else self._earlier)(number)
+
+    @property
+    def next_number(self) -> int:
+        """The first position that is not sent yet."""
+        return self._sent + 1
+
+    def continue_with(self, trajectory: SetpointTrajectory, number: int) -> None:
+        """Take the positions from `number` on from another trajectory; none of them is sent yet."""
+        self._earlier, self._later, self._from = self._later, trajectory.setpoint_function(), number
+        self.position_count = trajectory.point_count
+
     def position_frame(self, number: int) -> CanFrame:
+        self._sent = max(self._sent, number)
         return self._node.position_frame(self._setpoint_at(number))
 
     def record_write(self, number: int, at_ns: int) -> None:

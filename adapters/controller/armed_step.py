@@ -1,6 +1,5 @@
 """The step that a controller has loaded, and how far it has come."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -22,7 +21,7 @@ class StepPhase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ArmedStep:
-    """The step that is loaded in the controller."""
+    """The step that is loaded in the controller. promised_s: by axis, from T0 to its end, as far as it is released."""
 
     job: str
     step: int
@@ -31,7 +30,7 @@ class ArmedStep:
     axes: tuple[str, ...]
     scale: FleetScale
     can_advance: bool
-    promised_s: Mapping[str, float] = field(default_factory=dict[str, float])
+    promised_s: dict[str, float] = field(default_factory=dict[str, float])
     clock_ppm: float = 0.0
     phase: StepPhase = StepPhase.ARMED
 

@@ -14,6 +14,7 @@ from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
 from adapters.controller.motors import MotorControl
 from adapters.controller.participant import StepParticipant
+from adapters.controller.path_chunks import PathChunks
 from adapters.controller.publisher import StatePublisher, first_error_text
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.sampling import SampleCollection
@@ -33,6 +34,7 @@ from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
     BeginSampling,
+    ChunkReply,
     CommitRequest,
     CommittedReply,
     ConfigureRequest,
@@ -48,12 +50,14 @@ from orchestrator.model.messages import (
     LeasedRequest,
     LeaseReply,
     LeaseRequest,
+    LoadChunkRequest,
     OutputRequest,
     Proposal,
     ProposeRequest,
     RawReply,
     RawRequest,
     RefusalDetails,
+    ReleaseChunkRequest,
     Reply,
     Request,
     ResetRequest,
@@ -101,6 +105,7 @@ class Components:
     remembered: PersistentMemory
     leases: MotionLeases
     participant: StepParticipant
+    chunks: PathChunks
     jogging: JogControl
     motors: MotorControl
     referencing: AxisReferencing
@@ -128,6 +133,8 @@ class ControllerCommands:
             "arm": (ArmRequest, ArmedReply, components.participant.arm_step),
             "commit": (CommitRequest, CommittedReply, self._handle_commit),
             "go": (GoRequest, Reply, self._handle_go),
+            "load-chunk": (LoadChunkRequest, ChunkReply, components.chunks.load),
+            "release-chunk": (ReleaseChunkRequest, Reply, components.chunks.release),
             "disarm": (DisarmRequest, DisarmedReply, components.participant.disarm_step),
             "stop": (StopRequest, Reply, self._handle_stop),
             "enable": (EnableRequest, Reply, self._handle_enable),

@@ -205,7 +205,7 @@ class StepParticipant:
             tuple(request.profiles),
             scale,
             lowered.can_advance,
-            lowered.durations_s,
+            dict(lowered.durations_s),
             lowered.clock_ppm,
         )
         return PreparedMove(request, armed_step, lowered, mapping, began_ns)

@@ -292,6 +292,8 @@ class StatePublisher:
             orders=list(capabilities.orders),
             independent_axes=capabilities.independent_axes,
             costs=capabilities.costs,
+            chunk_s=capabilities.chunk_s,
+            chunk_load_s=capabilities.chunk_load_s,
             digest=self._config.digest,
             options_schema=_options_schema(self._context.make.options_model),
         ).to_json()

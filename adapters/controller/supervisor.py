@@ -22,6 +22,7 @@ from adapters.controller.leases import MotionLeases
 from adapters.controller.limits import check_path_limits, check_profiles
 from adapters.controller.motors import MotorControl
 from adapters.controller.participant import StepParticipant, StepServices
+from adapters.controller.path_chunks import PathChunks
 from adapters.controller.pending_stop import PendingStop
 from adapters.controller.publisher import StatePublisher, StepActivity
 from adapters.controller.readings import require_sound_reading
@@ -114,6 +115,7 @@ class ControllerSupervisor:
             remembered=remembered,
             leases=self._leases,
             participant=self._participant,
+            chunks=PathChunks(self._participant, driver, self._fence, self._leases, condition),
             jogging=self._jogging,
             motors=self._motors,
             referencing=self._referencing,

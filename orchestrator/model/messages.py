@@ -173,6 +173,20 @@ class TriggerDrive(Model):
     active_ns: Int53 = 100_000_000
 
 
+class ChunkOptions(Model):
+    """The profiles are a part of a path: along it up to `end_s` after T0, then to rest. last: there the path ends.
+    Otherwise another chunk follows while this one is executed.
+
+    peak_accelerations, peak_jerks: by axis, the largest of the whole path, counts/s², counts/s³, for what the member
+    states of its path error.
+    """
+
+    end_s: float
+    last: bool
+    peak_accelerations: dict[str, float] = Field(default={})
+    peak_jerks: dict[str, float] = Field(default={})
+
+
 class StartOptions(Model):
     """How a member is to start.
 
@@ -188,6 +202,7 @@ class StartOptions(Model):
     early_ns: how much before the plan an axis may end if it cannot move as slowly as planned.
     follows: the move begins where the member's present move ends, and is loaded while that one runs, as far as the make
     can.
+    chunk: the move is the first chunk of a path.
     """
 
     start_class: StartWish = "auto"
@@ -199,6 +214,7 @@ class StartOptions(Model):
     follows: bool = False
     wait: TriggerWait | None = None
     drive: TriggerDrive | None = None
+    chunk: ChunkOptions | None = None
 
 
 class ProposeRequest(StepRequest):
@@ -319,6 +335,38 @@ class GoRequest(StepRequest):
     t0_fleet_ns: Int53
     advance_ns: Int53 = 0
     start_tolerance_ns: Int53 = 0
+
+
+class LoadChunkRequest(StepRequest):
+    """Load the next chunk of a path, for the motion that began at T0. number: of the chunk; the step itself is chunk 0.
+
+    begin_s: from T0 to the beginning of the profiles. What the member executes there is what they begin with.
+    """
+
+    t0_fleet_ns: Int53
+    number: int = Field(ge=1)
+    begin_s: float
+    chunk: ChunkOptions
+    profiles: dict[str, Profile]
+
+
+class ChunkReply(Reply):
+    """The chunk is loaded. drift_ns: how far the member's clock had drifted from the plan, and is corrected on the way;
+    left_ns: what of that remains at its end. bound_ns: guaranteed error of its clock mapping. stop_s: when it is at
+    rest, from T0, if no further chunk comes."""
+
+    stop_s: float = 0.0
+    drift_ns: Int53 = 0
+    left_ns: Int53 = 0
+    bound_ns: Int53 = 0
+    path_error_counts: dict[str, float] = Field(default={})
+
+
+class ReleaseChunkRequest(StepRequest):
+    """All members have loaded the chunk: change over to it."""
+
+    t0_fleet_ns: Int53
+    number: int
 
 
 class DisarmRequest(StepRequest):

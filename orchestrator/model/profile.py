@@ -98,8 +98,8 @@ class Profile(_IntegrationCache):
         return segments
 
     def state_at(self, time_s: float) -> MotionState:
-        """The motion `time_s` after the start. Before the start it is as at the start, after the end the axis is at rest;
-        the end is exact."""
+        """The motion `time_s` after the start. Before the start it is as at the start; after the end the axis is at
+        rest. The end is exact."""
         return self.make_evaluator()(time_s)
 
     def make_evaluator(self) -> Callable[[float], MotionState]:

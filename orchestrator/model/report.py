@@ -175,14 +175,24 @@ class PathStretch(Model):
     binds: str
 
 
+class PathStop(Model):
+    """A place, in the time of the path, where it was braked along it because a chunk was not loaded in time."""
+
+    at_s: float
+    member: str = ""
+    reason: str
+
+
 class PathReport(Model):
-    """A path as it is planned. length: along it, in `unit`. bound: once its members have answered."""
+    """A path as it is planned. length: along it, in `unit`. bound: once its members have answered. stops: where its
+    members had to wait for its continuation."""
 
     unit: Unit
     length: float
     duration_s: float
     stretches: list[PathStretch] = Field(default=[])
     bound: PathBound | None = None
+    stops: list[PathStop] = Field(default=[])
 
 
 class MemberReport(Model):

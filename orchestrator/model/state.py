@@ -204,6 +204,10 @@ class ControllerInfo(Model):
     orders: list[Literal[2, 3]] = Field(description="Profile orders it can execute: 2 trapezoidal, 3 jerk-limited.")
     independent_axes: bool
     costs: StepCosts
+    chunk_s: float = Field(
+        default=0.0, description="Longest chunk of a path that it loads while it moves, s; 0: a path is loaded whole."
+    )
+    chunk_load_s: float = Field(default=0.0, description="How long loading it takes at most, s.")
     digest: str
     options_schema: dict[str, Any]
 

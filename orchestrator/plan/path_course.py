@@ -7,6 +7,7 @@ no next chunk comes, the members brake along the path together.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ BRAKE_SEARCH_S = 1.0  # after the earliest instant at which a hold could begin
 class ChunkPlan(NamedTuple):
     """A chunk, in seconds of the motion: from `begin_s`; along the path to `end_s`; at rest at `stop_s`.
 
-    last: it ends where the path ends. profiles: by axis, from `begin_s` to `stop_s`.
+    last: it ends where the path ends. profiles: by axis, from `begin_s` to `stop_s`. clock: with the tail.
     """
 
     begin_s: float
@@ -36,6 +37,12 @@ class ChunkPlan(NamedTuple):
     stop_s: float
     last: bool
     profiles: Mapping[str, Profile]
+    clock: PathClock
+
+    @property
+    def stop_path_s(self) -> float:
+        """The path time at which it comes to rest."""
+        return float(self.clock.evaluate(np.array([self.stop_s])).path_s[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +64,19 @@ class PathCourse:
     def duration_s(self) -> float:
         """Of the whole path, at rate 1."""
         return float(self.motion.times_s[-1])
+
+    def find_peaks(self) -> tuple[dict[str, float], dict[str, float]]:
+        """The largest acceleration and jerk of each axis on the whole path, counts/s², counts/s³."""
+        motion = self.motion
+        ends = motion.accelerations + motion.jerks * np.diff(motion.times_s)[:, None]
+        steepest = np.maximum(np.abs(motion.accelerations), np.abs(ends)).max(axis=0)
+        hardest = np.abs(motion.jerks).max(axis=0)
+        scales = {axis.name: abs(axis.counts_per_unit) for axis in self.axes}
+        names = list(scales)
+        return (
+            {name: float(value) * scales[name] for name, value in zip(names, steepest, strict=True)},
+            {name: float(value) * scales[name] for name, value in zip(names, hardest, strict=True)},
+        )
 
     def find_counts(self, path_s: float) -> dict[str, int]:
         """Where the axes are at an instant of the path, counts."""
@@ -110,7 +130,7 @@ class PathCourse:
         motion, k = self.motion, max(0, int(np.searchsorted(self.motion.times_s, path_s, side="right")) - 1)
         ends = np.abs(motion.accelerations + motion.jerks * np.diff(motion.times_s)[:, None])
         rates = [
-            limits / np.maximum(np.abs(values).max(axis=0), 1e-300) ** (1.0)
+            limits / np.maximum(np.abs(values).max(axis=0), 1e-300)
             for limits, values in (
                 (self._limits(0), motion.velocities[k:]),
                 (self._limits(1), np.maximum(np.abs(motion.accelerations), ends)[k:]),
@@ -166,7 +186,7 @@ class PathCourse:
             )
             for column in self.columns
         }
-        return ChunkPlan(begin_s, end_s, stop_s, last, profiles)
+        return ChunkPlan(begin_s, end_s, stop_s, last, profiles, clock)
 
     def _round(self, column: int, position: float) -> int:
         axis = self.axes[column]
@@ -179,7 +199,7 @@ class PathCourse:
         marks |= {at for ramp in clock.ramps for at in (ramp.begin_s, ramp.end_s) if begin_s < at < stop_s}
         edges = sorted(marks)
         parts: list[FittedMotion] = []
-        for first_s, last_s in zip(edges, edges[1:], strict=False):
+        for first_s, last_s in pairwise(edges):
             times = clock.evaluate(np.array([first_s, (first_s + last_s) / 2, last_s]))
             if times.changes[1] == 0.0 and times.rates[1] > 0.0:
                 ends = float(times.path_s[0]), float(times.path_s[2])
@@ -205,10 +225,11 @@ class PathCourse:
     def _fits(self, clock: PathClock, begin_s: float, ramp_s: float) -> bool:
         """Whether a ramp keeps all limits."""
         _, v, a, j = self._evaluate(clock, begin_s + ramp_s * np.linspace(1e-6, 1.0 - 1e-6, RAMP_SAMPLES))
-        if (np.abs(v).max(axis=0) > self._limits(0) * (1 + 1e-9)).any():
-            return False
-        over = [np.abs(values).max(axis=0) > MOST_USE * limits for values, limits in ((a, self._limits(1)),)]
-        return not any(each.any() for each in over) and bool((np.abs(j).max(axis=0) <= self._limits(2)).all())
+        uses = [
+            (np.abs(values).max(axis=0) / self._limits(order)).max()
+            for order, values in ((0, v), (1, a / MOST_USE), (2, j))
+        ]
+        return max(uses) <= 1.0 + 1e-9
 
     def _limits(self, order: int) -> Array:
         return np.array([(axis.velocity, axis.acceleration, axis.jerk)[order] for axis in self.axes])

@@ -4,6 +4,7 @@ moves when."""
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import inf
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,7 +17,8 @@ from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path.plan import PathPlan, plan_path
-from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, fit_profiles
+from orchestrator.plan.path_course import PathCourse
+from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import make_axis_move
 
@@ -46,7 +48,8 @@ class PlannedPath:
     """A planned path.
 
     exact: the end of each axis (motor position) and its counts. tolerance, fit_error: in the unit of `report`.
-    counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s.
+    counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s. course: the
+    motion, for members that execute it in chunks.
     """
 
     plan: StepPlan
@@ -58,6 +61,7 @@ class PlannedPath:
     counts_per_unit: Mapping[str, float]
     times_s: Array
     speeds: Mapping[str, Array]
+    course: PathCourse
 
     def find_speeds(self, member: str) -> tuple[Array, Array]:
         """Instants, s, and the speed of the axes of a member together, in the unit of `report` per s."""
@@ -89,7 +93,7 @@ def plan_path_step(step: FollowPath, starts: Sequence[PathStart]) -> PlannedPath
         exact[start.name] = Fraction(end), start.axis.to_counts(Fraction(end))
         limits, scale = start.axis.limits, float(start.axis.counts_per_unit)
         counts = start.start_counts, exact[start.name][1]
-        axes.append(FittedAxis(start.name, scale, limits.velocity, limits.acceleration, *counts))
+        axes.append(FittedAxis(start.name, scale, limits.velocity, limits.acceleration, *counts, limits.jerk or inf))
 
     def evaluate_motors(times_s: Array) -> PathStates:
         rows = plan.evaluate(times_s)
@@ -108,6 +112,13 @@ def plan_path_step(step: FollowPath, starts: Sequence[PathStart]) -> PlannedPath
         {axis.name: axis.counts_per_unit for axis in axes},
         times_s,
         {start.name: row for start, row in zip(starts, speeds, strict=True)},
+        PathCourse(
+            fitted.motion,
+            axes,
+            [column for column, axis in enumerate(axes) if axis.name in fitted.profiles],
+            fitted.motion.positions[0],
+            find_fit_error(axes, tolerance),
+        ),
     )
     return replace(path, report=path.make_report(fitted.duration_s, None))
 

@@ -79,37 +79,52 @@ async def load_arrays(
     session: CommandSession, arrays: Mapping[str, Sequence[int]], packets: ArrayTransfer = DEFAULT_TRANSFER
 ) -> None:
     """Allocate these arrays, fill them, and verify their contents. Raises `Refusal`."""
+    await allocate_arrays(session, {name: len(values) for name, values in arrays.items()}, packets)
+    await fill_arrays(session, [(name, 0, values) for name, values in arrays.items()], packets)
+
+
+async def allocate_arrays(
+    session: CommandSession, sizes: Mapping[str, int], packets: ArrayTransfer = DEFAULT_TRANSFER
+) -> None:
+    """Allocate these arrays in the place of all that the adapter has. Raises `Refusal`."""
     await free_arrays(session, packets.names)
     try:
-        await session.send_command("DM " + ",".join(f"{name}[{len(values)}]" for name, values in arrays.items()))
+        await session.send_command("DM " + ",".join(f"{name}[{size}]" for name, size in sizes.items()))
     except SmcCommandRefused as refusal:
         if refusal.number not in (ARRAY_SPACE_FULL, TOO_MANY_ARRAYS):
             raise
         raise Refusal(
             "array-space",
-            f"the controller has no room for {sum(map(len, arrays.values()))} array elements in addition "
-            "to existing arrays",
+            f"the controller has no room for {sum(sizes.values())} array elements in addition to existing arrays",
             "free arrays with DA, or lower the controller's option array_elements",
         ) from None
-    for name, values in arrays.items():
+
+
+async def fill_arrays(
+    session: CommandSession,
+    parts: Sequence[tuple[str, int, Sequence[int]]],
+    packets: ArrayTransfer = DEFAULT_TRANSFER,
+) -> None:
+    """Fill elements of arrays, each from a first one on, and verify them. Raises `Refusal`."""
+    for name, begin, values in parts:
         for first, part in _split_into_packets(values, packets.elements):
-            await session.load_array(name, first, part)
-    await _verify_arrays(session, arrays, packets.upload_elements)
+            await session.load_array(name, begin + first, part)
+    await _verify_arrays(session, parts, packets.upload_elements)
 
 
-async def _verify_arrays(session: CommandSession, arrays: Mapping[str, Sequence[int]], back: int) -> None:
+async def _verify_arrays(session: CommandSession, parts: Sequence[tuple[str, int, Sequence[int]]], back: int) -> None:
     """Compare the uploaded elements. They arrive in the position format (L9105), which a user may have set to
     anything."""
     (before,), _ = await session.read_numbers("_PF")
     await session.send_command(f"PF {UPLOAD_DIGITS}.0")
-    for name, values in arrays.items():
+    for name, begin, values in parts:
         for first in range(0, len(values), back):
             wanted = list(values[first : first + back])
-            held = await session.read_array(name, first, first + len(wanted) - 1)
+            held = await session.read_array(name, begin + first, begin + first + len(wanted) - 1)
             if held != wanted:
                 at = next((k for k, (a, b) in enumerate(zip(held, wanted, strict=False)) if a != b), 0)
                 raise Refusal(
-                    "read-back", f"{name}[{first + at}] does not contain the value that was loaded", "try again"
+                    "read-back", f"{name}[{begin + first + at}] does not contain the value that was loaded", "try again"
                 )
     await session.send_command(f"PF {before:.1f}")
 

@@ -67,7 +67,7 @@ def fit_contour(profiles: Mapping[str, Profile], tick_ns: float, room: ContourLi
     """Return the contour with the shortest records that fit. Raises `Refusal` that names the axis and what would
     fit."""
     tick_s = tick_ns * 1e-9
-    _require_speed(profiles, tick_s, model)
+    require_speed_range(profiles, tick_s, model)
     each = room.elements // len(profiles)
     longest = max(profiles, key=lambda axis: profiles[axis].duration_s)
     for interval in range(max(room.least_interval, model.intervals[0]), model.intervals[1] + 1):
@@ -85,7 +85,7 @@ def fit_contour(profiles: Mapping[str, Profile], tick_ns: float, room: ContourLi
                 f"counts, allowed are {room.sag_counts:g}",
                 f"at most {most_s:.1f} s, or fewer axes, or less acceleration, or raise contour_sag_counts",
             )
-        _require_records(profiles, tick_s, interval, model)
+        require_record_range(profiles, tick_s, interval, model)
         contour = _build_records(profiles, tick_s, interval, sag_counts, model.least_tail)
         if contour.record_count <= each:
             return contour
@@ -154,7 +154,8 @@ def _least_samples(profile: Profile, tick_s: float) -> int:
     return samples
 
 
-def _require_speed(profiles: Mapping[str, Profile], tick_s: float, model: ModelTraits) -> None:
+def require_speed_range(profiles: Mapping[str, Profile], tick_s: float, model: ModelTraits) -> None:
+    """Raise `Refusal` for an axis that is faster than the controller."""
     most = model.speed_max / SPEED_UNIT / tick_s
     for axis, profile in profiles.items():
         if profile.peak_velocity > most:
@@ -163,7 +164,7 @@ def _require_speed(profiles: Mapping[str, Profile], tick_s: float, model: ModelT
             )
 
 
-def _require_records(profiles: Mapping[str, Profile], tick_s: float, interval: int, model: ModelTraits) -> None:
+def require_record_range(profiles: Mapping[str, Profile], tick_s: float, interval: int, model: ModelTraits) -> None:
     """Raise `Refusal` for an increment that exceeds a record's range, with one count for rounding."""
     length_s = tick_s * (1 << interval)
     for axis, profile in profiles.items():

@@ -5,10 +5,12 @@ from contextlib import nullcontext
 from typing import Generic, Literal, TypeVar
 
 from adapters.contract import (
+    ChunkFit,
     ControllerIdentity,
     DriverSetup,
     JogMove,
     Lowered,
+    PathChunk,
     SampledPositions,
     SamplingPlan,
     SettingDifference,
@@ -139,6 +141,14 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
 
     def take_next(self) -> None:
         self._start.take_next()
+
+    async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
+        with log_refusals(self._log, "the loading of a chunk"):
+            return await self._start.load_chunk(chunk, mapping)
+
+    async def release_chunk(self, number: int) -> None:
+        with log_refusals(self._log, "the release of a chunk"):
+            await self._start.release_chunk(number)
 
     async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
         with log_refusals(self._log, "sampling"):

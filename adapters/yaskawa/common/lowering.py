@@ -8,11 +8,25 @@ of trapezoids either, the registers execute it all the same, and its durations s
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from adapters.contract import Lowered, require_start_class
+from adapters.contract import Lowered, PathChunk, require_start_class
 from adapters.yaskawa.common import arrays, lines
-from adapters.yaskawa.common.contour import Contour, ContourLimits, axis_increments, fit_contour, least_interval
+from adapters.yaskawa.common.contour import (
+    Contour,
+    ContourLimits,
+    axis_increments,
+    fit_contour,
+    least_interval,
+    require_record_range,
+    require_speed_range,
+)
+from adapters.yaskawa.common.course.records import (
+    ChunkRecords,
+    RecordMaker,
+    find_chunk_s,
+    find_room,
+)
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT, ModelTraits
 from adapters.yaskawa.common.options import YaskawaOptions
@@ -23,7 +37,7 @@ from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartOptions
+from orchestrator.model.messages import ChunkOptions, StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StartClass, StepCosts
 
@@ -34,6 +48,7 @@ DURATION_TOLERANCE_SAMPLES = 0.2  # allowed deviation of an independent move's d
 STRETCH = 1e-3  # or longer by this fraction, where a limit restricts it: the plan is stretched to it
 SKEW_SAMPLES = 10.0  # allowed path deviation, at its peak speed,
 NEAR_COUNTS = 2.0  # or this number of counts
+SHORTEST_COURSE = 8  # records
 WHOLE_MASK = (1 << 14) - 1  # of an array as large as they can be
 LATER_TICKS = 4.0  # largest delay of a common end of all participants after the plan's end
 HOST_COMMANDS = 2  # of the host, that may interrupt one round of the contour's loop: one before each of its lines
@@ -141,6 +156,20 @@ class ContourLoad:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class CourseLoad(ContourLoad):
+    """The first chunk of a path. Its contour is as for a start at T0 exactly; the records are made for the sample in
+    which it begins."""
+
+    chunk: PathChunk = field(kw_only=True)
+    maker: RecordMaker = field(kw_only=True)
+
+    def ring_variables(self, records: ChunkRecords) -> dict[str, int]:
+        """The program's variables of a chunk."""
+        ring = {"XN": records.end, "XDT": self.maker.interval, "XW": self.maker.room.ring - 1}
+        return {**ring, **records.tail_variables(self.maker.room)}
+
+
 def format_fields(values: Mapping[int, int]) -> str:
     """Format values by axis index as the fields of a command: `100,,-5`."""
     return ",".join(str(values[index]) if index in values else "" for index in range(max(values) + 1))
@@ -181,6 +210,10 @@ def lower_moves(
         for axis in profiles
         for scale in [float(config.axes[axis].scale)]
     }
+    if start.chunk is not None and start.wait is None and takes_chunks(context):
+        course = _lower_to_course(context, profiles, bounds, tick_ns, start.chunk)
+        if course is not None:
+            return _make_lowered(context, course, profiles, start, mapping)
     way = {axis: profile for axis, profile in profiles.items() if not profile.is_still}
     places = _sample_alignments(way, mapping, start) if start.exact and start.wait is None else {}
     shapes, why = _lower_to_registers(way, bounds, tick_ns, model, places)
@@ -274,6 +307,84 @@ def _build_registers(
     return RegisterLoad(ends, {motors[axis]: shape for axis, shape in shapes.items()})
 
 
+def takes_chunks(context: LoweringContext) -> bool:
+    """Whether a path can be loaded in chunks while it is executed: not where uploads are slow."""
+    return context.model.contours and not isinstance(context.packets, arrays.SlowArrayTransfer)
+
+
+def find_interval(context: LoweringContext, tick_ns: float) -> int:
+    """The exponent of the shortest records that the program keeps up with."""
+    options, model = context.options, context.model
+    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS + model.interleaved_commands) * LOOP_SPREAD * options.decode_us * NS_PER_US
+    return max(least_interval(loop_ns, tick_ns, model), model.intervals[0])
+
+
+def find_chunk_times(context: LoweringContext, tick_ns: float) -> tuple[float, float]:
+    """The longest chunk of a path of all its axes, s, and how long loading it takes while it moves; (0, 0) if there is
+    no room for one."""
+    record_s = tick_ns * 1e-9 * (1 << find_interval(context, tick_ns))
+    try:
+        room = find_room(context.options.array_elements - TAIL_LENGTH, len(context.motors), record_s)
+    except Refusal:
+        return 0.0, 0.0
+    chunk_s = find_chunk_s(room, record_s)
+    elements = len(context.motors) * (chunk_s / record_s + room.tail)
+    # An element is assigned by one command, and its part in a command that reads it back and in the loop takes as long.
+    return chunk_s, elements * 2 * context.options.decode_us * 1e-6
+
+
+def _lower_to_course(
+    context: LoweringContext,
+    profiles: Mapping[str, Profile],
+    bounds: Mapping[str, YaskawaBounds],
+    tick_ns: float,
+    part: ChunkOptions,
+) -> CourseLoad | None:
+    """The first chunk of a path; None for a path of a few records, which needs no second one. Raises `Refusal`."""
+    model, interval = context.model, find_interval(context, tick_ns)
+    tick_s = tick_ns * 1e-9
+    record_s = tick_s * (1 << interval)
+    if part.last and part.end_s < SHORTEST_COURSE * record_s:
+        return None
+    require_speed_range(profiles, tick_s, model)
+    require_record_range(profiles, tick_s, interval, model)
+    room = find_room(context.options.array_elements - TAIL_LENGTH, len(profiles), record_s)
+    maker = RecordMaker({axis: context.motors[axis] for axis in profiles}, interval, room, model)
+    chunk = PathChunk(0, 0.0, part.end_s, part.last, profiles)
+    records = maker.make_first(chunk, 0.0, tick_ns)
+    samples = records.samples(interval)
+    peaks = {axis: max(p.peak_acceleration, part.peak_accelerations.get(axis, 0.0)) for axis, p in profiles.items()}
+    sag_counts = {axis: peak * record_s**2 / 8 for axis, peak in peaks.items()}
+    contour = Contour(interval, records.end + records.full, records.short, dict.fromkeys(profiles, samples), sag_counts)
+    return CourseLoad(
+        contour,
+        {context.motors[axis]: profile for axis, profile in profiles.items()},
+        {context.motors[axis]: samples for axis in profiles},
+        {context.motors[axis]: exact_ramp(axis, bounds[axis].acceleration, tick_s) for axis in profiles},
+        chunk=chunk,
+        maker=maker,
+    )
+
+
+def follow_records(lowered: YaskawaLowered, records: ChunkRecords) -> YaskawaLowered:
+    """The lowered path as far as it is released: to the end of the tail of `records`."""
+    load = lowered.load
+    assert isinstance(load, CourseLoad)
+    samples = records.samples(load.maker.interval)
+    contour = replace(
+        load.contour,
+        records=records.end + records.full,
+        tail=records.short,
+        ends=dict.fromkeys(load.contour.ends, samples),
+    )
+    return replace(
+        lowered,
+        durations_s=dict.fromkeys(lowered.durations_s, records.stop_s),
+        moves=tuple(replace(move, end=records.targets[move.index], samples=samples) for move in lowered.moves),
+        load=replace(load, contour=contour),
+    )
+
+
 def _lower_to_contour(
     context: LoweringContext,
     way: Mapping[str, Profile],
@@ -289,9 +400,8 @@ def _lower_to_contour(
             "number of axes",
             "remove `jerk` from its limits, and move it from standstill to standstill",
         )
-    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS + model.interleaved_commands) * LOOP_SPREAD * options.decode_us * NS_PER_US
     room = ContourLimits(
-        options.array_elements - TAIL_LENGTH, least_interval(loop_ns, tick_ns, model), options.contour_sag_counts
+        options.array_elements - TAIL_LENGTH, find_interval(context, tick_ns), options.contour_sag_counts
     )
 
     def build_records(within: ContourLimits) -> ContourLoad:

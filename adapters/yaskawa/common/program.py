@@ -10,9 +10,10 @@ nothing in between. Contour mode is entered before.
 A contour's records after the first follow in a loop whose next CD comes immediately after WC has passed (L11717), so
 that the whole length of a record is available for it. The loop reads a ring of XW + 1 elements up to record XN, which
 the host raises while it runs: a contour may be longer than the arrays. Its end is in elements of their own, behind the
-ring: records of full length, then shorter ones. Where XN is not raised in time, that end brakes the axes to rest. `#DOG`, the watchdog, runs in a thread of its own from after the
-start of a step to its end: it stops the axes when the deadline XDL has not been extended in time, or when the program
-has died.
+ring: records of full length, then shorter ones. Where XN is not raised in time, that end brakes the axes to rest.
+
+`#DOG`, the watchdog, runs in a thread of its own from after the start of a step to its end: it stops the axes when the
+deadline XDL has not been extended in time, or when the program has died.
 
 A step that follows the present one (`#F<mask>`) waits in the other of two threads: for the end of the present one, then
 at its own release, with its registers loaded; and begins at its sample if all axes are where the present one was to end

@@ -3,10 +3,20 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from adapters.contract import HostInterval, MoveOutcome
+from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
 from adapters.yaskawa.common import arrays
+from adapters.yaskawa.common.course.records import BegunPath, ChunkRecords
+from adapters.yaskawa.common.course.refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.lowering import ContourLoad, RegisterLoad, YaskawaAxisMove, YaskawaLowered, format_fields
+from adapters.yaskawa.common.lowering import (
+    ContourLoad,
+    CourseLoad,
+    RegisterLoad,
+    YaskawaAxisMove,
+    YaskawaLowered,
+    follow_records,
+    format_fields,
+)
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
@@ -36,7 +46,7 @@ LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then it
 class _LoadedMove:
     """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
     another one. released: its release was sent, so it may start by itself. taken: its variables are those of the
-    present step."""
+    present step. records: of a path, the chunk that is released; loaded: the one behind it."""
 
     lowered: YaskawaLowered
     ticks: int
@@ -47,6 +57,8 @@ class _LoadedMove:
     follows: bool = False
     released: bool = False
     taken: bool = True
+    records: ChunkRecords | None = None
+    loaded: ChunkRecords | None = None
 
     @property
     def end_ticks(self) -> int:
@@ -66,6 +78,7 @@ class SampleStart:
         self._options = options
         self._loaded: _LoadedMove | None = None
         self._next: _LoadedMove | None = None
+        self._refill = ContourRefill(device)
 
     # Before T0
 
@@ -95,7 +108,12 @@ class SampleStart:
         # started (L10305).
         shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
         gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog_command(ticks))
-        if isinstance(lowered.load, ContourLoad):
+        if isinstance(lowered.load, CourseLoad):
+            maker = lowered.load.maker
+            records = loaded.records = maker.make_first(lowered.load.chunk, phase, mapping.tick_ns)
+            lowered = loaded.lowered = follow_records(lowered, records)
+            await self._refill.load_first(records, maker.room)
+        elif isinstance(lowered.load, ContourLoad):
             await arrays.load_arrays(session, lowered.load.array_contents(phase, mapping.tick_ns), lowered.load.packets)
         self._loaded = loaded
         await self._load_move(
@@ -112,19 +130,22 @@ class SampleStart:
         """Load the move and the variables in `gate`, read back what was loaded, and send `then` after it. Raises
         `Refusal` if a value differs."""
         load = lowered.load
-        commands = load.load_commands
+        commands, variables = load.load_commands, dict[str, int]()
         if isinstance(load, ContourLoad):
+            records = self._require_loaded().records
+            variables = load.program_variables
+            if isinstance(load, CourseLoad) and records is not None:
+                variables = load.ring_variables(records)
             commands = (
                 f"DC {format_fields(load.brakes)}",
-                *(f"{name}={value}" for name, value in load.program_variables.items()),
+                *(f"{name}={value}" for name, value in variables.items()),
             )
         wanted = {
             f"_{command}{AXIS_LETTERS[index]}": value
             for command, values in self._verified_registers(lowered).items()
             for index, value in values.items()
         }
-        if isinstance(load, ContourLoad):
-            wanted |= load.program_variables
+        wanted |= variables
         wanted["XLI"] = _wait_input_number(lowered)
         held = await self._device.session.set_and_read((*gate, *commands), list(wanted), then)
         for (operand, value), found in zip(wanted.items(), held, strict=True):
@@ -356,6 +377,39 @@ class SampleStart:
             raise Refusal("not-armed", "no move is loaded behind the present one", "arm it first")
         return self._next
 
+    # A path in chunks
+
+    async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
+        """Load the next chunk of the present path. Raises `Refusal`."""
+        present, load, before = self._require_course()
+        if mapping is None:
+            raise Refusal("no-clock", "the controller's clock is not known", "wait a second")
+        first, _ = self._options.begin_ticks(present.mapping.tick_ns, interleaved=True)
+        begun = BegunPath(present.ticks + first, present.t0_ns)
+        records = load.maker.make_next(chunk, before, mapping, begun)
+        played = max(0, round(mapping.to_ticks(self._clock.now_ns())) - begun.tick) >> load.maker.interval
+        present.loaded = None
+        await self._refill.load(records, load.maker.room, played)
+        present.loaded = records
+        return records.fit
+
+    async def release_chunk(self, number: int) -> None:
+        """Change over to the loaded chunk. Raises `Refusal`."""
+        present, load, before = self._require_course()
+        records = present.loaded
+        if records is None or records.number != number:
+            raise Refusal("not-loaded", f"chunk {number} of the path is not loaded", "load it first")
+        present.loaded = None
+        await self._refill.release(records, before, load.maker.room)
+        present.records, present.lowered = records, follow_records(present.lowered, records)
+
+    def _require_course(self) -> tuple[_LoadedMove, CourseLoad, ChunkRecords]:
+        present = self._require_loaded()
+        load = present.lowered.load
+        if not isinstance(load, CourseLoad) or present.records is None:
+            raise Refusal("not-a-path", "the controller executes no path that can be continued", "")
+        return present, load, present.records
+
     # After T0
 
     async def wait_for_start(self) -> Mapping[str, HostInterval]:
@@ -397,12 +451,13 @@ class SampleStart:
     async def wait_for_end(self) -> MoveOutcome:
         """Watch until no axis of the step moves, then return how it ended."""
         loaded = self._require_loaded()
-        moves = loaded.lowered.moves
-        seen_ns = {move.axis: loaded.started[move.axis].earliest_ns for move in moves}
+        seen_ns = {move.axis: loaded.started[move.axis].earliest_ns for move in loaded.lowered.moves}
         ended: dict[str, HostInterval] = {}
-        planned_ns = {axis: loaded.t0_ns + round(s * 1e9) for axis, s in loaded.lowered.durations_s.items()}
         stopped = False
         while True:
+            # A path becomes longer by every chunk.
+            moves = loaded.lowered.moves
+            planned_ns = {axis: loaded.t0_ns + round(s * 1e9) for axis, s in loaded.lowered.durations_s.items()}
             record, present_ticks = await self._read_present()
             if present_ticks not in (None, loaded.ticks):
                 return await self._followed_outcome(loaded)

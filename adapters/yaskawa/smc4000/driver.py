@@ -23,7 +23,14 @@ from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
 from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
-from adapters.yaskawa.common.lowering import START_CLASSES, STOP_EXCHANGES, LoweringContext, YaskawaLowered, lower_moves
+from adapters.yaskawa.common.lowering import (
+    START_CLASSES,
+    STOP_EXCHANGES,
+    LoweringContext,
+    YaskawaLowered,
+    find_chunk_times,
+    lower_moves,
+)
 from adapters.yaskawa.common.model import SMC4000, ModelTraits
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.record import (
@@ -123,7 +130,16 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             disarm_ns=max(release_ns, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
-        return DriverCapabilities(start_classes=START_CLASSES, orders=self.ORDERS, independent_axes=False, costs=costs)
+        plain = 3 not in self.ORDERS or self._serial
+        chunk_s, load_s = (0.0, 0.0) if plain else find_chunk_times(self._context(costs), self._options.tick_ns)
+        return DriverCapabilities(
+            start_classes=START_CLASSES,
+            orders=self.ORDERS,
+            independent_axes=False,
+            costs=costs,
+            chunk_s=chunk_s,
+            chunk_load_s=load_s,
+        )
 
     def _settings_ns(self) -> int:
         """Return how long the check of the settings before a step takes."""
@@ -174,8 +190,10 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Lowered:
-        costs = self._capabilities.costs
-        context = LoweringContext(
+        return lower_moves(self._context(self._capabilities.costs), profiles, start, mapping)
+
+    def _context(self, costs: StepCosts) -> LoweringContext:
+        return LoweringContext(
             self._config,
             self._motors,
             self._options,
@@ -185,7 +203,6 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             axes=self._device.axes_count,
             release_ns=RELEASE_NS,
         )
-        return lower_moves(context, profiles, start, mapping)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, YaskawaLowered):

@@ -212,8 +212,9 @@ class JobRun:
 
     @property
     def is_on_path(self) -> bool:
-        """Whether its present step is a path, which a feed hold would leave: each axis brakes by itself."""
-        return self._motion_step is not None and isinstance(self._motion_step.request.move, FollowPath)
+        """Whether its present step is a path that a feed hold would leave: a member brakes by itself."""
+        motion = self._motion_step.motion if self._motion_step is not None else None
+        return motion is not None and motion.leaves_path
 
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""

@@ -16,6 +16,7 @@ from orchestrator.coordinator.motion.budget import (
 )
 from orchestrator.coordinator.motion.chain import END_SEEN_NS, PresentMove
 from orchestrator.coordinator.motion.path_bound import make_path_bound, require_tolerance
+from orchestrator.coordinator.motion.path_chunks import FirstChunk, plan_first_chunk
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
@@ -36,6 +37,7 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.profile import Profile
 from orchestrator.model.report import PathReport, PredictedSkew, SyncBudget
 from orchestrator.model.state import StepCosts
+from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan
 
 ROUNDS = 3
@@ -58,7 +60,7 @@ class StartAgreement:
     line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
     hold. path: of a path, with its bound. advance_ns: how much earlier than armed the step starts; within
     tick_residual_ns a whole number of the ticks of every member. aligned: T0 is an instant at which ticks coincide, and
-    is not advanced.
+    is not advanced. first: of a path that members execute in chunks.
     """
 
     plan: StepPlan
@@ -71,6 +73,7 @@ class StartAgreement:
     tick_residual_ns: int = 0
     aligned: bool = False
     present: PresentMove | None = None
+    first: FirstChunk | None = None
     _shares: "tuple[StepPlan, dict[str, dict[str, Profile]]] | None" = None
 
     @property
@@ -182,8 +185,9 @@ class StartNegotiation:
         """
         if self._present is not None:
             return await self._agree_following()
-        plan, by_line = self._planned.plan, self._request.start_class == "line"
-        first = StartAgreement(plan, aligned=bool(self._request.move.align))
+        chunk = await self._plan_first_chunk()
+        plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
+        first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk)
         lines = [line for wire in self._view.fleet.wiring if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
             raise Refusal(
@@ -206,6 +210,20 @@ class StartNegotiation:
             assert refused is not None
             raise refused
         return agreed
+
+    async def _plan_first_chunk(self) -> FirstChunk | None:
+        """The first chunk of a path, if members can execute it in chunks. Raises `Refusal`."""
+        planned = self._planned
+        if planned.path is None:
+            return None
+        members = dict.fromkeys(controller_of(axis) for axis in planned.plan.profiles)
+        try:
+            infos = {member: await self._view.query_info(member) for member in members}
+            return plan_first_chunk(planned.path, planned.plan, infos, planned.begun_s)
+        except BusError as error:
+            raise Refusal("absent", str(error), "check that its adapter host is running") from None
+        except PlanError as error:
+            raise Refusal("plan", str(error)) from None
 
     async def _agree_following(self) -> StartAgreement:
         """Agree on a step that follows a moving one: each member starts it by its own clock, or by its host."""
@@ -258,16 +276,19 @@ class StartNegotiation:
             )
         profiles = {member: agreement.profiles(member) for member in movers}
         deviations = make_deviations(agreement.proposals, profiles, agreement.plan.duration_s)
-        if request.is_synchronised:
+        if request.is_synchronised and agreement.first is None:
             end = predict_end(budget, deviations, request.max_end_skew_ns)
             path = predict_path(budget, deviations, request.max_path_skew_ns)
             agreement.budget = budget.model_copy(update={"end": end, "path": path})
             _require_allowed("end", end)
             _require_allowed("path", path)
         if self._planned.path is not None:
-            bound = make_path_bound(self._planned.path, agreement.proposals, windows)
+            path, first = self._planned.path, agreement.first
+            within_s = {} if first is None else dict.fromkeys(first.members, first.most_s + first.load_s)
+            bound = make_path_bound(path, agreement.proposals, windows, within_s)
             require_tolerance(bound, agreement.movers)
-            agreement.path = self._planned.path.make_report(agreement.plan.duration_s, bound)
+            duration_s = agreement.plan.duration_s if first is None else path.course.duration_s
+            agreement.path = path.make_report(duration_s, bound)
 
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
         """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the
@@ -291,12 +312,13 @@ class StartNegotiation:
             "follows": agreement.present is not None,
         }
         start_class = "auto" if wish == "line" else wish
+        first = agreement.first
         return {
             member: (
                 line.start_options(member, lead_ns)
                 if line is not None and line.covers(member)
                 else StartOptions(start_class=start_class, lead_ns=lead_ns)
-            ).model_copy(update=common)
+            ).model_copy(update={**common, "chunk": None if first is None else first.options(member)})
             for member in members
         }
 
@@ -325,7 +347,7 @@ class StartNegotiation:
         # The lead time of the same members' last step usually saves a round; bounds over a longer one would be wider.
         movers = frozenset(agreement.movers)
         agreement.lead_ns = agreement.lead_ns or round(LEAD_FACTOR * self._estimator.last_leads_ns.get(movers, 0))
-        synchronised = self._request.is_synchronised
+        synchronised = self._request.is_synchronised and agreement.first is None
         for _ in range(ROUNDS):
             await self._propose(agreement)
             durations = {

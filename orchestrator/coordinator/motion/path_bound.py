@@ -25,9 +25,13 @@ _REMEDIES: dict[PathTermName, str] = {
 
 
 def make_path_bound(
-    path: PlannedPath, proposals: Mapping[str, Proposal], windows: Mapping[str, StartWindow]
+    path: PlannedPath,
+    proposals: Mapping[str, Proposal],
+    windows: Mapping[str, StartWindow],
+    within_s: Mapping[str, float],
 ) -> PathBound:
-    """The bound of a path whose members have answered. windows: of their starts."""
+    """The bound of a path whose members have answered. windows: of their starts. within_s: by member, the longest time
+    from a fit of its clock to the end of the chunk that relies on it; others rely on that of the start."""
     terms = [PathTerm(name="profile-fit", size=path.fit_error)]
     for member in windows:
         errors = [
@@ -41,7 +45,8 @@ def make_path_bound(
         for member, half_s in halves.items():
             times_s, speeds = path.find_speeds(member)
             terms.append(PathTerm(name="start", member=member, size=half_s * float(speeds.max())))
-            drift = proposals[member].clock_ppm * 1e-6 * float((times_s * speeds).max())
+            ages_s = np.minimum(times_s, within_s.get(member, np.inf))
+            drift = proposals[member].clock_ppm * 1e-6 * float((ages_s * speeds).max())
             terms.append(PathTerm(name="clock", member=member, size=drift))
     return PathBound(
         unit=path.report.unit,

@@ -17,6 +17,8 @@ from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan, plan_step
 
+MAX_REST_COUNTS = 1  # by which an axis may stand beside the place where its path was braked: rounding
+
 
 @dataclass(frozen=True, slots=True)
 class StepRequest:
@@ -65,8 +67,8 @@ class PlannedStep:
     """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller.
 
     ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
-    the steps before it will leave its axes; it is proposed, and never armed. path: of a path, for its
-    bound.
+    the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
+    motion begins, in its time: after a feed hold, not at its start.
     """
 
     request: StepRequest
@@ -76,6 +78,7 @@ class PlannedStep:
     ends: Mapping[str, tuple[Fraction, int]] = field(default_factory=dict[str, tuple[Fraction, int]])
     rehearsal: bool = False
     path: PlannedPath | None = None
+    begun_s: float = 0.0
 
 
 async def plan_request(
@@ -97,6 +100,37 @@ async def plan_request(
         states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
     context = AxisContext(view.fleet, states, infos, services.targets)
     return _plan_from(services, request, context, goal, instances)
+
+
+@dataclass(frozen=True, slots=True)
+class PathRest:
+    """Where a path was braked: at `path_s` of its own time. planned: the step as it was planned."""
+
+    planned: PlannedStep
+    path_s: float
+    counts: Mapping[str, int]
+
+
+async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
+    """Plan the rest of a path from where its axes were braked on it. Raises `Refusal`."""
+    planned, view = rest.planned, services.fleet.view
+    assert planned.path is not None
+    missing = services.fleet.permits.find_missing(planned.request.axes)
+    if missing is not None:
+        raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
+    counts: dict[str, int] = {}
+    instances: dict[str, str] = {}
+    for controller in dict.fromkeys(map(controller_of, rest.counts)):
+        state, _ = await _query_controller(view, controller, None)
+        instances[controller] = state.instance
+        counts |= {f"{controller}.{name}": axis.commanded_counts for name, axis in state.axes.items()}
+    for axis, expected in rest.counts.items():
+        if abs(counts[axis] - expected) > MAX_REST_COUNTS:
+            text = f"axis {axis} is at {counts[axis]} counts; it was braked on its path at {expected}"
+            raise Refusal("other-start", text, "submit the job again", controller_of(axis))
+    course = planned.path.course.restart(rest.path_s, counts)
+    path = replace(planned.path, course=course)
+    return replace(planned, instances=instances, path=path, begun_s=rest.path_s)
 
 
 async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:

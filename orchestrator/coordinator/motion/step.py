@@ -10,7 +10,8 @@ from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
-from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest, plan_request
+from orchestrator.coordinator.motion.path_feed import PathFeed
+from orchestrator.coordinator.motion.planning import PathRest, PlannedStep, StepRequest, plan_request, plan_resumed
 from orchestrator.coordinator.motion.recorder import StepRecorder
 from orchestrator.coordinator.motion.report import judge_completed_step, make_step_report
 from orchestrator.coordinator.motion.sampling import StepSampler
@@ -19,7 +20,10 @@ from orchestrator.coordinator.motion.start import FEED_HOLD, StartSequence, Stat
 from orchestrator.coordinator.motion.watch import StepWatch
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import RefusalDetails
-from orchestrator.model.report import StepReport
+from orchestrator.model.report import PathStop, StepReport
+
+BRAKED = "braked"  # code of a path that was braked along it, because a chunk was not loaded in time
+MAX_STOPS = 3  # of one path, after which it ends
 
 
 class StepObserver(Protocol):
@@ -49,6 +53,7 @@ class PlannedMotion:
     agreement: StartAgreement
     start: StartSequence
     watch: StepWatch
+    feed: PathFeed | None = None
 
     @classmethod
     async def agree(
@@ -62,8 +67,16 @@ class PlannedMotion:
         # Events and permits count from before arming: a stop, or the loss of a permit, may come at any moment.
         permit_watch = services.fleet.permits.watch_losses(agreement.plan.profiles)
         start = StartSequence(services, planned.request, negotiation, agreement, permit_watch)
+        feed = PathFeed(services, planned.request, agreement, start.state) if agreement.first is not None else None
         watch = StepWatch(services, planned, agreement, start.state, permit_watch)
-        return cls(planned, agreement, start, watch)
+        watch.feed = feed
+        return cls(planned, agreement, start, watch, feed)
+
+    @property
+    def duration_s(self) -> float:
+        """From T0 to the end, as planned."""
+        path = self.planned.path
+        return self.agreement.plan.duration_s if path is None else path.course.duration_s - self.planned.begun_s
 
     def make_present(self, between: BetweenSteps) -> PresentMove:
         """The step as the one that another step follows; once T0 is decided."""
@@ -75,12 +88,21 @@ class PlannedMotion:
             between,
         )
 
+    @property
+    def leaves_path(self) -> bool:
+        """Whether a feed hold would leave its path: a member has all of it loaded, and brakes by itself."""
+        first = self.agreement.first
+        return self.planned.path is not None and (first is None or not first.covers_all)
+
     async def feed_hold(self, fleet: FleetAccess, actor: str, *, begun: bool = True) -> None:
-        """Prevent the start, and brake the members, once. begun: they may be moving, or about to."""
+        """Prevent the start, and brake the members, once: on a path along it. begun: they may be moving, or about
+        to."""
         state = self.start.state
         if state.paused_by is None:
             state.paused_by = actor
-            if begun:
+            if begun and self.feed is not None:
+                await self.feed.hold(actor)
+            elif begun:
                 await fleet.stop_members(self.agreement.movers, "feed-hold", actor, f"paused by {actor}")
 
 
@@ -92,6 +114,8 @@ class MotionStep:
         self._request = request
         self._goal: dict[str, Fraction] = {}
         self._motion: PlannedMotion | None = None
+        self._rest: PathRest | None = None
+        self._stops: list[PathStop] = []
 
     @property
     def request(self) -> StepRequest:
@@ -106,21 +130,34 @@ class MotionStep:
     async def run(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
         """Run the step to its end; the report tells how it went. Raises `Refusal` when nothing has moved.
 
-        seen_ns: since when nothing has been done with its axes; None: unknown.
+        seen_ns: since when nothing has been done with its axes; None: unknown. A path that was braked because a chunk
+        came too late goes on from there.
         """
+        report = await self._run_once(observer, seen_ns)
+        while report.refused is not None and report.refused.code == BRAKED and len(self._stops) <= MAX_STOPS:
+            report = await self._run_once(observer, None)
+        if report.path is not None and self._stops:
+            report = report.model_copy(update={"path": report.path.model_copy(update={"stops": self._stops})})
+        return report
+
+    async def _plan(self, seen_ns: int | None) -> PlannedStep:
+        if self._rest is not None:
+            return await plan_resumed(self._services, self._rest)
+        return await plan_request(self._services, self._request, self._goal, seen_ns)
+
+    async def _run_once(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
         services, request = self._services, self._request
-        planned = await run_while_recording(
-            observer.on_state("planning", ""), plan_request(services, request, self._goal, seen_ns)
-        )
+        planned = await run_while_recording(observer.on_state("planning", ""), self._plan(seen_ns))
         self._goal = {axis: exact for axis, (exact, _) in planned.resolved.exact.items()}
         if not planned.plan.profiles:
             name = request.move.name or ""
             return StepReport(index=request.index, do=request.move.do, name=name, state="done", reason="already there")
         motion = self._motion = await PlannedMotion.agree(services, planned)
-        recorder = StepRecorder(services.fleet.view, motion.agreement.plan.profiles)
+        whole = planned.plan if planned.path is not None and not planned.begun_s else motion.agreement.plan
+        recorder = StepRecorder(services.fleet.view, whole.profiles)
         sampler = StepSampler(services, request)
         try:
-            await sampler.begin(motion.agreement.plan.duration_s, motion.agreement.lead_ns)
+            await sampler.begin(motion.duration_s, motion.agreement.lead_ns)
             await motion.start.run(observer.on_state)
         except BaseException as error:
             self._end_motion(motion)
@@ -154,17 +191,20 @@ class MotionStep:
         """Watch the members, which are released, and store what was recorded meanwhile."""
         services, request, start = self._services, self._request, motion.start
         done: StepReport | None = None
+        feeding = None if motion.feed is None else asyncio.get_running_loop().create_task(motion.feed.run())
         try:
             await observer.on_state("running", "")
-            observer.on_started(start.state.t0_fleet_ns, motion.agreement.plan.duration_s)
+            observer.on_started(start.state.t0_fleet_ns, motion.duration_s)
             await motion.watch.run()
-            done = report = await self._finish(start, motion.watch, motion.agreement)
+            done = report = await self._finish(motion)
         except asyncio.CancelledError:
             # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
             # would wait for T0, and refuse the next job until then.
             await start.disarm_line_driver()
             raise
         finally:
+            if feeding is not None:
+                feeding.cancel()
             self._end_motion(motion)
             recording = recorder.finish(request.index, request.move.name or "", start.state.t0_fleet_ns)
             for listener in services.listeners:
@@ -176,9 +216,31 @@ class MotionStep:
         await services.execute(services.journal.store_recording, request.job_id, recording)
         return report
 
-    async def _finish(self, start: StartSequence, watch: StepWatch, agreement: StartAgreement) -> StepReport:
+    def _rest_on_path(self, motion: PlannedMotion, feed: PathFeed) -> StepReport:
+        """The report of a path that was braked along it, by a feed hold or because a chunk came too late: the next run
+        goes on from there."""
+        start, chunk = motion.start, feed.chunk
+        counts = {axis: profile.end_counts for axis, profile in chunk.profiles.items()}
+        self._rest = PathRest(motion.planned, chunk.stop_path_s, counts)
+        code, reason = FEED_HOLD, f"paused by {feed.held_by}"
+        if feed.held_by is None:
+            why = feed.failure or Refusal("late", "the next chunk was not released in time")
+            code, reason = BRAKED, f"braked on the path at {chunk.stop_path_s:.1f} s: {why}"
+            self._stops.append(PathStop(at_s=round(chunk.stop_path_s, 3), member=why.controller or "", reason=str(why)))
+        report = make_step_report(
+            self._request, motion.agreement, start.state, motion.watch.reports, ("stopped", reason)
+        )
+        return report.model_copy(update={"refused": RefusalDetails(code=code, text=reason)})
+
+    async def _finish(self, motion: PlannedMotion) -> StepReport:
         """Stop all members if one has failed, and make the report."""
+        start, watch, agreement, feed = motion.start, motion.watch, motion.agreement, motion.feed
         failure, request, fleet = watch.failure, self._request, self._services.fleet
+        if feed is not None:
+            agreement.plan = feed.plan
+            watch.set_durations(feed.ends_s)
+            if failure is None and not watch.paused and not feed.is_complete:
+                return self._rest_on_path(motion, feed)
         if failure is not None:
             await fleet.stop_members(agreement.movers, "decelerate", request.job.actor, failure[1])
             await start.disarm_line_driver()

@@ -1,10 +1,12 @@
 """Supervision of a motion step from its start to its end."""
 
 import asyncio
+from collections.abc import Mapping
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.motion.negotiation import StartAgreement
+from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.report import make_member_report, narrow_evidence
 from orchestrator.coordinator.motion.services import MotionServices
@@ -50,11 +52,20 @@ class StepWatch:
         self.reports: dict[str, MemberReport] = {}
         self.failure: Failure | None = None
         self.paused = False
+        self.feed: PathFeed | None = None
+        """Of a path that becomes longer while it is executed."""
 
     def close(self) -> None:
         """Remove the listeners."""
         for remove in self._removals:
             remove()
+
+    def set_durations(self, ends_s: Mapping[str, float]) -> None:
+        """Set how long members of a path have moved, from T0, as they have stated with its last chunk."""
+        for member, end_s in ends_s.items():
+            report = self.reports[member]
+            lowered = dict.fromkeys(report.lowered_s, end_s)
+            self.reports[member] = report.model_copy(update={"lowered_s": lowered, "planned_s": lowered})
 
     async def run(self) -> None:
         """Return as soon as all members have ended, or one has failed."""
@@ -71,6 +82,8 @@ class StepWatch:
             event = await self._next_event()
             if event is not None:
                 self._take_event(event)
+            if self.feed is not None:
+                ends_ns = max(ends_ns, self._state.t0_fleet_ns + round((self.feed.chunk.stop_s + settle_s) * NS_PER_S))
             self.failure = self.failure or self._find_overdue(ends_ns)
 
     def _take_event(self, event: ControllerEvent) -> None:

@@ -192,7 +192,9 @@ def _find_plateaus(motion: CoarseMotion, begin: Array, end: Array, width: Array)
             break
         covered = motion.positions_at(left + window) - motion.positions_at(left)
         longest = np.where(level > 0.0, longest, window / 2)
-        narrower = np.clip(window * width * level / np.maximum(covered, 1e-300), np.minimum(end - begin, longest), longest)
+        narrower = np.clip(
+            window * width * level / np.maximum(covered, 1e-300), np.minimum(end - begin, longest), longest
+        )
         narrower = np.where(level > 0.0, narrower, longest)
         moved = np.abs(window - narrower)
         bracket = np.maximum(left - moved, end - narrower), np.minimum(left + moved, begin)

@@ -1,0 +1,78 @@
+"""A path in chunks: each is loaded while the controller executes the one before it, and released by all members."""
+
+import asyncio
+
+from adapters.contract import Driver, PathChunk
+from adapters.controller.armed_step import ArmedStep, StepPhase
+from adapters.controller.fencing import EpochFence
+from adapters.controller.leases import MotionLeases
+from adapters.controller.limits import check_path_limits
+from adapters.controller.participant import StepParticipant
+from adapters.controller.status import ControllerStatus
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import ChunkReply, LoadChunkRequest, ReleaseChunkRequest, Reply
+
+
+class PathChunks:
+    """The chunks of the present path of one controller."""
+
+    def __init__(
+        self,
+        participant: StepParticipant,
+        driver: Driver,
+        fence: EpochFence,
+        leases: MotionLeases,
+        status: ControllerStatus,
+    ) -> None:
+        self._participant = participant
+        self._driver = driver
+        self._fence = fence
+        self._leases = leases
+        self._status = status
+        self._lock = asyncio.Lock()
+        self._loaded: PathChunk | None = None
+        self._stop_s = 0.0
+
+    async def load(self, request: LoadChunkRequest) -> ChunkReply:
+        """Load the next chunk, with the present clock mapping; it is not executed yet. Raises `Refusal`."""
+        async with self._lock:
+            self._loaded = None
+            step = self._require_step(request)
+            if set(request.profiles) != set(step.axes):
+                raise Refusal("other-axes", "a chunk moves the axes of its path", "")
+            self._leases.require_lease(request.job, request.profiles)
+            check_path_limits(self._status, request.profiles)
+            options = request.chunk
+            chunk = PathChunk(request.number, request.begin_s, options.end_s, options.last, request.profiles)
+            fit = await self._driver.load_chunk(chunk, self._driver.clock_mapping())
+            self._require_step(request)
+            self._loaded, self._stop_s = chunk, fit.stop_s
+            return ChunkReply(
+                stop_s=fit.stop_s,
+                drift_ns=fit.drift_ns,
+                left_ns=fit.left_ns,
+                bound_ns=fit.bound_ns,
+                path_error_counts=dict(fit.path_error_counts),
+            )
+
+    async def release(self, request: ReleaseChunkRequest) -> Reply:
+        """Change over to the loaded chunk. Raises `Refusal` (code `late`): the present one is executed to its end."""
+        async with self._lock:
+            step, chunk = self._require_step(request), self._loaded
+            if chunk is None or chunk.number != request.number:
+                raise Refusal("not-loaded", f"chunk {request.number} is not loaded", "load it first")
+            self._loaded = None
+            await self._driver.release_chunk(request.number)
+            self._require_step(request)
+            # What the step has promised so far grows with every chunk.
+            step.promised_s.update(dict.fromkeys(step.promised_s, self._stop_s))
+            return Reply()
+
+    def _require_step(self, request: LoadChunkRequest | ReleaseChunkRequest) -> ArmedStep:
+        self._fence.require_no_estop()
+        step = self._participant.armed_step
+        if step is None or not step.is_for(request, request.t0_fleet_ns):
+            raise Refusal("not-moving", f"job {request.job} step {request.step} is not being executed", "")
+        if step.phase not in (StepPhase.RELEASED, StepPhase.MOVING):
+            raise Refusal("wrong-phase", f"the path is {step.phase.value}, not moving", "")
+        return step

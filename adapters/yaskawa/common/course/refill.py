@@ -1,0 +1,93 @@
+"""Loading and releasing of chunks in the controller.
+
+The first chunk is downloaded. QD and QU are refused while an axis moves (L8545-8577): further chunks are assigned
+element by element, and read back like any operand, which takes the interpreter about half a millisecond each.
+
+The program reads record after record up to XN, and then the tail at XTB. A chunk is released by one assignment of XN,
+whose value the controller itself computes from what it plays at that moment: too late, and XN stays as it is.
+"""
+
+from adapters.yaskawa.common import arrays
+from adapters.yaskawa.common.course.records import SPARE_RECORDS, ChunkRecords, RingRoom
+from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.program import TAIL, TAIL_LENGTH, array_name
+from orchestrator.model.errors import Refusal
+
+AT_ONCE = 24  # elements in one turn
+LEAST_AHEAD = 2  # records between what is played and a change
+
+
+class ContourRefill:
+    """The arrays of one controller while it executes a path."""
+
+    def __init__(self, device: SmcDevice) -> None:
+        self._device = device
+
+    async def load_first(self, records: ChunkRecords, room: RingRoom) -> None:
+        """Allocate the arrays, and load the first chunk. Raises `Refusal`."""
+        sizes = {array_name(index): room.elements for index in records.counts}
+        await arrays.allocate_arrays(self._device.session, {**sizes, TAIL: TAIL_LENGTH})
+        await arrays.fill_arrays(self._device.session, _list_parts(records))
+
+    async def load(self, records: ChunkRecords, room: RingRoom, played: int) -> None:
+        """Load a further chunk. played: the record that is executed now. Raises `Refusal`."""
+        if records.end - played > room.ring - SPARE_RECORDS:
+            raise Refusal("no-room", "the chunk does not fit beside what is still to be executed", "load it later")
+        session = self._device.session
+        wanted = {
+            f"{name}[{first + place}]": value
+            for name, first, values in _list_parts(records)
+            for place, value in enumerate(values)
+        }
+        names = list(wanted)
+        # In small turns: the watchdog is extended, and the clock read, in between.
+        for at in range(0, len(names), AT_ONCE):
+            await session.send_settings([f"{name}={wanted[name]}" for name in names[at : at + AT_ONCE]])
+        for at in range(0, len(names), AT_ONCE):
+            asked = names[at : at + AT_ONCE]
+            for name, held in zip(asked, await session.read_many(asked), strict=True):
+                if held != wanted[name]:
+                    text = f"{name} contains {held:.0f}, not {wanted[name]}"
+                    raise Refusal("read-back", text, "try again")
+
+    async def release(self, records: ChunkRecords, before: ChunkRecords, room: RingRoom) -> None:
+        """Change over to a loaded chunk, behind or inside the one before. Raises `Refusal`."""
+        tail, old = records.tail_variables(room), before.tail_variables(room)
+        if records.end > before.end:
+            await self._set_end(f"XN-{LEAST_AHEAD}", records.end)
+            # Its own end is a chunk away.
+            await self._set_tail(tail)
+            return
+        await self._set_tail(tail)
+        try:
+            await self._set_end(str(records.end - LEAST_AHEAD), records.end)
+        except Refusal:
+            await self._set_tail(old)
+            raise
+
+    async def _set_end(self, latest: str, end: int) -> None:
+        """Set XN, if the controller finds that the next record is before `latest`. Operations are done from left to
+        right."""
+        session = self._device.session
+        await session.send_settings([f"XN=(({end}-XN)*(XI<({latest})))+XN"])
+        (held, played), _ = await session.read_numbers("XN", "XI")
+        if int(held) != end or played > end:
+            raise Refusal("late", "the controller has passed the place where the path was to be continued", "")
+
+    async def _set_tail(self, tail: dict[str, int]) -> None:
+        session = self._device.session
+        await session.send_settings([f"{name}={value}" for name, value in tail.items()])
+        held, _ = await session.read_numbers(*tail)
+        if [int(value) for value in held] != list(tail.values()):
+            raise Refusal("read-back", f"{', '.join(tail)} do not contain the values that were loaded", "try again")
+
+
+def _list_parts(records: ChunkRecords) -> list[tuple[str, int, list[int]]]:
+    """(array, first element, elements) of a chunk."""
+    parts = [
+        (array_name(index), part.first, values)
+        for part in records.parts
+        for index, values in part.values.items()
+        if values
+    ]
+    return [*parts, (TAIL, 0, list(records.short))] if records.short else parts

@@ -1,0 +1,257 @@
+"""The course of a path while it is executed: chunk after chunk is planned, loaded by all members, and released.
+
+A chunk that is not loaded in time is not released: the members brake along the path, by the tail of the present one. A
+chunk that not all members have taken over, although all had loaded it, ends the step: the others would leave the path.
+"""
+
+import asyncio
+from collections.abc import Mapping
+from contextlib import suppress
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.motion.negotiation import StartAgreement
+from orchestrator.coordinator.motion.path_chunks import FirstChunk
+from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.motion.start import StartState
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import (
+    ChunkReply,
+    LoadChunkRequest,
+    ReleaseChunkRequest,
+    Reply,
+    raise_first_refusal,
+)
+from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.profile import Profile
+from orchestrator.plan.path_clock import PathClock
+from orchestrator.plan.path_course import SWITCH_S, ChunkPlan
+from orchestrator.plan.shape import PlanError
+from orchestrator.plan.step import StepPlan
+
+RELEASE_S = 0.4  # before the end of a chunk, releasing the next one begins at the latest
+RETRY_S = 0.2
+REACTIONS_S = (0.3, 0.6, 1.2)  # from now to the place where a path is changed: loading and releasing fit in between
+
+
+class PathFeed:
+    """The chunks of one path.
+
+    chunk: the one that is released. number: of it. failure: why the path is not continued beyond it. held_by: the
+    originator of a feed hold, which brakes along the path.
+    """
+
+    def __init__(
+        self, services: MotionServices, request: StepRequest, agreement: StartAgreement, state: StartState
+    ) -> None:
+        assert agreement.first is not None
+        self._services = services
+        self._request = request
+        self._first: FirstChunk = agreement.first
+        self._state = state
+        self._tolerance = agreement.path.bound if agreement.path is not None else None
+        self._lock = asyncio.Lock()
+        self._changed = asyncio.Event()
+        self._clock: PathClock = self._first.clock
+        self.chunk: ChunkPlan = self._first.chunk
+        self.number = 0
+        self.ends_s: Mapping[str, float] = {}
+        """By member, when it is at rest, as it states."""
+        self.failure: Refusal | None = None
+        self.held_by: str | None = None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether what is released reaches the end of the path."""
+        return self.chunk.last
+
+    @property
+    def plan(self) -> StepPlan:
+        """The plan of the step up to the end of what is released."""
+        profiles = {**self._first.plan.profiles, **self.chunk.profiles}
+        return StepPlan(self.chunk.stop_s, profiles, self._first.plan.unmoved)
+
+    @property
+    def rate(self) -> float:
+        """The present feed override, 1.0 as planned."""
+        return self._clock.rate
+
+    def _now_s(self) -> float:
+        return (self._services.leadership.fleet_now_ns() - self._state.t0_fleet_ns) / NS_PER_S
+
+    # Continuation
+
+    async def run(self) -> None:
+        """Continue the path until its last chunk is released, it is held, or a chunk cannot be loaded. A task in
+        parallel with the supervision of the step."""
+        while not self.chunk.last and self.failure is None and self.held_by is None:
+            due_s = self.chunk.end_s - self._first.load_s
+            self._changed.clear()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(max(0.0, due_s - self._now_s())):
+                    await self._changed.wait()
+                continue
+            async with self._lock:
+                await self._continue()
+
+    async def _continue(self) -> None:
+        """Load and release the next chunk, again as long as there is time."""
+        if self.chunk.last or self.held_by is not None:
+            return
+        latest_s = self.chunk.end_s - RELEASE_S
+        try:
+            following = self._first.course.plan_chunk(self._clock, self.chunk.end_s - SWITCH_S, self._first.most_s)
+        except (Refusal, PlanError) as error:
+            self._give_up(error if isinstance(error, Refusal) else Refusal("plan", str(error)))
+            return
+        while True:
+            try:
+                await self._load(following, latest_s)
+                break
+            except Refusal as refusal:
+                self._services.fleet.log.warning(
+                    f"chunk {following.begin_s:.1f} s: {refusal}", job=self._request.job_id
+                )
+                if self._now_s() + RETRY_S >= latest_s:
+                    self._give_up(refusal)
+                    return
+            await asyncio.sleep(RETRY_S)
+        try:
+            await self._release(following)
+        except Refusal as refusal:
+            self._give_up(refusal)
+
+    def _give_up(self, refusal: Refusal) -> None:
+        self.failure = refusal
+
+    async def _load(self, chunk: ChunkPlan, latest_s: float) -> None:
+        """Have all members load a chunk. Raises `Refusal`."""
+        requests = self._services.fleet.requests
+        shares = self._share(chunk.profiles)
+        asked = {
+            member: LoadChunkRequest(
+                **requests.request_fields(self._request.job.actor),
+                job=self._request.job_id,
+                step=self._request.index,
+                t0_fleet_ns=self._state.t0_fleet_ns,
+                number=self.number + 1,
+                begin_s=chunk.begin_s,
+                chunk=options,
+                profiles=shares[member],
+            )
+            for member in shares
+            if (options := self._first.options(member, chunk)) is not None
+        }
+        replies = await requests.request_all("load-chunk", asked, ChunkReply, max(0.1, latest_s - self._now_s()))
+        raise_first_refusal(replies)
+        if self._now_s() > latest_s:
+            raise Refusal("late", "the chunk was loaded too late", "")
+        self.ends_s = {member: reply.stop_s for member, reply in replies.items()}
+
+    async def _release(self, chunk: ChunkPlan) -> None:
+        """Have all members change over to a loaded chunk. Raises `Refusal`: some of them may have."""
+        requests = self._services.fleet.requests
+        asked = {
+            member: ReleaseChunkRequest(
+                **requests.request_fields(self._request.job.actor),
+                job=self._request.job_id,
+                step=self._request.index,
+                t0_fleet_ns=self._state.t0_fleet_ns,
+                number=self.number + 1,
+            )
+            for member in self._share(chunk.profiles)
+        }
+        replies = await requests.request_all("release-chunk", asked, Reply, RELEASE_S)
+        refused = [member for member, reply in replies.items() if reply.refused is not None]
+        if refused and len(refused) == len(replies) and all(_is_late(reply) for reply in replies.values()):
+            raise_first_refusal(replies)  # none has changed over
+        self.number += 1
+        self.chunk = chunk
+        if refused:
+            await self._services.fleet.stop_members(
+                list(asked), "decelerate", self._request.job.actor, f"{refused[0]} has not continued the path"
+            )
+            raise_first_refusal(replies)
+
+    def _share(self, profiles: Mapping[str, Profile]) -> dict[str, dict[str, Profile]]:
+        """The profiles by member and its own axis names."""
+        shares: dict[str, dict[str, Profile]] = {}
+        for axis, profile in profiles.items():
+            member, name = split_name(axis)
+            if member in self._first.members:
+                shares.setdefault(member, {})[name] = profile
+        return shares
+
+    # Changes of speed
+
+    async def hold(self, actor: str) -> None:
+        """Brake along the path as soon as all members can, at the latest at the end of what is released."""
+        async with self._lock:
+            if self.held_by is not None or not self._first.covers_all:
+                return
+            self.held_by = actor
+            for reaction_s in REACTIONS_S:
+                try:
+                    if await self._cut(self._first.course.brake(self._clock, self._now_s() + reaction_s)):
+                        break
+                except (Refusal, PlanError) as error:
+                    self._services.fleet.log.info(f"not held yet: {error}", job=self._request.job_id)
+            self._changed.set()
+
+    async def _cut(self, clock: PathClock) -> bool:
+        """Brake by `clock` before the end of what is released; False if that ends before."""
+        brake = clock.ramps[-1]
+        if brake.begin_s >= self.chunk.end_s or brake.begin_s - SWITCH_S <= self.chunk.begin_s:
+            return brake.begin_s >= self.chunk.end_s
+        chunk = self._first.course.plan_stop(clock, brake.begin_s - SWITCH_S)
+        await self._load(chunk, brake.begin_s - SWITCH_S / 2)
+        await self._release(chunk)
+        return True
+
+    async def override(self, rate: float) -> None:
+        """Play the path at another rate, from where all members can. Raises `Refusal`."""
+        async with self._lock:
+            if not self._first.covers_all:
+                others = ", ".join(
+                    sorted({controller_of(axis) for axis in self._first.plan.profiles} - self._first.members)
+                )
+                raise Refusal("override", f"{others} has the whole path loaded already", "wait for its end")
+            if self.held_by is not None or self.failure is not None:
+                raise Refusal("override", "the path is being braked", "resume it first")
+            refused = Refusal("override", "the path is about to end", "")
+            for reaction_s in REACTIONS_S:
+                try:
+                    await self._change_rate(self._now_s() + 2 * reaction_s, rate)
+                except (Refusal, PlanError) as error:
+                    refused = error if isinstance(error, Refusal) else Refusal("plan", str(error))
+                    if refused.code == "override" or self.failure is not None:
+                        break
+                else:
+                    self._changed.set()
+                    return
+            raise refused
+
+    async def _change_rate(self, from_s: float, rate: float) -> None:
+        """Cut what is released short where the rate changes, and continue it from there."""
+        course = self._first.course
+        changed = course.change_rate(self._clock, min(from_s, self.chunk.end_s), rate)
+        begin_s = changed.ramps[-1].begin_s
+        if begin_s < self.chunk.end_s:
+            # Where it is braked if the second chunk does not come in time.
+            cut = course.brake(self._clock, begin_s)
+            if cut.ramps[-1].begin_s != begin_s:
+                changed = course.change_rate(self._clock, cut.ramps[-1].begin_s, rate)
+            if not await self._cut(cut):
+                raise Refusal("late", "the chunk ends before", "")
+        following = course.plan_chunk(changed, self.chunk.end_s - SWITCH_S, self._first.most_s)
+        try:
+            await self._load(following, self.chunk.end_s - SWITCH_S / 2)
+            await self._release(following)
+        except Refusal as refusal:
+            self._give_up(refusal)
+            raise
+        self._clock = changed
+
+
+def _is_late(reply: Reply) -> bool:
+    return reply.refused is not None and reply.refused.code == "late"
