@@ -30,42 +30,41 @@ class PathChunks:
         self._leases = leases
         self._status = status
         self._lock = asyncio.Lock()
-        self._loaded: PathChunk | None = None
-        self._stop_s = 0.0
+        self._loaded: tuple[PathChunk, float] | None = None
 
     async def load(self, request: LoadChunkRequest) -> ChunkReply:
-        """Load the next chunk, with the present clock mapping; it is not executed yet. Raises `Refusal`."""
-        async with self._lock:
-            self._loaded = None
-            step = self._require_step(request)
-            if set(request.profiles) != set(step.axes):
-                raise Refusal("other-axes", "a chunk moves the axes of its path", "")
-            self._leases.require_lease(request.job, request.profiles)
-            check_path_limits(self._status, request.profiles)
-            options = request.chunk
-            chunk = PathChunk(request.number, request.begin_s, options.end_s, options.last, request.profiles)
-            fit = await self._driver.load_chunk(chunk, self._driver.clock_mapping())
-            self._require_step(request)
-            self._loaded, self._stop_s = chunk, fit.stop_s
-            return ChunkReply(
-                stop_s=fit.stop_s,
-                drift_ns=fit.drift_ns,
-                left_ns=fit.left_ns,
-                bound_ns=fit.bound_ns,
-                path_error_counts=dict(fit.path_error_counts),
-            )
+        """Load the next chunk, with the present clock mapping; it is not executed yet. One that is still being loaded
+        is given up: a hold does not wait. Raises `Refusal`."""
+        step = self._require_step(request)
+        self._loaded = None
+        if set(request.profiles) != set(step.axes):
+            raise Refusal("other-axes", "a chunk moves the axes of its path", "")
+        self._leases.require_lease(request.job, request.profiles)
+        check_path_limits(self._status, request.profiles)
+        options = request.chunk
+        chunk = PathChunk(request.number, request.begin_s, options.end_s, options.last, request.profiles)
+        fit = await self._driver.load_chunk(chunk, self._driver.clock_mapping())
+        self._require_step(request)
+        self._loaded = chunk, fit.stop_s
+        return ChunkReply(
+            stop_s=fit.stop_s,
+            drift_ns=fit.drift_ns,
+            left_ns=fit.left_ns,
+            bound_ns=fit.bound_ns,
+            path_error_counts=dict(fit.path_error_counts),
+        )
 
     async def release(self, request: ReleaseChunkRequest) -> Reply:
         """Change over to the loaded chunk. Raises `Refusal` (code `late`): the present one is executed to its end."""
         async with self._lock:
-            step, chunk = self._require_step(request), self._loaded
-            if chunk is None or chunk.number != request.number:
+            step, loaded = self._require_step(request), self._loaded
+            if loaded is None or loaded[0].number != request.number:
                 raise Refusal("not-loaded", f"chunk {request.number} is not loaded", "load it first")
             self._loaded = None
             await self._driver.release_chunk(request.number)
             self._require_step(request)
             # What the step has promised so far grows with every chunk.
-            step.promised_s.update(dict.fromkeys(step.promised_s, self._stop_s))
+            step.promised_s.update(dict.fromkeys(step.promised_s, loaded[1]))
             return Reply()
 
     def _require_step(self, request: LoadChunkRequest | ReleaseChunkRequest) -> ArmedStep:

@@ -37,8 +37,8 @@ REACTIONS_S = (0.3, 0.6, 1.2)  # from now to the place where a path is changed: 
 class PathFeed:
     """The chunks of one path.
 
-    chunk: the one that is released. number: of it. failure: why the path is not continued beyond it. held_by: the
-    originator of a feed hold, which brakes along the path.
+    chunk: the one that is released. released: how many have been, after the first. failure: why the path is not
+    continued beyond it. held_by: the originator of a feed hold, which brakes along the path.
     """
 
     def __init__(
@@ -54,7 +54,10 @@ class PathFeed:
         self._changed = asyncio.Event()
         self._clock: PathClock = self._first.clock
         self.chunk: ChunkPlan = self._first.chunk
-        self.number = 0
+        self.released = 0
+        self._numbers = 1
+        self._revision = 0
+        self._stated_s: Mapping[str, float] = {}
         self.ends_s: Mapping[str, float] = {}
         """By member, when it is at rest, as it states."""
         self.failure: Refusal | None = None
@@ -91,14 +94,11 @@ class PathFeed:
                 async with asyncio.timeout(max(0.0, due_s - self._now_s())):
                     await self._changed.wait()
                 continue
-            async with self._lock:
-                await self._continue()
+            await self._continue()
 
     async def _continue(self) -> None:
         """Load and release the next chunk, again as long as there is time."""
-        if self.chunk.last or self.held_by is not None:
-            return
-        latest_s = self.chunk.end_s - RELEASE_S
+        revision, latest_s = self._revision, self.chunk.end_s - RELEASE_S
         try:
             following = self._first.course.plan_chunk(self._clock, self.chunk.end_s - SWITCH_S, self._first.most_s)
         except (Refusal, PlanError) as error:
@@ -106,9 +106,11 @@ class PathFeed:
             return
         while True:
             try:
-                await self._load(following, latest_s)
+                number = await self._load(following, latest_s)
                 break
             except Refusal as refusal:
+                if revision != self._revision:
+                    return  # a hold or an override has taken its place
                 self._services.fleet.log.warning(
                     f"chunk {following.begin_s:.1f} s: {refusal}", job=self._request.job_id
                 )
@@ -116,17 +118,22 @@ class PathFeed:
                     self._give_up(refusal)
                     return
             await asyncio.sleep(RETRY_S)
-        try:
-            await self._release(following)
-        except Refusal as refusal:
-            self._give_up(refusal)
+        async with self._lock:
+            if revision != self._revision:
+                return
+            try:
+                await self._release(following, number)
+            except Refusal as refusal:
+                self._give_up(refusal)
 
     def _give_up(self, refusal: Refusal) -> None:
         self.failure = refusal
 
-    async def _load(self, chunk: ChunkPlan, latest_s: float) -> None:
-        """Have all members load a chunk. Raises `Refusal`."""
-        requests = self._services.fleet.requests
+    async def _load(self, chunk: ChunkPlan, latest_s: float) -> int:
+        """Have all members load a chunk, in the place of one that they are loading; return its number. Raises
+        `Refusal`."""
+        requests, number = self._services.fleet.requests, self._numbers
+        self._numbers += 1
         shares = self._share(chunk.profiles)
         asked = {
             member: LoadChunkRequest(
@@ -134,7 +141,7 @@ class PathFeed:
                 job=self._request.job_id,
                 step=self._request.index,
                 t0_fleet_ns=self._state.t0_fleet_ns,
-                number=self.number + 1,
+                number=number,
                 begin_s=chunk.begin_s,
                 chunk=options,
                 profiles=shares[member],
@@ -146,9 +153,10 @@ class PathFeed:
         raise_first_refusal(replies)
         if self._now_s() > latest_s:
             raise Refusal("late", "the chunk was loaded too late", "")
-        self.ends_s = {member: reply.stop_s for member, reply in replies.items()}
+        self._stated_s = {member: reply.stop_s for member, reply in replies.items()}
+        return number
 
-    async def _release(self, chunk: ChunkPlan) -> None:
+    async def _release(self, chunk: ChunkPlan, number: int) -> None:
         """Have all members change over to a loaded chunk. Raises `Refusal`: some of them may have."""
         requests = self._services.fleet.requests
         asked = {
@@ -157,7 +165,7 @@ class PathFeed:
                 job=self._request.job_id,
                 step=self._request.index,
                 t0_fleet_ns=self._state.t0_fleet_ns,
-                number=self.number + 1,
+                number=number,
             )
             for member in self._share(chunk.profiles)
         }
@@ -165,8 +173,8 @@ class PathFeed:
         refused = [member for member, reply in replies.items() if reply.refused is not None]
         if refused and len(refused) == len(replies) and all(_is_late(reply) for reply in replies.values()):
             raise_first_refusal(replies)  # none has changed over
-        self.number += 1
-        self.chunk = chunk
+        self.released += 1
+        self.chunk, self.ends_s = chunk, self._stated_s
         if refused:
             await self._services.fleet.stop_members(
                 list(asked), "decelerate", self._request.job.actor, f"{refused[0]} has not continued the path"
@@ -186,14 +194,15 @@ class PathFeed:
 
     async def hold(self, actor: str) -> None:
         """Brake along the path as soon as all members can, at the latest at the end of what is released."""
+        if self.held_by is not None or not self._first.covers_all:
+            return
+        self.held_by = actor
+        self._revision += 1
         async with self._lock:
-            if self.held_by is not None or not self._first.covers_all:
-                return
-            self.held_by = actor
             for reaction_s in REACTIONS_S:
                 try:
-                    if await self._cut(self._first.course.brake(self._clock, self._now_s() + reaction_s)):
-                        break
+                    await self._cut(self._first.course.brake(self._clock, self._now_s() + reaction_s))
+                    break
                 except (Refusal, PlanError) as error:
                     self._services.fleet.log.info(f"not held yet: {error}", job=self._request.job_id)
             self._changed.set()
@@ -201,15 +210,16 @@ class PathFeed:
     async def _cut(self, clock: PathClock) -> bool:
         """Brake by `clock` before the end of what is released; False if that ends before."""
         brake = clock.ramps[-1]
-        if brake.begin_s >= self.chunk.end_s or brake.begin_s - SWITCH_S <= self.chunk.begin_s:
-            return brake.begin_s >= self.chunk.end_s
+        if brake.begin_s >= self.chunk.end_s:
+            return False
         chunk = self._first.course.plan_stop(clock, brake.begin_s - SWITCH_S)
-        await self._load(chunk, brake.begin_s - SWITCH_S / 2)
-        await self._release(chunk)
+        number = await self._load(chunk, brake.begin_s - SWITCH_S / 2)
+        await self._release(chunk, number)
         return True
 
     async def override(self, rate: float) -> None:
         """Play the path at another rate, from where all members can. Raises `Refusal`."""
+        self._revision += 1
         async with self._lock:
             if not self._first.covers_all:
                 others = ", ".join(
@@ -245,8 +255,7 @@ class PathFeed:
                 raise Refusal("late", "the chunk ends before", "")
         following = course.plan_chunk(changed, self.chunk.end_s - SWITCH_S, self._first.most_s)
         try:
-            await self._load(following, self.chunk.end_s - SWITCH_S / 2)
-            await self._release(following)
+            await self._release(following, await self._load(following, self.chunk.end_s - SWITCH_S / 2))
         except Refusal as refusal:
             self._give_up(refusal)
             raise

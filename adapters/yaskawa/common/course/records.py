@@ -91,7 +91,8 @@ class ChunkRecords:
 
     times: of the records. counts: by index of the axis, where it is at the beginning of records `first` to `end`,
     counts from the start of the path. full: records of full length of the tail; short: exponents of the others. parts:
-    what is to be loaded. stop_s: when it is at rest. targets: there, by index, absolute counts.
+    what is to be loaded. stop_s: when it is at rest. targets: there, by index, absolute counts. before: the chunk that
+    it follows, which may still be executed.
     """
 
     number: int
@@ -105,6 +106,7 @@ class ChunkRecords:
     parts: tuple[LoadedPart, ...]
     stop_s: float
     targets: Mapping[int, int]
+    before: "ChunkRecords | None" = None
     fit: ChunkFit = field(default_factory=lambda: ChunkFit(0.0, 0, 0, 0, {}))
 
     def samples(self, interval: int) -> int:
@@ -139,13 +141,7 @@ class RecordMaker:
         ends before that. Raises `Refusal`."""
         old = before.times
         if chunk.end_s < old.time_s(before.end):
-            end = old.last_before(chunk.end_s)
-            if not before.first < end < before.end:
-                raise Refusal("late", "the place where the path is to be cut short is not in the present chunk", "")
-            held = {index: counts[end - before.first] for index, counts in before.counts.items()}
-            cut = self._make_tail(chunk, replace(before, end=end), held, 1 - before.slot)
-            kept = {index: counts[: end - before.first + 1] for index, counts in before.counts.items()}
-            return replace(cut, counts=kept)
+            return self._cut_short(chunk, before)
         first, at_s = before.end, old.time_s(before.end)
         if at_s < chunk.begin_s - old.record_s * 1e-6:
             raise Refusal("gap", f"the chunk begins at {chunk.begin_s:.4f} s; the one before ends at {at_s:.4f} s", "")
@@ -159,7 +155,19 @@ class RecordMaker:
         left_ns = round((drift_s - part * way_s) * NS_PER_S)
         bound_ns = mapping.bound_at_ns(round(begun.t0_ns + at_s * NS_PER_S))
         fit = replace(made.fit, drift_ns=round(drift_s * NS_PER_S), left_ns=left_ns, bound_ns=bound_ns)
-        return replace(made, fit=fit)
+        return replace(made, fit=fit, before=replace(before, before=None))
+
+    def _cut_short(self, chunk: PathChunk, before: ChunkRecords) -> ChunkRecords:
+        """A tail from a record inside what is released on. Raises `Refusal`."""
+        part = before
+        if before.before is not None and chunk.end_s < before.times.time_s(before.first + 1):
+            part = before.before
+        end = part.times.last_before(chunk.end_s)
+        if not part.first < end < before.end:
+            raise Refusal("late", "the place where the path is to be braked is executed already", "")
+        held = {index: counts[end - part.first] for index, counts in part.counts.items()}
+        kept = {index: counts[: end - part.first + 1] for index, counts in part.counts.items()}
+        return replace(self._make_tail(chunk, replace(part, end=end), held, 1 - before.slot), counts=kept)
 
     def _make(
         self, chunk: PathChunk, times: RecordTimes, first: int, held: Mapping[int, int], slot: int

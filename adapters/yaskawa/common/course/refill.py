@@ -22,6 +22,7 @@ class ContourRefill:
 
     def __init__(self, device: SmcDevice) -> None:
         self._device = device
+        self._loads = 0
 
     async def load_first(self, records: ChunkRecords, room: RingRoom) -> None:
         """Allocate the arrays, and load the first chunk. Raises `Refusal`."""
@@ -33,7 +34,8 @@ class ContourRefill:
         """Load a further chunk. played: the record that is executed now. Raises `Refusal`."""
         if records.end - played > room.ring - SPARE_RECORDS:
             raise Refusal("no-room", "the chunk does not fit beside what is still to be executed", "load it later")
-        session = self._device.session
+        self._loads += 1
+        session, load = self._device.session, self._loads
         wanted = {
             f"{name}[{first + place}]": value
             for name, first, values in _list_parts(records)
@@ -42,13 +44,19 @@ class ContourRefill:
         names = list(wanted)
         # In small turns: the watchdog is extended, and the clock read, in between.
         for at in range(0, len(names), AT_ONCE):
+            self._require_last(load)
             await session.send_settings([f"{name}={wanted[name]}" for name in names[at : at + AT_ONCE]])
         for at in range(0, len(names), AT_ONCE):
+            self._require_last(load)
             asked = names[at : at + AT_ONCE]
             for name, held in zip(asked, await session.read_many(asked), strict=True):
                 if held != wanted[name]:
                     text = f"{name} contains {held:.0f}, not {wanted[name]}"
                     raise Refusal("read-back", text, "try again")
+
+    def _require_last(self, load: int) -> None:
+        if load != self._loads:
+            raise Refusal("superseded", "another chunk is loaded in its place", "")
 
     async def release(self, records: ChunkRecords, before: ChunkRecords, room: RingRoom) -> None:
         """Change over to a loaded chunk, behind or inside the one before. Raises `Refusal`."""
