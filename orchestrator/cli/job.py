@@ -11,7 +11,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 from orchestrator.cli.base.jobs import job_argument, load_report, name_jobs
 from orchestrator.cli.job_check import check
 from orchestrator.cli.job_history import list_jobs, prune
-from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
+from orchestrator.cli.job_queue import hold, override, pause, release, reorder, resume, retry
 from orchestrator.cli.job_terms import (
     TermsOptions,
     make_entry_lines,
@@ -128,6 +128,7 @@ for command in (
     approve,
     reorder,
     pause,
+    override,
     resume,
     retry,
 ):

@@ -93,6 +93,28 @@ def pause(job: str, connect: str, fleet: str | None, *, now: bool, as_json: bool
     with_fleet(connect, fleet, pause_job)
 
 
+@click.command(epilog="Example: tutti job override 3f2a91c0 50")
+@job_argument
+@click.argument("percent", type=float)
+@fleet_options
+@json_option
+def override(job: str, percent: float, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Play the path of a running JOB at PERCENT of its planned speed.
+
+    From 10 to 120 %; 100 as planned. All axes change their speed together, on the path, within a second or two: for as
+    long as controllers need to load what they play next. More than 100 % is possible where only the path's own `speed`
+    limits it, not the axes.
+    """
+
+    async def override_job(tutti: "Tutti") -> None:
+        found = await tutti.find_job(job)
+        await tutti.override_job(found.id, percent)
+        words = f"{name_jobs(found)} moves at {percent:g} % of its planned speed"
+        print_result({"job_id": found.id, "percent": percent}, words, as_json=as_json)
+
+    with_fleet(connect, fleet, override_job)
+
+
 @click.command(epilog="Example: tutti job resume 3f2a91c0")
 @job_argument
 @fleet_options

@@ -91,6 +91,11 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         code `not-running`."""
         self._run(self._wrapped.pause(now=now))
 
+    def override(self, percent: float) -> None:
+        """Play the path that the job moves on at `percent` (10 to 120) of its planned speed. Raises `Refusal`: codes
+        `not-running`, `not-on-path`, `override`."""
+        self._run(self._wrapped.override(percent))
+
     def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         self._run(self._wrapped.resume())
@@ -370,6 +375,11 @@ class BlockingTutti(BlockingObject[Tutti]):
         now: pause inside a motion step by a feed hold; the axes brake together, and `resume_job` continues from there.
         """
         self._run(self._wrapped.pause_job(job_id, now=now))
+
+    def override_job(self, job_id: str, percent: float) -> None:
+        """Play the path that a job moves on at `percent` (10 to 120) of its planned speed, from as soon as all members
+        can. Raises `Refusal`: codes `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
+        self._run(self._wrapped.override_job(job_id, percent))
 
     def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

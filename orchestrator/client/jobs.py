@@ -40,6 +40,7 @@ from orchestrator.model.service import (
     JobsPruned,
     JobSubmitted,
     ListJobs,
+    OverrideJob,
     PauseJob,
     PruneJobs,
     RecordingReference,
@@ -232,6 +233,13 @@ class JobRequests(PointRequests):
         """
         await self.request_service("pause", PauseJob(**self.request_fields(), job_id=job_id, now=now), Reply)
 
+    async def override_job(self, job_id: str, percent: float) -> None:
+        """Play the path that a job moves on at `percent` (10 to 120) of its planned speed, from as soon as all members
+        can. Raises `Refusal`: codes `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
+        await self.request_service(
+            "override", OverrideJob(**self.request_fields(), job_id=job_id, percent=percent), Reply
+        )
+
     async def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         await self.request_service("resume", JobReference(**self.request_fields(), job_id=job_id), Reply)
@@ -379,6 +387,11 @@ class SubmittedJob(str):
         """Pause the job after its current step, or `now` inside a motion step; it keeps its axes. Raises `Refusal`:
         code `not-running`."""
         await self._requests.pause_job(self, now=now)
+
+    async def override(self, percent: float) -> None:
+        """Play the path that the job moves on at `percent` (10 to 120) of its planned speed. Raises `Refusal`: codes
+        `not-running`, `not-on-path`, `override`."""
+        await self._requests.override_job(self, percent)
 
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

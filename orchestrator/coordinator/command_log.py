@@ -29,6 +29,7 @@ _SUBJECTS: Mapping[str, Callable[[Any], str]] = {
     "reorder": lambda asked: f"{asked.job_id} before {asked.before}",
     "pause": lambda asked: asked.job_id + " now" * asked.now,
     "resume": lambda asked: asked.job_id,
+    "override": lambda asked: f"{asked.job_id} {asked.percent:g} %",
     "prune": lambda asked: f"older than {asked.older_s:g} s, but the newest {asked.keep}",
     "stop": lambda asked: asked.mode,
     "acquire-axes": lambda asked: f"{' '.join(asked.axes)}: {asked.what}",

@@ -40,6 +40,7 @@ from orchestrator.model.service import (
     JobShown,
     JobsPruned,
     ListJobs,
+    OverrideJob,
     PauseJob,
     PointsRead,
     PruneJobs,
@@ -97,6 +98,7 @@ class UserRequests:
             "approve": approvals.approve_job,
             "reorder": self._reorder_job,
             "pause": self._pause_job,
+            "override": self._override_job,
             "resume": self._resume_job,
             "prune": self._prune_jobs,
             "stop": self._stop_fleet,
@@ -233,6 +235,10 @@ class UserRequests:
 
     async def _pause_job(self, request: PauseJob) -> Reply:
         await self._scheduler.pause_job(request.job_id, request.actor, now=request.now)
+        return Reply()
+
+    async def _override_job(self, request: OverrideJob) -> Reply:
+        await self._scheduler.override_job(request.job_id, request.percent)
         return Reply()
 
     async def _resume_job(self, request: JobReference) -> Reply:

@@ -134,6 +134,12 @@ class PauseJob(JobReference):
     now: bool = False
 
 
+class OverrideJob(JobReference):
+    """Play the present path of a running job at another speed."""
+
+    percent: float = Field(description="Of its planned speed, 10 to 120.")
+
+
 class JobReferences(Request):
     """Several jobs. For `release`: an empty list stands for all held jobs."""
 

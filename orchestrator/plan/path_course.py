@@ -23,6 +23,8 @@ END_STEP_S = 0.1  # between two ends that are tried
 RAMPS_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
 RAMP_SAMPLES = 33
 MOST_USE = 0.985  # of acceleration and jerk in a ramp: the cubics may exceed the path by a hundredth
+LEAST_FAST_S = 1.0  # at a higher rate: less is not worth two ramps
+SLOW_BEFORE_S = 0.02  # a higher rate ends before the place that does not allow it
 BRAKE_SEARCH_S = 1.0  # after the earliest instant at which a hold could begin
 
 
@@ -101,13 +103,68 @@ class PathCourse:
         raise Refusal("path-ramp", "from this place of the path no start along it keeps the limits", "run it again")
 
     def change_rate(self, clock: PathClock, from_s: float, rate: float) -> PathClock:
-        """The clock with another rate as soon as possible after `from_s`. Raises `Refusal` naming the highest rate that
-        keeps the limits."""
-        most, axis = self._find_most_rate(float(clock.evaluate(np.array([from_s])).path_s[0]))
-        if rate > max(1.0, most):
-            text = f"{rate:.0%} is too fast for the rest of the path: {axis} allows {max(1.0, most):.0%}"
-            raise Refusal("override", text, f"choose at most {int(100 * max(1.0, most))} %")
+        """The clock with another rate as soon as possible after `from_s`. Raises `Refusal`."""
         return self._find_ramp(clock, from_s, rate)
+
+    def require_rate(self, path_s: float, rate: float) -> None:
+        """Raise `Refusal` for a rate that no second of the rest of the path allows: the axis, and the highest one."""
+        most, _ = self._find_rates()
+        rest = self.motion.times_s[:-1] >= path_s
+        steps = np.diff(self.motion.times_s)[rest]
+        if rate <= 1.0 or float(steps[most[rest] >= rate].sum()) >= LEAST_FAST_S:
+            return
+        highest = max(1.0, float(most[rest].max(initial=1.0)))
+        text = f"{rate:.0%} is too fast for the rest of the path; its axes allow {highest:.0%}"
+        raise Refusal("override", text, f"choose at most {int(100 * highest)} %")
+
+    def adapt_rate(self, clock: PathClock, from_s: float, rate: float, within_s: float) -> PathClock:
+        """The clock from `from_s` on for `within_s`: at `rate`, and where the axes do not allow that, at 1.
+
+        Only above 1: a slower motion keeps every limit.
+        """
+        if rate <= 1.0:
+            return clock
+        slow_s = self._find_slow(float(clock.evaluate(np.array([from_s])).path_s[0]), rate)
+        if clock.rate < rate:
+            try:
+                faster = self._find_ramp(clock, from_s, rate)
+            except Refusal:
+                return clock
+            if slow_s - faster.ramps[-1].end_path_s < rate * LEAST_FAST_S:
+                return clock
+            clock = faster
+        arrives_s = clock.find_instant(slow_s)
+        if arrives_s > from_s + within_s + LEAST_FAST_S:
+            return clock
+        # As late as a ramp fits in before the slow place, and at once if none does.
+        for ramp_s in RAMPS_S:
+            begin_s = clock.find_instant(slow_s - (rate + 1.0) / 2 * ramp_s - SLOW_BEFORE_S)
+            if begin_s >= max(from_s, clock.ramps[-1].end_s):
+                slower = clock.change_rate(begin_s, 1.0, ramp_s)
+                if self._fits(slower, begin_s, ramp_s):
+                    return slower
+        return self._find_ramp(clock, from_s, 1.0)
+
+    def _find_slow(self, path_s: float, rate: float) -> float:
+        """The first instant of the path from `path_s` on at which an axis does not allow `rate`."""
+        most, times_s = self._find_rates()
+        slow = np.flatnonzero((most < rate) & (times_s[1:] > path_s))
+        return float(max(times_s[slow[0]], path_s)) if len(slow) else self.duration_s
+
+    def _find_rates(self) -> tuple[Array, Array]:
+        """(the highest rate that each cubic allows, the instants between them)."""
+        motion = self.motion
+        ends = np.abs(motion.accelerations + motion.jerks * np.diff(motion.times_s)[:, None])
+        peaks = (
+            np.maximum(np.abs(motion.velocities[:-1]), np.abs(motion.velocities[1:])),
+            np.maximum(np.abs(motion.accelerations), ends) / MOST_USE,
+            np.abs(motion.jerks),
+        )
+        rates = [
+            (self._limits(order) / np.maximum(values, 1e-300)).min(axis=1) ** (1.0 / (order + 1))
+            for order, values in enumerate(peaks)
+        ]
+        return np.minimum(np.minimum(rates[0], rates[1]), rates[2]), motion.times_s
 
     def brake(self, clock: PathClock, from_s: float) -> PathClock:
         """The clock that brakes along the path as soon as possible after `from_s`. Raises `Refusal`."""
@@ -124,22 +181,6 @@ class PathCourse:
                     return changed
         text = f"no change of speed within {BRAKE_SEARCH_S:g} s keeps the limits of the axes, or the path ends before"
         raise Refusal("path-ramp", text, "try again a little later")
-
-    def _find_most_rate(self, path_s: float) -> tuple[float, str]:
-        """The highest rate from `path_s` on, and the axis that allows no higher one."""
-        motion, k = self.motion, max(0, int(np.searchsorted(self.motion.times_s, path_s, side="right")) - 1)
-        ends = np.abs(motion.accelerations + motion.jerks * np.diff(motion.times_s)[:, None])
-        rates = [
-            limits / np.maximum(np.abs(values).max(axis=0), 1e-300)
-            for limits, values in (
-                (self._limits(0), motion.velocities[k:]),
-                (self._limits(1), np.maximum(np.abs(motion.accelerations), ends)[k:]),
-                (self._limits(2), motion.jerks[k:]),
-            )
-        ]
-        most = np.minimum(np.minimum(rates[0], np.sqrt(rates[1])), np.cbrt(rates[2]))
-        worst = int(most.argmin())
-        return float(most[worst]), self.axes[worst].name
 
     # Chunks
 

@@ -323,3 +323,42 @@ def test_whatever_ends_a_path_brings_all_members_to_rest(how: str) -> None:
         assert circle_errors(np.array([positions(fleet, TWO)])).max() < 12.0
 
     run_fleet(main, gantries())
+
+
+@pytest.mark.parametrize("percent", [40, 120])
+def test_an_override_changes_the_speed_along_the_path(percent: int) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        await sleep_ns(fleet.clock, 20 * NS_PER_S)
+        client = fleet.make_client()
+        planned = circle(TWO, 5)
+        watched = asyncio.get_running_loop().create_task(watch_truth(fleet, TWO))
+        job_id = await begin(fleet, planned, TWO, 2.0)
+        await client.override_job(job_id, percent)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        seen = np.array(await watched)
+        assert circle_errors(seen).max() < require_sound(report.steps[0].path)
+        speeds = np.hypot(*np.diff(seen, axis=0).T) / (SAMPLE_NS / NS_PER_S)
+        assert np.percentile(speeds[:60], 80) == pytest.approx(100.0, rel=0.02)
+        assert np.percentile(speeds[len(speeds) // 2 :], 50) == pytest.approx(percent, rel=0.02)
+        assert positions(fleet, TWO) == [150.0, 100.0]
+
+    run_fleet(main, gantries())
+
+
+@pytest.mark.parametrize(
+    ("percent", "words"), [(0, "between 10 and 120"), (500, "between 10 and 120"), (120, "axes allow")]
+)
+def test_an_override_that_is_not_possible_says_what_is(percent: int, words: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        client = fleet.make_client()
+        job_id = await begin(fleet, circle(TWO, 1, speed="200 mm/s", acceleration="900 mm/s²"), TWO)
+        with pytest.raises(Refusal, match=words) as caught:
+            await client.override_job(job_id, percent)
+        assert caught.value.code == "override" and caught.value.remedy
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+
+    run_fleet(main, gantries())

@@ -60,6 +60,7 @@ SERVICE: dict[str, dict[str, Any]] = {
     "reorder": {"job_id": "x", "before": "y"},
     "pause": {"job_id": "x"},
     "resume": {"job_id": "x"},
+    "override": {"job_id": "x", "percent": 50},
     "prune": {"older_s": 1e9, "keep": 10},
     "start-queue": {},
     "stop-queue": {},

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from adapters.yaskawa.common import homing
-from adapters.yaskawa.common.dialect import find_motor
 from adapters.yaskawa.common.options import YaskawaOptions
+from adapters.yaskawa.language.dialect import find_motor
 from orchestrator.model.fleet import Controller
 
 

@@ -12,7 +12,7 @@ from adapters.toolkit.frames import (
     PendingCommands,
     printable_text,
 )
-from adapters.yaskawa.common.dialect import split_commands
+from adapters.yaskawa.language.dialect import split_commands
 
 _WORDS = {
     "AB": "abort",

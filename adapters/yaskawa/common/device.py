@@ -11,7 +11,6 @@ from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.handles import HandleCleaner
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
-from adapters.yaskawa.common.numbers import parse_numbers
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     EDGE_THREAD,
@@ -31,6 +30,7 @@ from adapters.yaskawa.common.session import (
 )
 from adapters.yaskawa.common.stops import SharedStops, StopHandle
 from adapters.yaskawa.common.ticks import SampleClock
+from adapters.yaskawa.language.numbers import parse_numbers
 from orchestrator.clock.base import NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.model.errors import ControllerFault, Refusal

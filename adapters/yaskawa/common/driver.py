@@ -19,7 +19,6 @@ from adapters.toolkit.connection import MoverDriver
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common import homing
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.dialect import send_raw
 from adapters.yaskawa.common.jogging import YaskawaJogging
 from adapters.yaskawa.common.lowering import YaskawaLowered
 from adapters.yaskawa.common.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
@@ -27,7 +26,8 @@ from adapters.yaskawa.common.sampling import DeviceSampling
 from adapters.yaskawa.common.settings import load_soft_limits
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SettingsWatch
-from adapters.yaskawa.common.words import STOP_CODES
+from adapters.yaskawa.language.dialect import send_raw
+from adapters.yaskawa.language.words import STOP_CODES
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.state import FaultReport

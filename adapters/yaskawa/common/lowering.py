@@ -21,7 +21,7 @@ from adapters.yaskawa.common.contour import (
     require_record_range,
     require_speed_range,
 )
-from adapters.yaskawa.common.course.records import (
+from adapters.yaskawa.common.course_records import (
     ChunkRecords,
     RecordMaker,
     find_chunk_s,

@@ -8,7 +8,7 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from adapters.yaskawa.common.numbers import parse_sizes
+from adapters.yaskawa.language.numbers import parse_sizes
 from orchestrator.model.errors import ControllerFault
 
 AXIS_LETTERS = "XYZWEFGH"  # the SMC-4000 has the first four, an SMC-2000 up to eight

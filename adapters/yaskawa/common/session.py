@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from adapters.contract import NULL_LOG
-from adapters.yaskawa.common.dialect import MAX_LINE
-from adapters.yaskawa.common.numbers import parse_error_code, parse_numbers
-from adapters.yaskawa.common.words import REMEDIES
+from adapters.yaskawa.language.dialect import MAX_LINE
+from adapters.yaskawa.language.numbers import parse_error_code, parse_numbers
+from adapters.yaskawa.language.words import REMEDIES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import Link
 from orchestrator.model.errors import ControllerFault, Refusal

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
 from adapters.yaskawa.common import arrays
-from adapters.yaskawa.common.course.records import BegunPath, ChunkRecords
-from adapters.yaskawa.common.course.refill import ContourRefill
+from adapters.yaskawa.common.course_records import BegunPath, ChunkRecords
+from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.lowering import (
     ContourLoad,
@@ -28,7 +28,7 @@ from adapters.yaskawa.common.program import (
     following_label,
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord
-from adapters.yaskawa.common.words import stop_code_meaning
+from adapters.yaskawa.language.words import stop_code_meaning
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import ControllerFault, Refusal

@@ -23,7 +23,6 @@ from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.decoder import YaskawaDecoder
-from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import (
     START_CLASSES,
@@ -38,6 +37,7 @@ from adapters.yaskawa.common.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOC
 from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.watch import SMC2000_WATCHED, SettingsWatch, require_uncoupled
+from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.smc2000 import program as smc2000_program
 from adapters.yaskawa.smc2000.device import LineAddress, PolledPoints, SerialDevice, stop_commands
 from adapters.yaskawa.smc2000.line import SHARED, SharedSerialLine

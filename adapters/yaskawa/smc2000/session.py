@@ -14,8 +14,6 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from adapters.yaskawa.common.dialect import MAX_LINE
-from adapters.yaskawa.common.numbers import parse_error_code, parse_numbers
 from adapters.yaskawa.common.session import (
     FRACTIONS,
     CommandReply,
@@ -23,6 +21,8 @@ from adapters.yaskawa.common.session import (
     SmcCommandRefused,
     pack_texts,
 )
+from adapters.yaskawa.language.dialect import MAX_LINE
+from adapters.yaskawa.language.numbers import parse_error_code, parse_numbers
 from adapters.yaskawa.smc2000.line import LineTurn, SharedSerialLine, address_command
 from adapters.yaskawa.smc2000.replies import SerialReply, parse_serial_reply
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock

@@ -21,7 +21,6 @@ from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
-from adapters.yaskawa.common.dialect import motor_indices
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import (
     START_CLASSES,
@@ -46,6 +45,7 @@ from adapters.yaskawa.common.session import pack_operands, parse_reply
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
+from adapters.yaskawa.language.dialect import motor_indices
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal

@@ -216,6 +216,14 @@ class JobRun:
         motion = self._motion_step.motion if self._motion_step is not None else None
         return motion is not None and motion.leaves_path
 
+    async def override(self, rate: float) -> None:
+        """Play the path that it moves on at another rate. Raises `Refusal`."""
+        if self._motion_step is None:
+            text = f"job {self.row.id} is not on a path now"
+            raise Refusal("not-on-path", text, "an override is for paths; see `tutti job ls`")
+        await self._motion_step.override(rate)
+        self.publish_progress()
+
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
         self._paused_by, self._resumed_by, self._braked = None, actor, False
@@ -503,6 +511,8 @@ class JobRun:
             remaining_s = max(0.0, self._step_s - self._elapsed_s())
         place, reason = self._steps.locate(self._step), self._reason
         within_scan = place.point is not None
+        if self._motion_step is not None and self._motion_step.rate != 1.0:
+            reason = f"{reason}; " * bool(reason) + f"on its path at {self._motion_step.rate:.0%} of the planned speed"
         if self._paused_by is not None and self.state != "paused":
             reason = f"pauses after this step: {self._paused_by}"
         return JobProgress(

@@ -52,6 +52,7 @@ P = ParamSpec("P")
 CLOCK_POLL_NS = NS_PER_S  # period of reading the wall clock, which may be set, while a job waits for a time
 MISSED_AFTER = timedelta(seconds=10)  # a coordinator that is back within this time has not missed a job's start time
 SCHEDULE_DELAY_PER_JOB_NS = 20 * NS_PER_US  # per job
+OVERRIDE_PERCENT = 10, 120
 CLOSE_S = 5.0  # for running jobs to stop, and for their ends to be recorded
 RETRY_NS = 5 * NS_PER_S  # before another try on a journal that could not be written
 CONDITION_POLL_NS = 100 * NS_PER_MS  # period of looking at the conditions of the jobs that wait for one
@@ -257,7 +258,7 @@ class Scheduler:
         if now and run.is_on_path:
             raise Refusal(
                 "on-path",
-                f"job {job_id} is on a path, and its members, each braking by itself, would leave it",
+                f"job {job_id} is on a path, and a member that has all of it loaded would leave it",
                 "pause it at the end of the path (without --now), or stop it: `tutti stop`",
             )
         if run.paused_by is None:
@@ -265,6 +266,17 @@ class Scheduler:
             run.pause(actor)
         if now:
             await run.feed_hold(actor)
+
+    async def override_job(self, job_id: str, percent: float) -> None:
+        """Play the present path of a running job at another speed. Raises `Refusal`."""
+        run = self._running.get(job_id)
+        if run is None:
+            raise await self._make_refusal(job_id, "not-running", "an override is for the path that a job is moving on")
+        low, high = OVERRIDE_PERCENT
+        if not low <= percent <= high:
+            text = f"{percent:g} % is not between {low} and {high} %"
+            raise Refusal("override", text, "to stop on the path: `tutti job pause --now`")
+        await run.override(percent / 100)
 
     async def resume_job(self, job_id: str, actor: str) -> None:
         """Resume a job that is paused, or about to be."""

@@ -8,6 +8,8 @@ import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
 
+import numpy as np
+
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.path_chunks import FirstChunk
@@ -31,6 +33,8 @@ from orchestrator.plan.step import StepPlan
 
 RELEASE_S = 0.4  # before the end of a chunk, releasing the next one begins at the latest
 RETRY_S = 0.2
+SHORT_CHUNK_S = 2.0  # after a change of speed, so that it can be loaded before
+OVERRIDE_REACTIONS_S = (1.2, 2.4, 4.0)
 REACTIONS_S = (0.3, 0.6, 1.2)  # from now to the place where a path is changed: loading and releasing fit in between
 
 
@@ -57,6 +61,7 @@ class PathFeed:
         self.released = 0
         self._numbers = 1
         self._revision = 0
+        self._wanted = 1.0
         self._stated_s: Mapping[str, float] = {}
         self.ends_s: Mapping[str, float] = {}
         """By member, when it is at rest, as it states."""
@@ -76,8 +81,8 @@ class PathFeed:
 
     @property
     def rate(self) -> float:
-        """The present feed override, 1.0 as planned."""
-        return self._clock.rate
+        """The feed override, 1.0 as planned."""
+        return self._wanted
 
     def _now_s(self) -> float:
         return (self._services.leadership.fleet_now_ns() - self._state.t0_fleet_ns) / NS_PER_S
@@ -99,8 +104,14 @@ class PathFeed:
     async def _continue(self) -> None:
         """Load and release the next chunk, again as long as there is time."""
         revision, latest_s = self._revision, self.chunk.end_s - RELEASE_S
+        begin_s, first = self.chunk.end_s - SWITCH_S, self._first
+        # After a short chunk there is less time to load the next one.
+        most_s = min(first.most_s, max(SHORT_CHUNK_S, first.most_s * (latest_s - self._now_s()) / first.load_s))
         try:
-            following = self._first.course.plan_chunk(self._clock, self.chunk.end_s - SWITCH_S, self._first.most_s)
+            if self._clock.rate != self._wanted <= 1.0:
+                self._clock = first.course.change_rate(self._clock, begin_s + SWITCH_S, self._wanted)
+            self._clock = first.course.adapt_rate(self._clock, begin_s + SWITCH_S, self._wanted, most_s)
+            following = first.course.plan_chunk(self._clock, begin_s, most_s)
         except (Refusal, PlanError) as error:
             self._give_up(error if isinstance(error, Refusal) else Refusal("plan", str(error)))
             return
@@ -219,47 +230,47 @@ class PathFeed:
 
     async def override(self, rate: float) -> None:
         """Play the path at another rate, from where all members can. Raises `Refusal`."""
-        self._revision += 1
-        async with self._lock:
-            if not self._first.covers_all:
-                others = ", ".join(
-                    sorted({controller_of(axis) for axis in self._first.plan.profiles} - self._first.members)
-                )
-                raise Refusal("override", f"{others} has the whole path loaded already", "wait for its end")
-            if self.held_by is not None or self.failure is not None:
-                raise Refusal("override", "the path is being braked", "resume it first")
-            refused = Refusal("override", "the path is about to end", "")
-            for reaction_s in REACTIONS_S:
-                try:
-                    await self._change_rate(self._now_s() + 2 * reaction_s, rate)
-                except (Refusal, PlanError) as error:
-                    refused = error if isinstance(error, Refusal) else Refusal("plan", str(error))
-                    if refused.code == "override" or self.failure is not None:
-                        break
-                else:
-                    self._changed.set()
-                    return
-            raise refused
-
-    async def _change_rate(self, from_s: float, rate: float) -> None:
-        """Cut what is released short where the rate changes, and continue it from there."""
         course = self._first.course
-        changed = course.change_rate(self._clock, min(from_s, self.chunk.end_s), rate)
-        begin_s = changed.ramps[-1].begin_s
-        if begin_s < self.chunk.end_s:
-            # Where it is braked if the second chunk does not come in time.
-            cut = course.brake(self._clock, begin_s)
-            if cut.ramps[-1].begin_s != begin_s:
-                changed = course.change_rate(self._clock, cut.ramps[-1].begin_s, rate)
-            if not await self._cut(cut):
-                raise Refusal("late", "the chunk ends before", "")
-        following = course.plan_chunk(changed, self.chunk.end_s - SWITCH_S, self._first.most_s)
+        if not self._first.covers_all:
+            members = {controller_of(axis) for axis in self._first.plan.profiles}
+            others = ", ".join(sorted(members - self._first.members))
+            raise Refusal("override", f"{others} has the whole path loaded already", "wait for its end")
+        if self.held_by is not None or self.failure is not None:
+            raise Refusal("override", "the path is being braked", "resume it first")
+        course.require_rate(float(self._clock.evaluate(np.array([self._now_s()])).path_s[0]), rate)
+        self._revision += 1
+        self._wanted = rate
+        async with self._lock:
+            for reaction_s in OVERRIDE_REACTIONS_S:
+                try:
+                    if await self._change_rate(self._now_s() + reaction_s, rate):
+                        break
+                except (Refusal, PlanError) as error:
+                    self._services.fleet.log.info(f"not changed yet: {error}", job=self._request.job_id)
+                if self.failure is not None:
+                    break
+            self._changed.set()
+
+    async def _change_rate(self, from_s: float, rate: float) -> bool:
+        """Cut what is released short, and continue it from there at another rate; False: the next chunk takes it on."""
+        course = self._first.course
+        cut = course.brake(self._clock, from_s)
+        begin_s = cut.ramps[-1].begin_s
+        if begin_s >= self.chunk.end_s:
+            return True
+        changed = course.adapt_rate(self._clock, begin_s, rate, SHORT_CHUNK_S)
+        if rate <= 1.0:
+            changed = course.change_rate(self._clock, begin_s, rate)
+        # Where it is braked if the next chunk does not come in time.
+        await self._cut(cut)
+        following = course.plan_chunk(changed, self.chunk.end_s - SWITCH_S, SHORT_CHUNK_S)
         try:
             await self._release(following, await self._load(following, self.chunk.end_s - SWITCH_S / 2))
         except Refusal as refusal:
             self._give_up(refusal)
             raise
         self._clock = changed
+        return True
 
 
 def _is_late(reply: Reply) -> bool:

@@ -183,6 +183,20 @@ class MotionStep:
         if self._motion is not None:
             await self._motion.feed_hold(self._services.fleet, actor)
 
+    async def override(self, rate: float) -> None:
+        """Play a path at another rate. Raises `Refusal`."""
+        feed = self._motion.feed if self._motion is not None else None
+        if feed is None:
+            text = "the present step is no path whose speed can be changed while it moves"
+            raise Refusal("not-on-path", text, "an override is for paths whose members all load it in chunks")
+        await feed.override(rate)
+
+    @property
+    def rate(self) -> float:
+        """The feed override, 1.0 as planned."""
+        feed = self._motion.feed if self._motion is not None else None
+        return 1.0 if feed is None else feed.rate
+
     def _end_motion(self, motion: PlannedMotion) -> None:
         self._motion = None
         motion.watch.close()

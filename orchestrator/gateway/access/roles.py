@@ -42,6 +42,7 @@ LEAST_ROLES: dict[str, Role] = {
     "reorder": "operator",
     "pause": "operator",
     "resume": "operator",
+    "override": "operator",
     "start-queue": "operator",
     "stop-queue": "operator",
     "acknowledge": "operator",

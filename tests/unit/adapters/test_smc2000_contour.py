@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, ChainWorld, World, run, run_chain, trapezoid
 
-from adapters.yaskawa.common.dialect import MAX_LINE
 from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.language.dialect import MAX_LINE
 from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
 from adapters.yaskawa.smc2000.program import (
     INTERLEAVED_COMMANDS,

@@ -87,7 +87,8 @@ class AheadWorld:
         return SimpleNamespace(plan=SimpleNamespace(profiles=self.profiles))
 
     async def _agree(self, *_: object) -> object:
-        motion = SimpleNamespace(start=self.start, watch=self.start, agreement=SimpleNamespace(movers=["c"]))
+        agreement = SimpleNamespace(movers=["c"])
+        motion = SimpleNamespace(start=self.start, watch=self.start, agreement=agreement, feed=None)
         motion.feed_hold = partial(PlannedMotion.feed_hold, cast(Any, motion))
         return motion
 

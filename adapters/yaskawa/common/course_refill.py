@@ -8,7 +8,7 @@ whose value the controller itself computes from what it plays at that moment: to
 """
 
 from adapters.yaskawa.common import arrays
-from adapters.yaskawa.common.course.records import SPARE_RECORDS, ChunkRecords, RingRoom
+from adapters.yaskawa.common.course_records import SPARE_RECORDS, ChunkRecords, RingRoom
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.program import TAIL, TAIL_LENGTH, array_name
 from orchestrator.model.errors import Refusal

@@ -1,1 +1,0 @@
-"""Paths that are longer than the controller's arrays: contours that are loaded while they are played."""

@@ -1,0 +1,1 @@
+"""The language of the controllers: numbers, words and lines, without any exchange."""
