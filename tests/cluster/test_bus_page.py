@@ -173,6 +173,8 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
                 request["before"] = None
             if key == "svc/statistics":
                 request["since"] = "2026-01-01"
+            if key == "svc/override":
+                request["percent"] = 50.0
             if "configuration" in fields:
                 request["configuration"] = demo_fleet().to_plain()
             assert set(request) == set(fields), f"{key}: no example of {set(fields) - set(request)}"

@@ -78,6 +78,11 @@ COMMANDS: dict[str, dict[str, Any]] = {
     "arm": {"job": "j", "step": 0, "digest": "", "t0_fleet_ns": 1, "profiles": {}},
     "commit": {"job": "j", "step": 0, "t0_fleet_ns": 1},
     "go": {"job": "j", "step": 0, "t0_fleet_ns": 1},
+    "load-chunk": {
+        **{"job": "j", "step": 0, "t0_fleet_ns": 1, "number": 1, "begin_s": 0.0},
+        **{"chunk": {"end_s": 1.0, "last": True}, "profiles": {}},
+    },
+    "release-chunk": {"job": "j", "step": 0, "t0_fleet_ns": 1, "number": 1},
     "disarm": {"job": "j", "step": 0},
     "stop": {"mode": "abort", "reason": "r"},
     "enable": {"axes": ["x"], "on": False, "holder": "h"},
