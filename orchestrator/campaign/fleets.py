@@ -17,6 +17,9 @@ SHARED_LINK_CHANCE = 0.6  # chance that a make whose controllers can share a lin
 PERMIT = "door"
 PERMIT_MAKE = "smc4000"
 """The make that has the permit's input. The first controller of this make in a fleet has it."""
+PATH_MAKE = "smc4000"
+"""A make that executes paths in chunks."""
+PATH_JERK = 20_000  # of a drive that follows a path, unit/s³
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
 
 # Slower than the default rate, as with many controllers on one computer. A permit's controller is polled more often.
@@ -24,7 +27,8 @@ _POLL_RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
 _PERMIT_POLL_RATES = {"idle_hz": 3.0, "moving_hz": 5.0}
 # Homing has a short path, and the edge of a switch lies between two index pulses.
 _SHORT_HOMING = {"axes": 2, "home_edge": {"X": -50, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
-_DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
+_DRIVE_LIMITS = {"velocity": 80, "acceleration": 400}
+_DRIVE = {"unit": "mm", "scale": 1000, "limits": _DRIVE_LIMITS}
 
 FleetDraft = dict[str, dict[str, Any]]
 
@@ -114,11 +118,12 @@ def _draft_other(make: str, number: int) -> FleetDraft:
     return {f"g{number}": {**config, "link": link, "axes": {first: axis}}}
 
 
-def make_campaign_fleet(seed: int, wanted: Sequence[str]) -> Fleet:
-    """Draw a fleet with at least one controller of each make in `wanted`."""
+def make_campaign_fleet(seed: int, wanted: Sequence[str], *, paths: bool = False) -> Fleet:
+    """Draw a fleet with at least one controller of each make in `wanted`. paths: and with controllers that can execute
+    a path together."""
     draw = Random(f"fleet {seed}")
     controllers: FleetDraft = {}
-    todo = list(dict.fromkeys(wanted))
+    todo = [*dict.fromkeys(wanted), *([PATH_MAKE, "cia402"] if paths else [])]
     while todo or len(controllers) < LEAST:
         make = todo.pop(0) if todo else draw.choice(MAKES)
         most = min(find_traits(make).most_per_link, MOST - len(controllers) - len(todo))
@@ -127,6 +132,8 @@ def make_campaign_fleet(seed: int, wanted: Sequence[str]) -> Fleet:
         drafts = _DRAFTS[make](number, units, draw) if make in _DRAFTS else _draft_other(make, number)
         host = draw.choice(("left", "left", "right"))
         for name, config in drafts.items():
+            if paths and make == "cia402":
+                config["axes"]["x"]["limits"] = {**_DRIVE_LIMITS, "jerk": PATH_JERK}
             controllers[name] = _complete_config(config, host, draw)
     plain: dict[str, Any] = {"schema": "tutti.fleet/1", "fleet": "campaign", "controllers": controllers}
     gantries = [name for name, config in controllers.items() if PERMIT in config.get("inputs", {})]

@@ -6,7 +6,7 @@ from itertools import chain
 from random import Random
 from typing import Any, Literal, NamedTuple
 
-from orchestrator.campaign.fleets import find_traits
+from orchestrator.campaign.fleets import PATH_MAKE, find_traits
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.job import Job
 from orchestrator.model.queue import QueueTerms
@@ -19,11 +19,14 @@ CHAIN_STEPS = 4
 CHAIN_SHARE = 0.7  # of the other controllers in a step of a chain
 CHAIN_MOVE_S = (0.8, 1.3)  # of a move in a chain at that speed, without its ramps, to and from near its beginning
 CHAIN_BACK_S = (0.0, 0.15)
+PATH_SHARES = (0.4, 1.0, 0.5, 0.1)  # of the way of a move, at the end of each line
+PATH_TOLERANCE = 8.0  # units: the clocks of a campaign's fleet are young
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain"]
-"""home: `member` is homed before the move. chain: several steps, one after the other."""
+MainKind = Literal["move", "home", "chain", "path"]
+"""home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
+several chunks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,12 @@ def draw_orders(
         first = [{"do": "home", "axes": [member]}]
         there |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
     axes = _JobAxes(fleet, main, there)
-    job = _draw_chain("main", axes, member, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
+    if kind == "path":
+        main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
+        beside = [name for name in beside if name not in main]
+        job = _draw_path("main", _JobAxes(fleet, main, there), draw)
+    else:
+        job = _draw_chain("main", axes, member, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
     orders = [JobOrder(job, QueueTerms(), tuple(main))]
     if beside:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
@@ -159,6 +167,33 @@ def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random) -> Job:
         if draw.random() < DWELL_CHANCE:
             steps.append({"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
     return make_job(name, steps)
+
+
+def _takes_paths(fleet: Fleet, name: str) -> bool:
+    config = fleet.controllers[name]
+    return config.adapter == PATH_MAKE or all(axis.limits.jerk for axis in config.axes.values())
+
+
+def _draw_path(name: str, axes: _JobAxes, draw: Random) -> Job:
+    """Draw a job of one path to and fro, of the first axis of each controller: lines, for some chunks. Corners on the
+    way out are rounded."""
+    moved = [f"{each}.{next(iter(axes.fleet.controllers[each].axes))}" for each in axes.controllers]
+    speed = min(axes.fleet.axis(axis).limits.velocity for axis in moved) * SPEED_FRACTION
+    reach = speed * MAX_MOVE_S
+    positions = [axes.positions[axis] for axis in moved]
+    ways = [reach if position < reach / 2 else -min(reach, position) for position in positions]
+    points = [
+        [
+            round(axes.positions[axis] + way * share * draw.uniform(0.9, 1.0), 2)
+            for axis, way in zip(moved, ways, strict=True)
+        ]
+        for share in PATH_SHARES
+    ]
+    pieces = [{"piece": "line", "to": point, "corner": {"within": 0.3}} for point in points]
+    start = [round(axes.positions[axis], 6) for axis in moved]
+    path = {"do": "path", "axes": moved, "start": start, "pieces": pieces, "speed": speed, "tolerance": PATH_TOLERANCE}
+    axes.positions.update(dict(zip(moved, points[-1], strict=True)))
+    return make_job(name, [path])
 
 
 def _draw_targets(

@@ -10,11 +10,12 @@ from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHa
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.clock.base import Clock
 
-Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain"]
-"""chain: a step is loaded behind a moving one, and has not been moving for long."""
+Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk"]
+"""chain: a step is loaded behind a moving one, and has not been moving for long. chunk: the next chunk of a path is
+loaded or released; this stage has seeds of its own."""
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
 
-_RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go")
+_RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk")
 
 
 @dataclass(slots=True)

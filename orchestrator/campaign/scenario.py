@@ -31,6 +31,7 @@ from orchestrator.campaign.jobs import (
     make_witness,
 )
 from orchestrator.campaign.operator import NamedCommands
+from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.campaign.rest import find_at_rest
@@ -76,6 +77,8 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 }
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
+_CHUNK_WINDOW_NS = 3 * NS_PER_S  # from the begin of loading a chunk until after its release
+_KINDS: dict[Stage, MainKind] = {"home": "home", "chain": "chain", "chunk": "path"}
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
 
@@ -119,7 +122,8 @@ def run_scenario(seed: int, cells: Sequence[FaultCell]) -> SeedRun:
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(PERMIT_MAKE)
-    seed_run = SeedRun(seed, tuple(cells), make_campaign_fleet(seed, makes))
+    paths = any(cell.stage == "chunk" for cell in cells)
+    seed_run = SeedRun(seed, tuple(cells), make_campaign_fleet(seed, makes, paths=paths))
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock)
@@ -156,6 +160,7 @@ class _Scenario:
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus
         self.checker = InvariantChecker(self.virtual, self.recorder)
+        self._paths = PathChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
 
     async def run_phases(self) -> None:
@@ -180,6 +185,9 @@ class _Scenario:
     async def _poll_velocities(self) -> None:
         while True:
             self.checker.check_velocities(self._clock.now_ns())
+            phase = self._phase
+            if phase is not None and (phase.fault_ns is None or not phase.fault.must_stop):
+                self._paths.check_positions(phase)
             await sleep_ns(self._clock, POLL_NS)
 
     async def _prepare_axes(self, client: Tutti, axes: list[str], homing: list[str]) -> bool:
@@ -214,7 +222,7 @@ class _Scenario:
             by_hand = asyncio.get_running_loop().create_task(self._jog_axis(act, member, STAGE_RENEWALS, reached))
             while not self._jogging and not by_hand.done():
                 await sleep_ns(self._clock, NS_PER_MS)
-        kind: MainKind = "home" if cell.stage == "home" else "chain" if cell.stage == "chain" else "move"
+        kind = _KINDS.get(cell.stage, "move")
         orders = draw_orders(fleet, member, self._axis_positions(), self._draw, kind)
         if fault.name == "fleet-restarted":
             # One that would switch motors on and home by itself.
@@ -276,8 +284,8 @@ class _Scenario:
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
         stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
-        if stage is not None and cell.stage == "chain":
-            stage = "chain"
+        if stage is not None and cell.stage in ("chain", "chunk"):
+            stage = cell.stage
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
             return
@@ -497,6 +505,8 @@ class _Scenario:
             return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
         if stage == "chain" and request.verb == "arm" and request.accepted and request.fields["after_step"] is not None:
             return self._draw.randint(now_ns, max(now_ns, self._t0_host_ns(request) + _CHAIN_WINDOW_NS))
+        if stage == "chunk" and request.verb == "load-chunk" and going_out:
+            return now_ns + self._draw.randrange(_CHUNK_WINDOW_NS)
         if request.verb != "go" or not request.accepted:
             return None
         t0_ns = self._t0_host_ns(request)
