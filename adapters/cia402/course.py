@@ -67,6 +67,16 @@ class SetpointTrajectory:
         return setpoint_at
 
     @property
+    def still_periods(self) -> tuple[int, int]:
+        """Return how many periods it stands before its first count, and after its last one: on a path an axis may begin
+        late, or slowly, and so may it end."""
+        at, last = self.setpoint_function(), self.point_count - 1
+        start, end = at(-1), at(last)
+        before = next((number for number in range(last + 1) if at(number) != start), last)
+        after = next((back for back in range(last + 1) if at(last - 1 - back) != end), last)
+        return before, after
+
+    @property
     def path_error_counts(self) -> float:
         """Return the largest distance between the plan and linear segments between set-points in whole counts."""
         period_s, profile = self.period_ns / NS_PER_S, self.profile

@@ -407,6 +407,8 @@ class Cia402Mover:
         if accepted_ns():
             # It has not reported motion yet.
             latest_ns = max(earliest_ns, min(latest_ns, accepted_ns() + self._after_taking_ns))
+        if lowered.trajectory is not None and lowered.trajectory.is_chunk:
+            latest_ns += self._still_ns(lowered.trajectory)[0]
         span = move.started = HostInterval(earliest_ns, latest_ns, late_ns=self._options.excess_delay_ns(fired))
         if move.stopped_ns is None and move.streamed_move is None:
             node.send_control(states.ENABLE)
@@ -482,7 +484,7 @@ class Cia402Mover:
         now_ns = node.clock.now_ns()
         if not stopped and not trouble and there:
             if move.streamed_move is not None and lowered.trajectory is not None:
-                earliest_ns, latest_ns = self._stream_end_interval(move.streamed_move, lowered.trajectory.period_ns)
+                earliest_ns, latest_ns = self._stream_end_interval(move.streamed_move, lowered.trajectory)
                 await self._leave_stream()
             return MoveOutcome("done", {lowered.axis: HostInterval(min(earliest_ns, latest_ns), latest_ns)})
         spans = {lowered.axis: HostInterval(min(move.started.earliest_ns, now_ns), now_ns)}
@@ -508,12 +510,20 @@ class Cia402Mover:
         counts_s = lowered.shape.velocity / float(self._options.velocity_units)
         return ceil(0.5 / counts_s * NS_PER_S)
 
-    def _stream_end_interval(self, ride: StreamedMove, period_ns: int) -> tuple[int, int]:
-        """Return the interval of the end: a period after its last SYNC took effect."""
+    def _still_ns(self, trajectory: SetpointTrajectory) -> tuple[int, int]:
+        """Return how long an axis stands before its first count, and after its last one, by the slowest crystal."""
+        before, after = (each * trajectory.period_ns / NS_PER_S for each in trajectory.still_periods)
+        return self._device_ns(before, 1), self._device_ns(after, 1)
+
+    def _stream_end_interval(self, ride: StreamedMove, trajectory: SetpointTrajectory) -> tuple[int, int]:
+        """Return the interval of the end: a period after its last SYNC took effect; on a path it may have been there
+        before."""
         earliest_ns, latest_ns = self._guaranteed_start(ride.last_written_ns)
         if ride.last_answer_ns:
             latest_ns = max(earliest_ns, min(latest_ns, ride.last_answer_ns + self._after_taking_ns))
-        period_s = period_ns / NS_PER_S
+        period_s = trajectory.period_ns / NS_PER_S
+        if trajectory.is_chunk:
+            earliest_ns -= self._still_ns(trajectory)[1]
         return earliest_ns + self._device_ns(period_s, -1), latest_ns + self._device_ns(period_s, 1)
 
     async def _leave_stream(self) -> None:

@@ -63,6 +63,31 @@ def test_no_fault_behind_a_moving_step_violates_an_invariant(first: int) -> None
     assert len(story.hit) >= len(cells) - 1
 
 
+ON_PATHS = [
+    *(("none", "smc4000"), ("refusals", "smc4000"), ("host-killed", "smc4000")),
+    *(("stop", "cia402"), ("limit", "smc4000"), ("coordinator-killed", "smc4000")),
+]
+"""Faults while the next chunk of a path is loaded or released."""
+
+
+@pytest.mark.parametrize("first", range(0, len(ON_PATHS), PHASES))
+def test_no_fault_between_two_chunks_of_a_path_violates_an_invariant(first: int) -> None:
+    cells = [FaultCell("chunk", fault, make) for fault, make in ON_PATHS[first : first + PHASES]]
+    story = run_scenario(first + 1, cells)
+    assert not story.violations, story.summarize()
+    assert len(story.hit) >= len(cells) - 1
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("first", range(0, len(FAULTS), PHASES))
+def test_no_fault_between_two_chunks_violates_an_invariant(first: int) -> None:
+    for seed in range(first, first + 5):
+        named = list(FAULTS.values())[first : first + PHASES]
+        cells = [FaultCell("chunk", each.name, "smc4000") for each in named if "smc4000" in (each.makes or MAKES)]
+        story = run_scenario(seed, cells)
+        assert not story.violations, story.summarize()
+
+
 @pytest.mark.parametrize(
     ("seed", "fault", "make"),
     [

@@ -3,6 +3,7 @@
 # pyright: reportPrivateUsage=false
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,6 +19,8 @@ from adapters.controller.participant import StepParticipant
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.shrc203.driver import ShrcDriver
+from adapters.yaskawa.common.course_records import ChunkRecords, RecordMaker
+from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.coordinator.coordinator import Coordinator
@@ -30,7 +33,9 @@ from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion import report as motion_report
 from orchestrator.coordinator.motion import step
+from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.start import StartSequence
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ArmRequest, ProposeRequest
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -207,6 +212,38 @@ def opens_its_gate_behind_a_step(patch: Patch) -> None:
     patch.setattr(StepParticipant, "_unload_at_t0", nothing_async)
 
 
+def continues_elsewhere(patch: Patch) -> None:
+    """The records of a further chunk begin 20 mm beside the end of the one before."""
+    honest = RecordMaker.make_next
+
+    def careless(self: RecordMaker, chunk: Any, before: ChunkRecords, mapping: Any, begun: Any) -> ChunkRecords:
+        counts = {index: [*each[:-1], each[-1] + 20_000] for index, each in before.counts.items()}
+        return honest(self, chunk, replace(before, counts=counts), mapping, begun)
+
+    patch.setattr(RecordMaker, "make_next", careless)
+
+
+def drives_on_alone(patch: Patch) -> None:
+    """Members that have no room for a chunk are left behind."""
+    load, stop = PathFeed._load, FleetAccess.stop_members
+
+    async def refuse(*_: object) -> None:
+        raise Refusal("no-room", "the chunk does not fit")
+
+    async def careless(self: PathFeed, chunk: Any, latest_s: float) -> int:
+        with suppress(Refusal):
+            return await load(self, chunk, latest_s)
+        return self._numbers - 1
+
+    async def lenient(self: FleetAccess, members: Any, mode: Any, actor: str, reason: str) -> None:
+        if "has not continued the path" not in reason:
+            await stop(self, members, mode, actor, reason)
+
+    patch.setattr(ContourRefill, "load", refuse)
+    patch.setattr(PathFeed, "_load", careless)
+    patch.setattr(FleetAccess, "stop_members", lenient)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -237,6 +274,8 @@ MUTATIONS = (
     Mutation("13", names_no_command, FaultCell("motion", "estop", "shrc203"), 8),
     Mutation("1", goes_without_promises, FaultCell("chain", "host-killed", "smc4000"), 10),
     Mutation("3", opens_its_gate_behind_a_step, FaultCell("chain", "coordinator-killed", "smc4000"), 10),
+    Mutation("17", continues_elsewhere, FaultCell("chunk", "none", "smc4000"), 1),
+    Mutation("17", drives_on_alone, FaultCell("chunk", "none", "smc4000"), 1),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000"), 4),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.
