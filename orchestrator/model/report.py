@@ -144,8 +144,8 @@ class PathTerm(Model):
     """One term of a path-error bound.
 
     member: the controller; empty for the plan itself. profile-fit: profiles against the path. execution: the member
-    against its profiles, as it states itself. start: its start window at its highest speed. clock: the bound of its
-    rate over the time since the start, at the speed of that moment.
+    against its profiles, as it states itself. start: its share of what the start windows of all members do together at
+    the speeds of the path. clock: the same of the bounds of their rates over the time since the start.
     """
 
     name: PathTermName
@@ -154,12 +154,14 @@ class PathTerm(Model):
 
 
 class PathBound(Model):
-    """The guaranteed greatest distance of the axes from the path, `predicted`: the sum of `terms`, in `unit`."""
+    """The guaranteed greatest distance of the axes from the path, `predicted`: the sum of `terms`, in `unit`. proven:
+    the same afterwards, by the controllers' evidence of their starts and ends; None until the path is over."""
 
     unit: Unit
     tolerance: float
     predicted: float
     terms: list[PathTerm]
+    proven: float | None = None
 
     @property
     def largest(self) -> PathTerm:

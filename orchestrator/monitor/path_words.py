@@ -16,7 +16,10 @@ def describe_path(report: PathReport) -> list[str]:
     by_member: dict[str, list[str]] = {}
     for term in bound.terms:
         by_member.setdefault(term.member or "plan", []).append(f"{term.name} {term.size:.2g}")
-    return lines + [f"  {member}: {', '.join(sizes)} {unit}" for member, sizes in by_member.items()]
+    lines += [f"  {member}: {', '.join(sizes)} {unit}" for member, sizes in by_member.items()]
+    if bound.proven is not None:
+        lines.append(f"proven afterwards: at most {bound.proven:.3g} {unit}")
+    return lines
 
 
 def _describe_binding(report: PathReport) -> str:

@@ -130,6 +130,16 @@ def run_rates(_: ShowProgress, trials: int, seed: int) -> Fields:
     return {"rates": rates, "starts": starts, "trials": trials, "seed": seed}
 
 
+def _require_expression(only: str) -> None:
+    """Raise `InvalidOption` for what is no regular expression."""
+    import re
+
+    try:
+        re.compile(only)
+    except re.error as error:
+        raise InvalidOption("only", f"{only!r} is not a regular expression: {error}") from None
+
+
 def run_sync(
     show_progress: ShowProgress,
     trials: int,
@@ -140,12 +150,7 @@ def run_sync(
     plot: Path | None,
     processes: int,
 ) -> Fields:
-    import re
-
-    try:
-        re.compile(only)
-    except re.error as error:
-        raise InvalidOption("only", f"{only!r} is not a regular expression: {error}") from None
+    _require_expression(only)
     if live is not None:
         from orchestrator.bench.sync.live import bench_sync_live
 
@@ -158,6 +163,16 @@ def run_sync(
     if plot is not None:
         plot_skews(starts, plot)
     return {"rows": rows, "trials": trials, "seed": seed, "history_s": history}
+
+
+def run_paths(
+    show_progress: ShowProgress, *, quick: bool, seed: int, only: str, paths: int | None, processes: int
+) -> Fields:
+    _require_expression(only)
+    from orchestrator.bench.paths.measure import PathsOptions, bench_paths
+
+    rows = bench_paths(PathsOptions(quick, seed, only, processes, paths), show_progress)
+    return {"rows": rows, "quick": quick, "seed": seed}
 
 
 def run_dispatch(_: ShowProgress, rounds: int) -> Fields:

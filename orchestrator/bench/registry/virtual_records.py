@@ -80,6 +80,10 @@ def _list_sync_targets(document: Document) -> list[str]:
     return [legend, *targets]
 
 
+def _list_path_notes(document: Document) -> list[str]:
+    return [f"{row.row}, {row.figure}: {row.note}" for row in document["rows"] if row.note]
+
+
 VIRTUAL_BENCHMARKS = (
     Benchmark(
         "plan",
@@ -321,6 +325,38 @@ VIRTUAL_BENCHMARKS = (
                 ),
             ),
         ),
+    ),
+    Benchmark(
+        "paths",
+        """Move simulated controllers of several makes along circles, and measure how far they are off them; plan random
+        paths, and compare them with their limits, the least time, and their cost. In virtual time.
+
+        The ground truth comes from the simulators: no path may be above the bound that was stated ahead. Everything
+        takes a core an hour or so; --quick, with 5 paths of 10 s a row and without the long circles, half a minute.
+        """,
+        "tutti bench paths --quick --json",
+        (
+            BenchOption("quick", "flag", "Few and short paths."),
+            _SEED,
+            BenchOption("only", "text", "Only rows that match this expression.", "", metavar="REGEX"),
+            BenchOption("paths", "int", "Circles of a row; default: 200, and 10 long ones.", None, 1, 10_000),
+            BenchOption("processes", "int", "That share the work.", 1, 1, 64),
+        ),
+        runs.run_paths,
+        (
+            BenchTable(
+                "rows",
+                (
+                    BenchColumn("row", "row"),
+                    BenchColumn("figure", "figure"),
+                    BenchColumn("value>", "value", "g"),
+                    BenchColumn("", "unit"),
+                ),
+                has_targets=True,
+            ),
+            BenchNote(_list_path_notes),
+        ),
+        has_failed=lambda document: any(row.met is False for row in document["rows"]),
     ),
     Benchmark(
         "sync",

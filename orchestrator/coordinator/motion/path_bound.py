@@ -11,6 +11,7 @@ import numpy as np
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.motion.budget import StartWindow
+from orchestrator.coordinator.motion.path_terms import make_time_terms
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Proposal
 from orchestrator.model.report import PathBound, PathTerm, PathTermName
@@ -41,13 +42,7 @@ def make_path_bound(
         ]
         terms.append(PathTerm(name="execution", member=member, size=hypot(*errors)))
     if len(windows) > 1:
-        halves = _find_half_windows(windows)
-        for member, half_s in halves.items():
-            times_s, speeds = path.find_speeds(member)
-            terms.append(PathTerm(name="start", member=member, size=half_s * float(speeds.max())))
-            ages_s = np.minimum(times_s, within_s.get(member, np.inf))
-            drift = proposals[member].clock_ppm * 1e-6 * float((ages_s * speeds).max())
-            terms.append(PathTerm(name="clock", member=member, size=drift))
+        terms += make_time_terms(path, proposals, _find_half_windows(windows), within_s)
     return PathBound(
         unit=path.report.unit,
         tolerance=path.tolerance,

@@ -6,6 +6,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.interval import find_other_duration
 from orchestrator.coordinator.motion.budget import Verdict, judge_skew, measure_skew, worse_verdict
 from orchestrator.coordinator.motion.negotiation import StartAgreement
+from orchestrator.coordinator.motion.path_proof import prove_path
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.start import StartState
 from orchestrator.model.messages import ArmedReply
@@ -149,7 +150,7 @@ def make_step_report(
         t0_fleet_ns=state.t0_fleet_ns,
         members=reports,
         budget=agreement.budget,
-        path=agreement.path,
+        path=agreement.path if failure is not None else prove_path(agreement, reports, state.t0_fleet_ns),
         start_skew=start_skew,
         promised_skew=None if promised_skew == start_skew else promised_skew,
         end_skew=end_skew,

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from unit.plan.path.random_paths import KINDS, random_outline
 
+from orchestrator.bench.paths.random_paths import KINDS, random_outline
 from orchestrator.plan.path.arc_length import find_lengths, find_parameters
 from orchestrator.plan.path.corners import make_track
 from orchestrator.plan.path.curves import evaluate_polys

@@ -4,8 +4,15 @@ import time
 
 import numpy as np
 import pytest
-from unit.plan.path.random_paths import even_limits, find_least_time, find_worst_use, random_outline, uneven_limits
 
+from orchestrator.bench.paths.lower_bound import find_least_time
+from orchestrator.bench.paths.random_paths import (
+    even_limits,
+    find_worst_use,
+    random_outline,
+    stop_everywhere,
+    uneven_limits,
+)
 from orchestrator.plan.path.corners import make_track
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.limits import PathLimits
@@ -14,11 +21,6 @@ from orchestrator.plan.path.run import Run, plan_run
 from orchestrator.plan.shape import ShapeBounds, solve_shapes
 
 WORST = 1.001  # the requirement: 0.1 % above a limit
-
-
-def stop_everywhere(outline: Outline) -> Outline:
-    tolerance = np.where(np.isfinite(outline.tolerance), 0.0, outline.tolerance)
-    return Outline(outline.shapes, outline.kind, outline.row, outline.length, outline.piece, tolerance)
 
 
 def plan_random(seed: int) -> tuple[Outline, PathLimits, Run]:

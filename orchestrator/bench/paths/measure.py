@@ -1,0 +1,196 @@
+"""The figures of paths: how far members of several makes are off them, and how good and how cheap plans are."""
+
+import re
+from collections.abc import Callable, Sequence
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from orchestrator.bench.paths.circles import CircleCase, CircleRun, CircleTask, list_tasks, run_circle
+from orchestrator.bench.paths.planning import (
+    LimitsRun,
+    TimeRun,
+    measure_gcode,
+    measure_planning,
+    run_limits,
+    run_time,
+)
+from orchestrator.bench.paths.random_paths import KINDS
+from orchestrator.runtime.workers import map_in_processes
+
+UM = 1000.0  # of a mm
+TWO = ("smc4000", "smc4000")
+MIXED = ("smc4000", "cia402", "smc2000")
+MINUTE = CircleCase("2 SMC-4000, 60 s", TWO, 60, 300, "1 mm")
+LONG = CircleCase("2 SMC-4000, 600 s", TWO, 600, 300, "2 mm")
+MAKES = CircleCase("SMC-4000, CiA 402, SMC-2000, 30 s", MIXED, 30, 300, "2 mm")
+QUICK_S, QUICK_HISTORY_S = 10, 40
+LIMITS_ROW, TIME_ROW, COST_ROW = "limits", "time", "cost"
+
+
+class PathFigure(NamedTuple):
+    """One figure of a row. asked: its limit, in words; met: whether it is kept; None: it has no limit, or was not
+    measured. note: more about it."""
+
+    row: str
+    figure: str
+    value: float | None
+    unit: str = ""
+    asked: str = ""
+    met: bool | None = None
+    note: str = ""
+
+
+class PathCounts(NamedTuple):
+    """How many paths each row has, and how much of the costs is measured."""
+
+    circles: int
+    long_circles: int
+    limits: int
+    times: int
+    pieces: tuple[int, int]
+    rounds: int
+    gcode_lines: int
+
+
+FULL = PathCounts(200, 10, 10_000, 200, (1000, 10_000), 5, 100_000)
+QUICK = PathCounts(5, 0, 80, 20, (1000, 10_000), 2, 10_000)
+
+
+class PathsOptions(NamedTuple):
+    """only: a regular expression for the names of the rows to run. paths: of each row of circles, instead of the usual
+    number."""
+
+    quick: bool
+    seed: int = 1
+    only: str = ""
+    processes: int = 1
+    paths: int | None = None
+
+
+def bench_paths(options: PathsOptions, on_row: Callable[[str], None] = lambda _: None) -> list[PathFigure]:
+    """Run the chosen rows."""
+    found: list[PathFigure] = []
+    counts = QUICK if options.quick else FULL
+    minute_p99 = None
+    for case in (MINUTE, LONG, MAKES):
+        paths = counts.long_circles if case is LONG else counts.circles
+        if options.paths is not None:
+            paths = min(paths, options.paths)
+        if options.quick:
+            name = case.name.rpartition(",")[0] + f", {QUICK_S} s"
+            case = case._replace(name=name, duration_s=QUICK_S, history_s=QUICK_HISTORY_S)
+        if not paths or not re.search(options.only, case.name):
+            continue
+        on_row(case.name)
+        tasks: list[CircleTask] = list(list_tasks(case, paths, options.seed))
+        runs = list(map_in_processes(run_circle, tasks, options.processes))
+        is_long = case.name == LONG.name
+        figures = make_circle_figures(case, runs, minute_p99 if is_long else None)
+        if case.controllers == TWO and not is_long:
+            minute_p99 = figures[0].value
+        found += figures
+    for name, measure in ((LIMITS_ROW, _measure_limits), (TIME_ROW, _measure_times), (COST_ROW, _measure_costs)):
+        if re.search(options.only, name):
+            on_row(name)
+            found += measure(counts, options)
+    return found
+
+
+def make_circle_figures(
+    case: CircleCase, runs: Sequence[CircleRun], minute_p99: float | None = None
+) -> list[PathFigure]:
+    """The figures of a row of circles. minute_p99: of the row that a long one is compared with."""
+    refused = [run.refused for run in runs if run.refused]
+    ran = [run for run in runs if not run.refused and len(run.errors)]
+    found: list[PathFigure] = []
+    if refused:
+        found.append(PathFigure(case.name, "paths refused", len(refused), "", "0", met=False, note=refused[0]))
+    if not ran:
+        return found
+    errors = np.concatenate([run.errors for run in ran])
+    p99 = UM * float(np.percentile(errors, 99))
+    above = sum(float(run.errors.max()) > run.bound for run in ran)
+    largest = max(run.bound for run in ran) * UM
+    worst = max({run.worst for run in ran}, key=lambda each: sum(run.worst == each for run in ran))
+    most, asked = (60.0, "≤ 60") if minute_p99 is None else (1.3 * minute_p99, "≤ 1.3 × of 60 s")
+    if case.controllers != TWO:
+        most, asked = np.inf, ""
+    rows = [
+        PathFigure(case.name, "error, p99", round(p99, 1), "um", asked, None if not asked else p99 <= most),
+        PathFigure(case.name, "error, largest", round(UM * float(errors.max()), 1), "um"),
+        PathFigure(case.name, "paths above their bound", above, "", "0", above == 0),
+        PathFigure(case.name, "largest term of the bound", None, note=worst),
+        _make_sum_figure(case, ran),
+    ]
+    if case.controllers == TWO:
+        kept = largest <= 300 if minute_p99 is None else None
+        limit = "≤ 300" if minute_p99 is None else ""
+        rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um", limit, kept))
+    else:
+        rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um"))
+    proven = [run.proven for run in ran if run.proven is not None]
+    if proven and case.controllers == TWO:
+        value = UM * median(proven)
+        rows.append(
+            PathFigure(case.name, "bound proven afterwards", round(value, 1), "um", "≤ 2 × p99", value <= 2 * p99)
+        )
+    return rows + found
+
+
+def _make_sum_figure(case: CircleCase, ran: Sequence[CircleRun]) -> PathFigure:
+    off = max(run.sum_off for run in ran)
+    return PathFigure(case.name, "bound less the sum of its terms", round(UM * off, 6), "um", "0", off < 1e-9)
+
+
+def _measure_limits(counts: PathCounts, options: PathsOptions) -> list[PathFigure]:
+    first = options.seed * counts.limits
+    runs: list[LimitsRun] = list(map_in_processes(run_limits, range(first, first + counts.limits), options.processes))
+    used = [run.worst for run in runs if run.worst is not None]
+    worst = float(max(used))
+    over = sum(1 for each in used if each > 1.001)
+    refused = len(runs) - len(used)
+    return [
+        PathFigure(LIMITS_ROW, f"of {len(used)} paths, above a limit by more than 0.1 %", over, "", "0", over == 0),
+        PathFigure(LIMITS_ROW, "largest part of a limit that is used", round(worst, 6), "", "≤ 1.001", worst <= 1.001),
+        PathFigure(LIMITS_ROW, "paths refused", refused, "", "0", refused == 0),
+    ]
+
+
+def _measure_times(counts: PathCounts, options: PathsOptions) -> list[PathFigure]:
+    first = options.seed * counts.times
+    runs: list[TimeRun] = list(map_in_processes(run_time, range(first, first + counts.times), options.processes))
+    least = np.array([run.of_least for run in runs])
+    middle, most = float(np.median(least)), float(np.quantile(least, 0.95))
+    stopping = max(run.of_stopping for run in runs)
+    note = "of velocity and acceleration alone, by the theory of TOPP-RA"
+    return [
+        PathFigure(TIME_ROW, "times the least time, median", round(middle, 3), "", "≤ 1.15", middle <= 1.15, note),
+        PathFigure(TIME_ROW, "times the least time, p95", round(most, 3), "", "≤ 1.4", most <= 1.4),
+        PathFigure(TIME_ROW, "times the time with stops, largest", round(stopping, 3), "", "≤ 1", stopping <= 1 + 1e-9),
+    ]
+
+
+def _measure_costs(counts: PathCounts, _: PathsOptions) -> list[PathFigure]:
+    few, many = counts.pieces
+    lines = measure_planning(few, ("line",), counts.rounds)
+    long = measure_planning(many, ("line",), counts.rounds)
+    mixed = measure_planning(few, KINDS, counts.rounds)
+    # In a process of its own, whose memory is that of the program alone.
+    (gcode,) = map_in_processes(measure_gcode, [counts.gcode_lines], 2)
+    ratio = long / lines
+    return [
+        PathFigure(COST_ROW, f"a line over 8 axes, {few} pieces", round(lines), "us", "≤ 300", lines <= 300),
+        PathFigure(COST_ROW, f"a mixed piece over 8 axes, {few} pieces", round(mixed), "us", "≤ 300", mixed <= 300),
+        PathFigure(COST_ROW, f"a line of {many} to one of {few}", round(ratio, 2), "", "≤ 1.2", ratio <= 1.2),
+        PathFigure(COST_ROW, "a line of G-code to geometry", round(gcode.us_line), "us", "≤ 100", gcode.us_line <= 100),
+        PathFigure(
+            COST_ROW,
+            f"memory, {counts.gcode_lines} lines of G-code",
+            round(gcode.peak_mb),
+            "MB",
+            "≤ 500",
+            gcode.peak_mb <= 500,
+        ),
+    ]
