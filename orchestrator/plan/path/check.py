@@ -6,6 +6,7 @@ grid.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from orchestrator.plan.path.limits import PathLimits
 from orchestrator.plan.path.smooth import PathMotion
 from orchestrator.plan.path.track import Track
 
-BLOCK = 1024  # segments looked at at a time
+BLOCK = 2048  # segments looked at at a time
 INSIDE = (1 / 3, 2 / 3)
 
 
@@ -39,6 +40,43 @@ def measure_use(track: Track, motion: PathMotion, limits: PathLimits) -> LimitUs
     return use
 
 
+class LimitParts(NamedTuple):
+    """Velocity and acceleration at points as parts of their limits: one row per axis, the last one of the path itself.
+    bent, straight: of jerk, what curvature makes, and what each unit of jerk along the path adds."""
+
+    velocity: Array
+    acceleration: Array
+    bent: Array
+    straight: Array
+
+    def find_jerk(self, j: Array) -> Array:
+        """Jerk as a part of its limits, with `j` along the path."""
+        return np.abs(self.bent + self.straight * j)
+
+    def find_needed(self) -> Array:
+        """What the time must be multiplied by at each point, so that velocity and acceleration hold."""
+        return np.maximum(self.velocity.max(axis=0), np.sqrt(self.acceleration.max(axis=0)))
+
+
+def find_needed_for_jerk(parts: Array) -> Array:
+    """The same for jerk, from parts of its limits."""
+    return np.cbrt(parts.max(axis=0))
+
+
+def find_parts(at: Derivatives, v: Array, a: Array, limits: PathLimits) -> LimitParts:
+    """Compare the motion of all axes with the limits. v, a: speed and acceleration along the path."""
+    first, second, third = (np.ascontiguousarray(part.T) for part in at[1:])
+    axes, points = first.shape
+    parts = LimitParts(*(np.zeros((axes + 1, points)) for _ in range(4)))
+    parts.velocity[:axes] = np.abs(first * v) / limits.velocity[:, None]
+    parts.acceleration[:axes] = np.abs(second * v**2 + first * a) / limits.acceleration[:, None]
+    parts.bent[:axes] = (third * v**3 + second * (3 * v * a)) / limits.jerk[:, None]
+    parts.straight[:axes] = first / limits.jerk[:, None]
+    parts.velocity[axes], parts.acceleration[axes] = v / limits.path_speed, np.abs(a) / limits.path_acceleration
+    parts.straight[axes] = 1.0 / limits.path_jerk
+    return parts
+
+
 def _measure_junctions(track: Track, motion: PathMotion, limits: PathLimits, stretch: Array) -> None:
     """Raise `stretch` by what both sides of the junctions need at which the motion goes on: jerk jumps there."""
     before = np.flatnonzero(~track.stop[:-1])
@@ -46,7 +84,8 @@ def _measure_junctions(track: Track, motion: PathMotion, limits: PathLimits, str
     segment = motion.find_segments(t)
     _, v, a, j = motion.evaluate(t)
     for span, local in ((before, track.length[before]), (before + 1, np.zeros(len(before)))):
-        needed = find_needed(find_uses(track.evaluate_spans(span, local, QUICK), (v, a, j), limits))
+        parts = find_parts(track.evaluate_spans(span, local, QUICK), v, a, limits)
+        needed = np.maximum(parts.find_needed(), find_needed_for_jerk(parts.find_jerk(j)))
         np.maximum.at(stretch, segment, needed)
 
 
@@ -66,35 +105,17 @@ def _measure_block(
     a0, v0, j0 = motion.a[segment], motion.v[segment], motion.j[segment]
     s = motion.s[segment] + x * (v0 + x * (a0 / 2 + x * j0 / 6))
     v, a = v0 + x * (a0 + x * j0 / 2), a0 + x * j0
-    at = track.evaluate(s, QUICK, motion.section[segment])
-    worst = np.zeros(n)
-    uses = (np.zeros((0, 0)),) * 3
+    parts = find_parts(track.evaluate(s, QUICK, motion.section[segment]), v, a, limits)
     ends = number + 1
     ends[rest] = 3 * n + np.arange(len(rest))
-    for points in (number, ends, number + n, number + 2 * n):
-        uses = find_uses(Derivatives(*(each[points] for each in at)), (v[points], a[points], j), limits)
-        worst = np.maximum(worst, find_needed(uses))
-    flat = np.concatenate(uses, axis=1)
-    most = flat.argmax(axis=1)
-    width = uses[0].shape[1]
+    needed = parts.find_needed()
+    jerk = parts.find_jerk(j0)[:, : 3 * n]
+    jerk_at_ends = np.abs(parts.bent.take(ends, axis=1) + parts.straight.take(ends, axis=1) * j)
+    by_motion = np.maximum(needed[: 3 * n].reshape(3, n).max(axis=0), needed[ends])
+    by_jerk = np.maximum(find_needed_for_jerk(jerk).reshape(3, n).max(axis=0), find_needed_for_jerk(jerk_at_ends))
+    inside = slice(2 * n, 3 * n)
+    flat = np.concatenate([parts.velocity[:, inside], parts.acceleration[:, inside], jerk[:, inside]])
+    most = flat.argmax(axis=0)
+    width = len(parts.velocity)
     axis = most % width
-    return worst, flat[np.arange(n), most], most // width + 1, np.where(axis == width - 1, -1, axis)
-
-
-def find_uses(at: Derivatives, motion: tuple[Array, Array, Array], limits: PathLimits) -> tuple[Array, Array, Array]:
-    """Velocity, acceleration and jerk as parts of their limits: one row per point, one column per axis and one for the
-    path. motion: speed, acceleration and jerk along the path."""
-    v, a, j = (part[:, None] for part in motion)
-    velocity = np.abs(at.first * v) / limits.velocity
-    acceleration = np.abs(at.second * v**2 + at.first * a) / limits.acceleration
-    jerk = np.abs(at.third * v**3 + 3 * at.second * v * a + at.first * j) / limits.jerk
-    along = (v / limits.path_speed, np.abs(a) / limits.path_acceleration, np.abs(j) / limits.path_jerk)
-    axes = (velocity, acceleration, jerk)
-    found = [np.concatenate(pair, axis=1) for pair in zip(axes, along, strict=True)]
-    return found[0], found[1], found[2]
-
-
-def find_needed(uses: tuple[Array, Array, Array]) -> Array:
-    """What the time must be multiplied by at each point, so that no limit is exceeded."""
-    velocity, acceleration, jerk = (use.max(axis=1, initial=0.0) for use in uses)
-    return np.maximum(velocity, np.maximum(np.sqrt(acceleration), np.cbrt(jerk)))
+    return np.maximum(by_motion, by_jerk), flat[most, number], most // width + 1, np.where(axis == width - 1, -1, axis)

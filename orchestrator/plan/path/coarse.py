@@ -15,7 +15,7 @@ from orchestrator.plan.path.sweeps import sweep_squares
 STEADY = 1e-6  # of the largest acceleration: below, a cell is of constant speed
 BISECTIONS = 30
 CLOSE = 1e-6  # of the smoothing time: as well as an instant of a plateau need be known
-BLOCK = 256  # peaks treated at a time: what they look up stays in the processor's cache
+BLOCK = 512  # peaks treated at a time: what they look up stays in the processor's cache
 MARGIN = 1e-4  # by which plateaus are longer than they must be, because neighbouring jerks would add up
 PLATEAU_ROUNDS = 5
 
@@ -31,7 +31,7 @@ class CoarseMotion:
 
     def find_cells(self, t: Array) -> Index:
         """The cell at each instant."""
-        return np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.a) - 1)
+        return np.searchsorted(self.t[1:-1], t, side="right")
 
     def positions_at(self, t: Array) -> Array:
         """The position at each instant; at rest before the start and after the end."""

@@ -39,23 +39,39 @@ class Joints:
     even: Flags
 
 
-def make_track(outline: Outline, frame: Frame | None, *, blends: bool, even: bool) -> Track:
-    """Decide about every corner. blends: False: stop at all of them. even: whether curvature must continue, because an
-    axis has a jerk limit."""
+@dataclass(frozen=True, slots=True)
+class Corners:
+    """The corners of an outline. smooth: which need nothing. at: spans before those that can be blended, with how far
+    their blends reach, and the curves of these."""
+
+    smooth: Flags
+    at: Index
+    trims: Array
+    curves: Array
+
+
+def fit_corners(outline: Outline, *, even: bool) -> Corners:
+    """Fit the blends of all corners with a tolerance. even: whether curvature must continue, because an axis has a
+    jerk limit."""
     joints = _look_at_joints(outline)
     tolerance = outline.tolerance[:-1]
     smooth = (joints.turn <= SAME_TANGENT) & (joints.even | (not even)) | (tolerance == SMOOTH)
-    wanted = ~smooth & (tolerance > STOP) & (joints.turn < SHARPEST) & blends
-    stop = np.append(~smooth & ~wanted, True)
-    at = np.flatnonzero(wanted)
+    at = np.flatnonzero(~smooth & (tolerance > STOP) & (joints.turn < SHARPEST))
     if not len(at):
-        return _join_spans(outline, frame, stop, np.zeros((2, len(outline.kind))), None)
+        return Corners(smooth, at, np.zeros(0), np.zeros((0, *outline.shapes.polys.coefficients.shape[1:])))
     trims, curves, sound = _fit_blends(outline, joints, at, tolerance[at])
-    stop[at[~sound]] = True
-    at, curves, trims = at[sound], curves[sound], trims[sound]
+    return Corners(smooth, at[sound], trims[sound], curves[sound])
+
+
+def make_track(outline: Outline, frame: Frame | None, corners: Corners, stops: Flags | None = None) -> Track:
+    """The track of an outline, with all its blends. stops: for each span, whether to stop at its end instead."""
+    chosen = np.ones(len(corners.at), dtype=bool) if stops is None else ~stops[corners.at]
+    at, trims = corners.at[chosen], corners.trims[chosen]
+    stop = np.append(~corners.smooth, True)
+    stop[at] = False
     cut = np.zeros((2, len(outline.kind)))
     cut[1, at], cut[0, at + 1] = trims, trims
-    return _join_spans(outline, frame, stop, cut, (at, curves))
+    return _join_spans(outline, frame, stop, cut, (at, corners.curves[chosen]) if len(at) else None)
 
 
 def _look_at_joints(outline: Outline) -> Joints:
@@ -89,14 +105,18 @@ def _fit_blends(outline: Outline, joints: Joints, at: Index, tolerance: Array) -
         trims = np.minimum(most, np.where(reach > 0, tolerance / reach, np.inf))
     curves = _make_blends(outline, at, trims)
     curved = np.flatnonzero(~joints.straight[at])
-    for _ in range(ROUNDS if len(curved) else 0):
-        part = at[curved]
-        off = _find_distances(outline, part, trims[curved], curves[curved]) / tolerance[curved]
+    rest = curved
+    for _ in range(ROUNDS):
+        off = _find_distances(outline, at[rest], trims[rest], curves[rest]) / tolerance[rest]
         # The distance grows with a power of the trim between 1 (a turn) and 2 (a step of curvature).
         better = np.where(off > 1.0, 0.98 / off, np.maximum(1.0, np.sqrt(0.95 / np.maximum(off, 1e-6))))
-        grown = np.minimum(trims[curved] * better, most[curved])
-        trims[curved] = np.where((off > 1.0) | (off < 0.8), grown, trims[curved])
-        curves[curved] = _make_blends(outline, part, trims[curved])
+        grown = np.minimum(trims[rest] * better, most[rest])
+        changed = ((off > 1.0) | (off < 0.8)) & (grown != trims[rest])
+        rest, grown = rest[changed], grown[changed]
+        if not len(rest):
+            break
+        trims[rest] = grown
+        curves[rest] = _make_blends(outline, at[rest], grown)
     table = measure_curves(curves)
     sound = (table.slowest > SLOWEST * table.lengths[:, -1]) & (table.error < COARSE_ERROR)
     if len(curved):
@@ -139,7 +159,7 @@ def _find_distances(outline: Outline, at: Index, trims: Array, curves: Array) ->
     """The greatest distance of blends from the outline, point by point at equal fractions of u and of length."""
     many = np.repeat(np.arange(len(at)), COMPARED)
     fraction = np.tile(_AT, len(at))
-    on_blend = evaluate_polys(curves[many], fraction).q
+    on_blend = evaluate_polys(curves, many, fraction).q
     late = fraction > 0.5
     along = (2 * fraction - 1) * trims[many]
     span = at[many] + late

@@ -66,18 +66,21 @@ class Shapes:
 
     def evaluate(self, kind: Index, row: Index, s: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
         """Evaluate curve `row` of `kind` at length `s` from its own start. rounds: of Newton, for polynomials."""
-        width = self.lines.start.shape[1]
-        out = Derivatives(*(np.zeros((len(s), width)) for _ in range(4)))
+        parts: list[tuple[Index, Derivatives]] = []
         for of, evaluator in ((LINE, self._evaluate_lines), (ARC, self._evaluate_arcs)):
             at = np.flatnonzero(kind == of)
             if len(at):
-                for whole, part in zip(out, evaluator(row[at], s[at]), strict=True):
-                    whole[at] = part
+                parts.append((at, evaluator(row[at], s[at])))
         at = np.flatnonzero(kind == POLY)
         if len(at):
             u = find_parameters(*self.polys, row[at], s[at], rounds)
-            for whole, part in zip(out, evaluate_polys(self.polys.coefficients[row[at]], u), strict=True):
-                whole[at] = part
+            parts.append((at, evaluate_polys(self.polys.coefficients, row[at], u)))
+        if len(parts) == 1:
+            return parts[0][1]
+        out = Derivatives(*(np.empty((len(s), self.lines.start.shape[1])) for _ in range(4)))
+        for at, part in parts:
+            for whole, values in zip(out, part, strict=True):
+                whole[at] = values
         return out
 
     def _evaluate_lines(self, row: Index, s: Array) -> Derivatives:
@@ -95,23 +98,31 @@ class Shapes:
         return Derivatives(q, turn * along + rise, -(turn**2) * radial, -(turn**3) * along)
 
 
-def evaluate_polys(coefficients: Array, u: Array) -> Derivatives:
-    """Evaluate curves, one per `u`: derivatives by arc length from those by u.
+def evaluate_polys(coefficients: Array, row: Index, u: Array) -> Derivatives:
+    """Evaluate the curves `row` at `u`: derivatives by arc length from those by u.
 
     With u' = 1/|x1|: u'' = -(x1·x2)/|x1|^4, u''' = u' (4 (x1·x2)²/|x1|^6 - (x2·x2 + x1·x3)/|x1|^4).
     """
-    c0, c1, c2, c3, c4, c5 = (coefficients[:, k] for k in range(6))
-    w = u[:, None]
-    q = c0 + w * (c1 + w * (c2 + w * (c3 + w * (c4 + w * c5))))
-    x1 = c1 + w * (2 * c2 + w * (3 * c3 + w * (4 * c4 + w * (5 * c5))))
-    x2 = 2 * c2 + w * (6 * c3 + w * (12 * c4 + w * (20 * c5)))
-    x3 = 6 * c3 + w * (24 * c4 + w * (60 * c5))
+    c0, c1, c2, c3, c4, c5 = (coefficients[:, k].take(row, axis=0) for k in range(6))
+    # The Taylor coefficients at u, by dividing by (x - u) again and again. A full array is multiplied faster than a
+    # column is spread.
+    w = np.repeat(u[:, None], c0.shape[1], axis=1)
+    for lowest in range(4):
+        c4 += c5 * w
+        c3 += c4 * w
+        if lowest < 3:
+            c2 += c3 * w
+        if lowest < 2:
+            c1 += c2 * w
+        if lowest < 1:
+            c0 += c1 * w
+    x1, x2, x3 = c1, 2.0 * c2, 6.0 * c3
     square = np.einsum("ij,ij->i", x1, x1)
     mixed = np.einsum("ij,ij->i", x1, x2)
     rest = np.einsum("ij,ij->i", x2, x2) + np.einsum("ij,ij->i", x1, x3)
-    rate = (1.0 / np.sqrt(square))[:, None]
-    rate_2 = (-mixed / square**2)[:, None]
-    rate_3 = rate * (4 * mixed**2 / square**3 - rest / square**2)[:, None]
-    second = x2 * rate**2 + x1 * rate_2
-    third = x3 * rate**3 + 3 * x2 * (rate * rate_2) + x1 * rate_3
-    return Derivatives(q, x1 * rate, second, third)
+    rate = 1.0 / np.sqrt(square)
+    rate_2 = -mixed / square**2
+    rate_3 = rate * (4 * mixed**2 / square**3 - rest / square**2)
+    third = x3 * (rate**3)[:, None] + x2 * (3 * rate * rate_2)[:, None] + x1 * rate_3[:, None]
+    second = x2 * (rate**2)[:, None] + x1 * rate_2[:, None]
+    return Derivatives(c0, x1 * rate[:, None], second, third)

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orchestrator.plan.path.arc_length import CELLS, Array, Flags, Index, find_lengths, find_parameters
-from orchestrator.plan.path.curves import ARC, LINE, POLY, QUICK, Derivatives
-from orchestrator.plan.path.limits import PathLimits, find_accelerations, find_speed_caps
+from orchestrator.plan.path.curves import ARC, LINE, POLY, QUICK
+from orchestrator.plan.path.limits import PathLimits, Slopes, find_accelerations, find_slopes, find_speed_caps
 from orchestrator.plan.path.track import Track
 
-BLOCK = 2048  # nodes evaluated at a time, so that their derivatives stay in the processor's cache
+BLOCK = 4096  # nodes evaluated at a time, so that their derivatives stay in the processor's cache
 ARC_CELLS = 12
 ARC_STEP = np.pi / 32  # the longest cell of an arc, in rad
 
@@ -24,7 +24,7 @@ class Grid:
 
     span: of the track; line: whether on a straight line; rest: whether the motion rests there; section: the number of
     the stretch from rest to rest; speed: the cap; slower: by how much speeds are to be lower than limits allow; at:
-    derivatives, one row per node.
+    absolute derivatives, one column per node.
     """
 
     s: Array
@@ -34,14 +34,14 @@ class Grid:
     section: Index
     speed: Array
     slower: Array
-    at: Derivatives
+    at: Slopes
 
     def find_accelerations(self, limits: PathLimits, speed: Array, smoothing_s: Array) -> Array:
         """The tangential acceleration left at each node."""
         parts: list[Array] = []
         for k in range(0, len(self.s), BLOCK):
             part = slice(k, k + BLOCK)
-            at = Derivatives(*(each[part] for each in self.at))
+            at = Slopes(*(each[:, part] for each in self.at))
             parts.append(find_accelerations(limits, at, speed[part], smoothing_s[part]))
         # Jerk follows from it within a fixed time.
         return np.concatenate(parts) / self.slower**3
@@ -81,9 +81,12 @@ def _place_on_polys(track: Track, span: Index, number: Index) -> Array:
 
 def make_grid(track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:
     """Evaluate the nodes at `local` lengths of spans."""
-    parts = [track.evaluate_spans(span[k : k + BLOCK], local[k : k + BLOCK], QUICK) for k in range(0, len(span), BLOCK)]
+    parts = [
+        find_slopes(track.evaluate_spans(span[k : k + BLOCK], local[k : k + BLOCK], QUICK))
+        for k in range(0, len(span), BLOCK)
+    ]
     caps = np.concatenate([find_speed_caps(limits, part) for part in parts])
-    at = Derivatives(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    at = Slopes(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))
     first = local == 0.0
     last = local == track.length[span]
     after_stop = np.concatenate([[True], track.stop[:-1]])
@@ -102,7 +105,7 @@ def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local
     slower = np.maximum(grid.slower[cell - 1], grid.slower[cell])
     more = replace(more, slower=slower, speed=more.speed / slower)
 
-    at = Derivatives(*(np.concatenate(pair)[order] for pair in zip(grid.at, more.at, strict=True)))
+    at = Slopes(*(np.concatenate(pair, axis=1).take(order, axis=1) for pair in zip(grid.at, more.at, strict=True)))
     return Grid(
         s[order],
         np.concatenate([grid.span, more.span])[order],

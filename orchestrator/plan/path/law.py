@@ -55,10 +55,11 @@ def _measure_sections(motion: PathMotion, smoothing_s: Array) -> Array:
 
 def choose_smoothing(grid: Grid, limits: PathLimits) -> Array:
     """The smoothing time of each section: the largest acceleration divided by jerk, less on a short line."""
-    first = np.abs(grid.at.first)
+    first = grid.at.first
     with np.errstate(divide="ignore", invalid="ignore"):
-        acceleration = np.minimum(np.nanmin(limits.acceleration / first, axis=1), limits.path_acceleration)
-        jerk = np.minimum(np.nanmin(limits.jerk / first, axis=1), limits.path_jerk)
+        acceleration = np.fmin.reduce(limits.acceleration[:, None] / first, axis=0)
+        acceleration = np.minimum(acceleration, limits.path_acceleration)
+        jerk = np.minimum(np.fmin.reduce(limits.jerk[:, None] / first, axis=0), limits.path_jerk)
         ratio = acceleration / jerk
     begin = np.flatnonzero(np.diff(grid.section, prepend=-1))
     smoothing_s = np.maximum.reduceat(ratio, begin)

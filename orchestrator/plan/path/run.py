@@ -1,12 +1,12 @@
 """A run: a part of a path from rest to rest, planned as one. Per corner the faster of stop and blend is chosen."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.plan.path.arc_length import Array
+from orchestrator.plan.path.arc_length import Array, Flags
 from orchestrator.plan.path.check import LimitUse, measure_use
-from orchestrator.plan.path.corners import make_track
+from orchestrator.plan.path.corners import fit_corners, make_track
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.grid import place_nodes
 from orchestrator.plan.path.law import plan_law
@@ -61,15 +61,15 @@ def plan_run(outline: Outline, frame: Frame | None, limits: PathLimits) -> Run:
     Corners with a tolerance are blended, and stopped at, in two plans; where the way from the middle of one span to
     that of the next is faster with a stop, the third plan stops. The fastest of the three is taken.
     """
-    even = limits.third_order
-    rounded = make_track(outline, frame, blends=True, even=even)
+    corners = fit_corners(outline, even=limits.third_order)
+    rounded = make_track(outline, frame, corners)
     plans = [(rounded, plan_law(rounded, limits))]
     if rounded.blend.any():
-        stopped = make_track(outline, frame, blends=False, even=even)
+        stopped = make_track(outline, frame, corners, np.ones(len(outline.kind), dtype=bool))
         plans.append((stopped, plan_law(stopped, limits)))
-        tolerance = _choose_corners(outline, *plans)
-        if (tolerance != outline.tolerance).any():
-            mixed = make_track(replace(outline, tolerance=tolerance), frame, blends=True, even=even)
+        stops = _choose_stops(outline, *plans)
+        if stops.any():
+            mixed = make_track(outline, frame, corners, stops)
             plans.append((mixed, plan_law(mixed, limits)))
     plans.sort(key=lambda plan: plan[1].duration_s)
     best = _hold_limits(*plans[0], limits)
@@ -80,12 +80,11 @@ def plan_run(outline: Outline, frame: Frame | None, limits: PathLimits) -> Run:
     return best
 
 
-def _choose_corners(outline: Outline, rounded: tuple[Track, PathMotion], stopped: tuple[Track, PathMotion]) -> Array:
-    """The tolerances of the outline, `STOP` where stopping is faster."""
+def _choose_stops(outline: Outline, rounded: tuple[Track, PathMotion], stopped: tuple[Track, PathMotion]) -> Flags:
+    """The spans at whose ends a stop is faster than a blend."""
     instants = [motion.find_instants(find_middles(track, outline)) for track, motion in (rounded, stopped)]
     slower = np.append(np.diff(instants[0]) > np.diff(instants[1]), False)
-    corner = (outline.tolerance > STOP) & (outline.tolerance < SMOOTH)
-    return np.where(corner & slower, STOP, outline.tolerance)
+    return (outline.tolerance > STOP) & (outline.tolerance < SMOOTH) & slower
 
 
 def find_middles(track: Track, outline: Outline) -> Array:

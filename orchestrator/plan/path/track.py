@@ -49,7 +49,7 @@ class Track:
 
     def find_spans(self, s: Array) -> Index:
         """The span at each length; at a junction the later one."""
-        return np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.kind) - 1)
+        return np.searchsorted(self.start[1:-1], s, side="right")
 
     def evaluate(self, s: Array, rounds: int = NEWTON_ROUNDS, section: Index | None = None) -> Derivatives:
         """Positions of the axes and their derivatives at lengths `s`. section: the number of the stretch from rest to

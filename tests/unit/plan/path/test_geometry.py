@@ -5,7 +5,7 @@ import pytest
 
 from orchestrator.bench.paths.random_paths import KINDS, random_outline
 from orchestrator.plan.path.arc_length import find_lengths, find_parameters
-from orchestrator.plan.path.corners import make_track
+from orchestrator.plan.path.corners import fit_corners, make_track
 from orchestrator.plan.path.curves import evaluate_polys
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.outline import SMOOTH, Circle, Outline, OutlineBuilder, PieceEnd
@@ -15,7 +15,7 @@ SEEDS = range(12)
 
 
 def rounded(outline: Outline, frame: Frame | None = None) -> Track:
-    return make_track(outline, frame, blends=True, even=True)
+    return make_track(outline, frame, fit_corners(outline, even=True))
 
 
 def draw_track(seed: int, frame: bool = False) -> Track:
@@ -46,7 +46,7 @@ def test_lengths_and_their_inverse_hold_1e_9(seed: int) -> None:
         chords = []
         for n in (1000, 2000):
             fine = np.linspace(0, u[k], n + 1)
-            q = evaluate_polys(np.repeat(coefficients[row[k]][None], n + 1, axis=0), fine).q
+            q = evaluate_polys(coefficients, np.full(n + 1, row[k]), fine).q
             chords.append(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
         true = (4 * chords[1] - chords[0]) / 3
         assert find_lengths(coefficients, table, row[k : k + 1], u[k : k + 1])[0] == pytest.approx(
@@ -145,7 +145,7 @@ def test_a_tangent_arc_is_blended_for_third_order_and_joined_for_second() -> Non
     builder.add_arc(PieceEnd(1, 0.1), Circle((0, 1), (50.0, 25.0), ccw=True), np.array([50.0, 50.0]))
     outline = builder.build()
     assert rounded(outline).blend.tolist() == [False, True, False]
-    second = make_track(outline, None, blends=True, even=False)
+    second = make_track(outline, None, fit_corners(outline, even=False))
     assert second.stop.tolist() == [False, True] and not second.blend.any()
 
 

@@ -13,7 +13,6 @@ from orchestrator.bench.paths.random_paths import (
     stop_everywhere,
     uneven_limits,
 )
-from orchestrator.plan.path.corners import make_track
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.limits import PathLimits
 from orchestrator.plan.path.outline import Outline, OutlineBuilder, PieceEnd
@@ -205,7 +204,6 @@ def test_planning_takes_300_us_a_piece_and_does_not_grow() -> None:
         times = []
         for _ in range(5):
             begin = time.process_time()
-            make_track(outline, None, blends=True, even=True)
             plan_run(outline, None, even_limits(8))
             times.append(time.process_time() - begin)
         spent[pieces] = min(times) / pieces
