@@ -11,11 +11,18 @@ import click
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, json_option, print_json, utc_option
 from orchestrator.cli.base.errors import exit_with_error, run_main
+from orchestrator.cli.looking.path_demo import run_path
+from orchestrator.cli.looking.pictures import picture_option
 
 JOB_TIMEOUT_S = 120.0  # for the job, which takes six seconds
 
 
-@click.command(epilog="Example: tutti demo --headless --json | jq .state")
+@click.command(
+    epilog="""\b
+Examples:
+  tutti demo --headless --json | jq .state
+  tutti demo --path -o eight.png""",
+)
 @click.option(
     "--fleet",
     "which",
@@ -24,18 +31,30 @@ JOB_TIMEOUT_S = 120.0  # for the job, which takes six seconds
     show_default=True,
     help="two: an SMC-4000 and an SHRC-203; all: every make, and a trigger wire that starts some of them.",
 )
+@click.option(
+    "--path",
+    "as_path",
+    is_flag=True,
+    help="A figure of eight on an SMC-4000 and two CAN drives instead, in virtual time: the bound, and the truth.",
+)
+@picture_option("With --path: its picture, of the plan and of what the controllers sampled.")
 @click.option("--headless", is_flag=True, help="Show no progress.")
 @click.option("-v", "--verbose", is_flag=True, help="Print the report with members and budgets.")
 @json_option
 @utc_option
 @click.option("--keep", type=click.Path(path_type=Path), default=None, help="Keep logs and journal in this folder.")
-def demo(which: str, keep: Path | None, *, headless: bool, verbose: bool, as_json: bool) -> None:
+def demo(
+    which: str, keep: Path | None, out: Path | None, *, as_path: bool, headless: bool, verbose: bool, as_json: bool
+) -> None:
     """Start router, simulators, adapter hosts and coordinator, run the example job, and print its report.
 
     The simulated controllers listen on real TCP ports and pseudo-terminals, and record their true motions, which the
     verdicts are checked against. Exit 0 only if the job is done and every start skew is guaranteed within the limit
     of the job; 130 when interrupted.
     """
+    if as_path or out is not None:
+        run_path(out, wanted=as_path, as_json=as_json)
+        return
     from orchestrator.model.files import load_fleet
     from orchestrator.model.report import JobReport
     from orchestrator.model.templates.template import load_job

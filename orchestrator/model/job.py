@@ -132,6 +132,9 @@ class FollowPath(StepBase, PathSpec):
         description="How far the axes may be off the path, in the first axis's unit or with one; a path that cannot be "
         "promised within it is refused. Corners `within` a distance are part of the path."
     )
+    record: StepSampling | None = Field(
+        default=None, description="Have controllers record positions by themselves, for the recording of the job."
+    )
     start_class: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
     align: _Align = 0
     max_start_skew: _OwnSkew = None

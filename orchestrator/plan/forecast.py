@@ -185,6 +185,8 @@ class JobForecaster(AxisForecaster):
 
     @_run.register
     def _(self, step: FollowPath) -> _Span:
+        if step.record is not None:
+            self._expand(step.record.axes, ("record", "axes"))
         found = {name: self._find_axis(name, ("axes", number)) for number, name in enumerate(step.axes)}
         axes = {name: axis for name, axis in found.items() if axis is not None}
         for name in axes:

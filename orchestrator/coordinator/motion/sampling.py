@@ -6,7 +6,6 @@ from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import Move
 from orchestrator.model.messages import BeginSampling, SamplesTaken, SamplingBegun, TakeSamples, raise_first_refusal
 from orchestrator.model.operation.recording import SampledAxis, StepSamples
 from orchestrator.model.report import SamplingReport
@@ -26,8 +25,7 @@ class StepSampler:
     async def begin(self, duration_s: float, lead_ns: int) -> None:
         """Have all controllers record. duration_s: planned; lead_ns: until the start, as far as it is known. Raises
         `Refusal`: then none goes on."""
-        move = self._request.move
-        wanted = move.record if isinstance(move, Move) else None
+        wanted = self._request.move.record
         if wanted is None:
             return
         fleet = self._services.fleet.view.fleet
