@@ -26,11 +26,13 @@ from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
+from orchestrator.model.path import FrameSpec
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
 MAX_POSITIONS, MAX_DESCRIPTION = 1_000, 200  # named positions, characters
+MAX_FRAMES = 200
 MIN_SCALE, MAX_SCALE = Fraction(1, 10**6), 10**12  # counts per unit
 
 
@@ -466,6 +468,9 @@ class Fleet(Model):
     positions: dict[Id, NamedPosition] = Field(
         default={}, max_length=MAX_POSITIONS, description="Named positions, for the targets of jobs and commands."
     )
+    frames: dict[Id, FrameSpec] = Field(
+        default={}, max_length=MAX_FRAMES, description="Coordinates for paths: named maps from coordinates to axes."
+    )
     queue: QueuePolicy = QueuePolicy()
     alarms: AlarmRules = Field(default_factory=AlarmRules, description="What raises an alarm, by kind of alarm.")
     notify: NotifyCommand | None = Field(default=None, description="The command that is run for alarms.")
@@ -491,6 +496,26 @@ class Fleet(Model):
                 text = self._explain_position(axis, value) if axis in self.names.axes else None
                 if text is not None:
                     problems.append(Problem(("positions", name, "axes", axis), text, value))
+        raise_problems(problems, type(self).__name__)
+        return self
+
+    @model_validator(mode="after")
+    def _check_frames(self) -> "Fleet":
+        """Units of the axes of frames, and of their offsets; their names are checked with the others."""
+        problems: list[Problem] = []
+        for name, frame in self.frames.items():
+            for number, axis in enumerate(frame.axes):
+                if axis not in self.names.axes:
+                    continue
+                unit = self.axis(axis).unit
+                if unit != frame.unit:
+                    text = f"axis {axis} is in {unit}, and the coordinates in {frame.unit}; both must have one unit"
+                    problems.append(Problem(("frames", name, "axes", number), text, axis))
+                elif frame.offset is not None:
+                    try:
+                        parse_quantity(frame.offset[number], unit)
+                    except UnitError as error:
+                        problems.append(Problem(("frames", name, "offset", number), str(error), frame.offset[number]))
         raise_problems(problems, type(self).__name__)
         return self
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from orchestrator.model.fleet import Axis
+from orchestrator.model.path import FrameSpec
 from orchestrator.plan.path_profiles import Array
 from orchestrator.plan.path_step import PlannedPath
 
@@ -25,6 +26,7 @@ COLOURS: tuple[str, ...] = ("#1d4ed8", "#ea580c", "#16a34a", "#9333ea", "#eab308
 COLOUR_OTHER, COLOUR_LIMIT = "#7a8ca5", "#9ca3af"
 STYLES = {"velocity": "#111827", "acceleration": "#64748b", "jerk": "#b6c2d1"}  # greys: the colours say what limits
 NOTHING = "nothing else"
+STILL = 1e-9  # in the unit of the path: rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,21 +38,37 @@ class AxisCourse:
     parts: Mapping[str, Array]
 
 
-def plot_path(path: PlannedPath, axes: Mapping[str, Axis], offsets: Mapping[str, float], title: str) -> Figure:
-    """Plot a planned path: its course, the speed along it, and what each axis uses of its limits.
+@dataclass(frozen=True, slots=True)
+class PathAxes:
+    """The axes of a path, in its order. offsets: user minus motor position, by axis. frame: of its coordinates."""
 
-    axes: those of the path, in its order. offsets: user minus motor position, by axis.
-    """
+    axes: Mapping[str, Axis]
+    offsets: Mapping[str, float]
+    frame: FrameSpec | None = None
+
+    def make_lines(self, courses: Mapping[str, AxisCourse]) -> dict[str, Array]:
+        """The courses of the coordinates, by name; those of the axes without a frame."""
+        positions = {name: course.positions for name, course in courses.items()}
+        if self.frame is None:
+            return positions
+        rows = np.stack(list(positions.values()), axis=1)
+        units = [axis.unit for axis in self.axes.values()]
+        return dict(zip(self.frame.coordinates, self.frame.find_coordinates(rows, units).T, strict=True))
+
+
+def plot_path(path: PlannedPath, shown: PathAxes, title: str) -> Figure:
+    """Plot a planned path: its course, the speed along it, and what each axis uses of its limits."""
+    axes = shown.axes
     mpl.rcParams["font.size"] = 9
     times_s = np.linspace(0.0, path.plan.duration_s, POINTS)
-    courses = {name: _make_course(path, name, axis, offsets[name], times_s) for name, axis in axes.items()}
+    courses = {name: _make_course(path, name, axis, shown.offsets[name], times_s) for name, axis in axes.items()}
     binding, colours = _colour_bindings(path, times_s)
     rows = 1 + len(axes)
     figure = Figure(figsize=(WIDTH, max(LEAST_HEIGHT, 0.9 + ROW * rows)), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
     grid = figure.add_gridspec(rows, 2, width_ratios=(5, 6))
-    _draw_course(figure.add_subplot(grid[:, 0]), path, courses, binding)
+    _draw_course(figure.add_subplot(grid[:, 0]), path, shown.make_lines(courses), binding)
     speed = figure.add_subplot(grid[0, 1])
     _draw_speed(speed, path, times_s, binding)
     below = [figure.add_subplot(grid[k + 1, 1], sharex=speed) for k in range(len(axes))]
@@ -70,8 +88,8 @@ def plot_path(path: PlannedPath, axes: Mapping[str, Axis], offsets: Mapping[str,
             alignment="left",
         )
     drawn = dict.fromkeys(what for course in courses.values() for what in course.parts)
-    shown = [Line2D([], [], color=STYLES[what], label=what) for what in drawn]
-    below[0].legend(handles=shown, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+    styles = [Line2D([], [], color=STYLES[what], label=what) for what in drawn]
+    below[0].legend(handles=styles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
     figure.align_ylabels([speed, *below])
     return figure
 
@@ -118,18 +136,18 @@ def _draw_coloured(axes: Axes, x: Array, y: Array, colours: Sequence[str], width
     axes.grid(alpha=0.3)
 
 
-def _draw_course(axes: Axes, path: PlannedPath, courses: Mapping[str, AxisCourse], colours: Sequence[str]) -> None:
-    """The path in the plane of its first two axes that move; of one axis over time."""
-    moving = [name for name in courses if name in path.plan.profiles] or list(courses)
+def _draw_course(axes: Axes, path: PlannedPath, lines: Mapping[str, Array], colours: Sequence[str]) -> None:
+    """The path in the plane of its first two coordinates that change; of one coordinate over time."""
+    moving = [name for name, line in lines.items() if float(np.ptp(line)) > STILL] or list(lines)[:1]
     y = moving[-1] if len(moving) < 2 else moving[1]
-    x = courses[moving[0]].positions
+    x = lines[moving[0]]
     if len(moving) < 2:
         x = np.linspace(0.0, path.plan.duration_s, POINTS)
     else:
         axes.set_aspect("equal", adjustable="datalim")
-    _draw_coloured(axes, x, courses[y].positions, colours, 2.0)
-    axes.plot(x[0], courses[y].positions[0], "o", color="black", markersize=6, fillstyle="none")
-    axes.plot(x[-1], courses[y].positions[-1], "s", color="black", markersize=4)
+    _draw_coloured(axes, x, lines[y], colours, 2.0)
+    axes.plot(x[0], lines[y][0], "o", color="black", markersize=6, fillstyle="none")
+    axes.plot(x[-1], lines[y][-1], "s", color="black", markersize=4)
     axes.set_xlabel(f"{moving[0]}, {path.report.unit}" if len(moving) > 1 else "s after T0")
     axes.set_ylabel(f"{y}, {path.report.unit}")
     more = f"; not shown: {', '.join(moving[2:])}" if len(moving) > 2 else ""

@@ -8,7 +8,8 @@ MAX_BINDING = 4  # limits that are named in one line
 def describe_path(report: PathReport) -> list[str]:
     """A path in a few lines: length and duration, what limits it most of the time, and the bound term by term."""
     unit = report.unit
-    lines = [f"path of {report.length:.6g} {unit} in {report.duration_s:.3f} s; limited by {_describe_binding(report)}"]
+    length = f"{report.length:.6g} {unit}" + (f" in frame {report.frame}" if report.frame else "")
+    lines = [f"path of {length} in {report.duration_s:.3f} s; limited by {_describe_binding(report)}"]
     bound = report.bound
     if bound is None:
         return lines

@@ -5,7 +5,6 @@ with the soft limits although nothing is known about its beginning.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial, singledispatchmethod
@@ -39,7 +38,7 @@ from orchestrator.model.positions.resolve import (
     replace_targets,
 )
 from orchestrator.model.step_words import describe_step
-from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.model.units import UnitError
 from orchestrator.plan.forecast_axes import AxisForecaster, MoveWays, Order
 from orchestrator.plan.forecast_passes import (
     RUN_PASSES,
@@ -52,7 +51,7 @@ from orchestrator.plan.forecast_passes import (
     group_by_axis,
 )
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
-from orchestrator.plan.path_step import PathStart, PlannedPath, plan_path_step
+from orchestrator.plan.path_step import PathStart, PlannedPath, find_start, plan_path_step
 from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iterate_ways
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
@@ -194,7 +193,7 @@ class JobForecaster(AxisForecaster):
         if len(axes) < len(found):
             return _Span()
         try:
-            path = plan_path_step(step, self._place_path(step, axes))
+            path = plan_path_step(step, self._place_path(step, axes), self._fleet.frames)
         except (Refusal, PlanError) as error:
             code, text, remedy = ("plan", str(error), "")
             if isinstance(error, Refusal):
@@ -210,13 +209,14 @@ class JobForecaster(AxisForecaster):
     def _place_path(self, step: FollowPath, axes: Mapping[str, Axis]) -> list[PathStart]:
         """Where the axes of a path are before it: an axis whose position is not known must be at its start."""
         placed: list[PathStart] = []
-        for value, (name, axis) in zip(step.start, axes.items(), strict=True):
+        begin = find_start(step, [axis.unit for axis in axes.values()], self._fleet.frames)
+        for value, at, (name, axis) in zip(step.start, begin, axes.items(), strict=True):
             state = self._state(name)
             here = state.motor
             if not state.known or state.offset_kind != "motor":
-                self._notes[f"{name} stands at {value} when the path begins"] = None
-                with suppress(UnitError):  # refused with the path
-                    here = parse_quantity(value, axis.unit) - state.offset
+                where = value if step.frame is None else f"{float(at):.6g} {axis.unit}"
+                self._notes[f"{name} stands at {where} when the path begins"] = None
+                here = at - state.offset
             order = self._orders.get(controller_of(name), 3)
             placed.append(PathStart(name, axis, here, axis.to_counts(here), state.offset, order))
         return placed

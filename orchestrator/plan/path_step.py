@@ -13,10 +13,11 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.job import FollowPath
 from orchestrator.model.names import controller_of
+from orchestrator.model.path import FrameSpec
 from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.path.axes import PathAxis
-from orchestrator.plan.path.plan import PathPlan, plan_path
+from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
 from orchestrator.plan.path_course import PathCourse
 from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.step import AxisMove, StepPlan
@@ -78,13 +79,15 @@ class PlannedPath:
         return self.report.model_copy(update={"duration_s": duration_s, "stretches": stretches, "bound": bound})
 
 
-def plan_path_step(step: FollowPath, starts: Sequence[PathStart]) -> PlannedPath:
-    """Plan a path whose axes stand at its start. Raises `Refusal`, `PlanError`."""
+def plan_path_step(
+    step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec] | None = None
+) -> PlannedPath:
+    """Plan a path whose axes stand at its start. frames: those of the fleet file. Raises `Refusal`, `PlanError`."""
     _require_orders(starts)
     unit = _find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
-    _require_start(step, starts)
-    plan = plan_path(step, [_describe_axis(start) for start in starts])
+    _require_start(step, starts, frames or {})
+    plan = plan_path(step, [_describe_axis(start) for start in starts], frames)
     shift = np.array([float(start.offset) for start in starts])
     ends = (plan.evaluate(np.array([plan.duration_s])).positions[0] - shift).tolist()
     axes: list[FittedAxis] = []
@@ -106,7 +109,13 @@ def plan_path_step(step: FollowPath, starts: Sequence[PathStart]) -> PlannedPath
         StepPlan(fitted.duration_s, fitted.profiles, fitted.standing),
         [make_axis_move(each.name, each.axis, each.start_counts, exact[each.name][1], each.order) for each in starts],
         exact,
-        PathReport(unit=unit, length=plan.length, duration_s=plan.duration_s, stretches=_list_stretches(plan)),
+        PathReport(
+            unit=unit,
+            frame=step.frame or "",
+            length=plan.length,
+            duration_s=plan.duration_s,
+            stretches=_list_stretches(plan),
+        ),
         tolerance,
         fitted.error,
         {axis.name: axis.counts_per_unit for axis in axes},
@@ -168,22 +177,44 @@ def _parse_tolerance(step: FollowPath, unit: Unit) -> float:
     return tolerance
 
 
-def _require_start(step: FollowPath, starts: Sequence[PathStart]) -> None:
+def find_start(step: FollowPath, units: Sequence[Unit], frames: Mapping[str, FrameSpec]) -> list[Fraction]:
+    """Where the axes of a path stand at its start: user positions, in the units of the axes. Raises `Refusal`."""
+    try:
+        frame = None if step.frame is None else find_frame(step, frames)
+        named = units if frame is None else [frame.unit] * len(units)
+        values = [
+            parse_quantity(value, unit, name) for value, unit, name in zip(step.start, named, step.axes, strict=True)
+        ]
+    except UnitError as error:
+        raise Refusal("bad-unit", f"`start`: {error}", "correct the unit") from None
+    if frame is None:
+        return values
+    return [Fraction(value) for value in frame.find_positions([float(each) for each in values], list(units))]
+
+
+def _require_start(step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec]) -> None:
     """Raise `Refusal` for an axis that does not stand where the path begins, to a count."""
-    for value, start in zip(step.start, starts, strict=True):
+    units = [start.axis.unit for start in starts]
+    for wanted, start in zip(find_start(step, units, frames), starts, strict=True):
         axis = start.axis
-        try:
-            wanted = parse_quantity(value, axis.unit)
-        except UnitError as error:
-            raise Refusal("bad-unit", f"`start` of {start.name}: {error}", "correct the unit") from None
         if abs(axis.to_counts(wanted - start.offset) - start.start_counts) > MAX_START_COUNTS:
+            more = "" if step.frame is None else f" ({_describe_place(step, starts, frames)})"
             raise Refusal(
                 "other-start",
                 f"axis {start.name} is at {float(start.here + start.offset):g} {axis.unit}; the path begins at "
-                f"{float(wanted):g} {axis.unit}",
+                f"{float(wanted):g} {axis.unit}{more}",
                 f"move it there before: a step `do: move` to {float(wanted):g}, or `tutti axis move`",
                 controller_of(start.name),
             )
+
+
+def _describe_place(step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec]) -> str:
+    """Where the axes are, in the coordinates of the frame."""
+    frame = find_frame(step, frames)
+    positions = np.array([[float(start.here + start.offset) for start in starts]])
+    values = frame.find_coordinates(positions, [start.axis.unit for start in starts])[0].tolist()
+    words = ", ".join(f"{name} {value:.6g}" for name, value in zip(frame.coordinates, values, strict=True))
+    return f"in {step.frame} the axes are at {words} {frame.unit}"
 
 
 def _require_orders(starts: Sequence[PathStart]) -> None:

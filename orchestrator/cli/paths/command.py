@@ -48,7 +48,7 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     The steps before it are run forward, because a path begins where its axes stand.
     """
     from orchestrator.model.templates.template import load_job
-    from orchestrator.monitor.path_plot import plot_path
+    from orchestrator.monitor.path_plot import PathAxes, plot_path
     from orchestrator.monitor.path_words import describe_path
     from orchestrator.plan.forecast import JobForecaster
     from orchestrator.runtime.checked import load_checked_fleet
@@ -62,7 +62,8 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     lines = describe_path(planned.report)
     target = out or file.with_suffix(".png")
     title = f"{job.name!r}, step {number}: {lines[0].partition(';')[0]}"
-    write_picture(plot_path(planned, axes, offsets, title), target)
+    frame = None if wanted.frame is None else loaded.frames[wanted.frame]
+    write_picture(plot_path(planned, PathAxes(axes, offsets, frame), title), target)
     print_result({"file": str(target), "path": planned.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json)
 
 

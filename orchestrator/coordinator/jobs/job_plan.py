@@ -99,6 +99,7 @@ class _JobUses:
     started: dict[str, None] = field(default_factory=dict[str, None])
     groups: dict[str, None] = field(default_factory=dict[str, None])
     outputs: dict[str, None] = field(default_factory=dict[str, None])
+    frames: dict[str, None] = field(default_factory=dict[str, None])
     homes_all: bool = False
 
     def take_step(self, fleet: Fleet, step: Step) -> None:
@@ -111,6 +112,7 @@ class _JobUses:
             self.absolute |= dict.fromkeys(step.to if isinstance(step, Move) else step.axis_names)
         elif isinstance(step, FollowPath):
             self.absolute |= axes
+            self.frames |= {} if step.frame is None else {step.frame: None}
         elif isinstance(step, Home | Enable | Disable):
             self.groups |= dict.fromkeys(name for name in step.axes or [] if name in fleet.groups)
             self.homes_all |= step.axes is None
@@ -214,6 +216,8 @@ def _format_exact(value: Fraction) -> str:
 def _describe_entries(fleet: Fleet, uses: _JobUses) -> dict[str, str]:
     """What else of the fleet file the job depends on: groups and the order of homing, wires, permits."""
     parts = {f"group {name}": ", ".join(fleet.groups[name]) for name in uses.groups}
+    # A frame that does not exist is refused when the path is planned.
+    parts |= {f"frame {name}": fleet.frames[name].to_json().decode() for name in uses.frames if name in fleet.frames}
     if uses.homes_all:
         order = "; ".join(", ".join(fleet.expand_name(each)) for each in fleet.home_order)
         parts["order of homing"] = order or "axis by axis"

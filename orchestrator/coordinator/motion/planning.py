@@ -166,7 +166,7 @@ def _plan_from(
         raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
     try:
         if isinstance(move, FollowPath):
-            path = plan_path_step(move, make_path_starts(move, context))
+            path = plan_path_step(move, make_path_starts(move, context), context.fleet.frames)
             resolved = ResolvedMove(path.moves, dict(path.exact))
             return PlannedStep(request, resolved, path.plan, instances, path.exact, path=path)
         resolved = resolve_targets(move, context, goal)

@@ -1,1 +1,1 @@
-"""Continuous paths as files and requests give them: pieces, corners, and frames."""
+"""Continuous paths as files of other programs give them."""

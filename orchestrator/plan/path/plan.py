@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orchestrator.model.path import PathSpec
-from orchestrator.model.paths.frame import FrameSpec
+from orchestrator.model.path import FrameSpec, PathSpec
 from orchestrator.plan.path.arc_length import Array, Index
 from orchestrator.plan.path.axes import AlongLimits, PathAxis, collect_limits
 from orchestrator.plan.path.errors import PathRefusal
@@ -155,17 +154,25 @@ def plan_path(
     in numbers; one that is written has its own. Raises `PathRefusal` naming the piece.
     """
     if isinstance(path, PathSpec):
-        frame = None
-        if path.frame is not None:
-            frame = (frames or {}).get(path.frame)
-            if frame is None:
-                known = ", ".join(sorted(frames or {})) or "none"
-                text = f"the path's frame {path.frame!r} is not in the fleet file; it has: {known}"
-                raise PathRefusal("unknown-frame", text, "correct the name, or add the frame")
+        frame = None if path.frame is None else find_frame(path, frames or {})
         resolved = resolve_path(path, axes, frame)
     else:
         resolved = ResolvedPath([path], None, along or AlongLimits())
     return _plan_parts(resolved, list(axes))
+
+
+def find_frame(path: PathSpec, frames: Mapping[str, FrameSpec]) -> FrameSpec:
+    """The frame of a path that has one. Raises `PathRefusal` if it does not exist, or has other axes."""
+    name = path.frame or ""
+    frame = frames.get(name)
+    if frame is None:
+        known = ", ".join(sorted(frames)) or "none"
+        text = f"the path's frame {name!r} is not in the fleet file; it has: {known}"
+        raise PathRefusal("unknown-frame", text, "correct the name, or add the frame")
+    if frame.axes != path.axes:
+        text = f"the path has axes {', '.join(path.axes)}, and its frame {', '.join(frame.axes)}"
+        raise PathRefusal("other-axes", text, "name the same axes in the same order")
+    return frame
 
 
 def _plan_parts(resolved: ResolvedPath, axes: list[PathAxis]) -> PathPlan:

@@ -7,6 +7,7 @@ import numpy as np
 
 from orchestrator.model.path import (
     ArcPiece,
+    FrameSpec,
     HelixPiece,
     LinePiece,
     PathSpec,
@@ -15,7 +16,6 @@ from orchestrator.model.path import (
     TablePiece,
     Within,
 )
-from orchestrator.model.paths.frame import FrameSpec
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, parse_rate
 from orchestrator.plan.path.arc_length import Array
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
@@ -72,9 +72,6 @@ def resolve_path(spec: PathSpec, axes: Sequence[PathAxis], frame: FrameSpec | No
     if frame is None:
         coordinates, mapped = _Coordinates(spec.axes, units), None
     else:
-        if list(frame.axes) != list(spec.axes):
-            text = f"the path has axes {', '.join(spec.axes)}, and its frame {', '.join(frame.axes)}"
-            raise PathRefusal("other-axes", text, "name the same axes in the same order")
         coordinates = _Coordinates(frame.coordinates, [frame.unit] * len(units))
         mapped = Frame(frame.make_matrix(), frame.make_offset(units))
     parts = _Collector(spec, coordinates).collect()

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from orchestrator.model.path import PathSpec
-from orchestrator.model.paths.frame import FrameSpec
+from orchestrator.model.path import FrameSpec, PathSpec
 from orchestrator.model.units import Unit
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.errors import PathRefusal
