@@ -13,6 +13,7 @@ from orchestrator.client.connection import FleetConnection
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Scan, find_moved_twice, find_scans, replace_scans
 from orchestrator.model.messages import Request
+from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.report import PointRecord
 from orchestrator.model.scan import PART_BYTES, ROW_TYPE, PointAxis, PointTable, find_row_bytes, make_header
 from orchestrator.model.service import FleetNames, PointsPut, PointsRead, PutPoints, ReadPoints
@@ -52,9 +53,10 @@ class PointRequests(FleetConnection):
         """Read the points of all scans that are in files or specs, and send them; return the job that names what is
         stored. Points that are stored already are not sent again.
 
-        on_points: called with the progress. Raises `FileError` with every wrong line, and `Refusal`: codes
-        `point-store-full`, `no-scanspec`, `bad-scanspec`.
+        Files of paths are read as well. on_points: called with the progress. Raises `FileError` with every wrong line,
+        and `Refusal`: codes `point-store-full`, `no-scanspec`, `bad-scanspec`.
         """
+        job = read_path_steps(job)
         unread = [scan for scan in find_scans(job.steps) if _is_unread(scan)]
         if not unread:
             return job

@@ -1,7 +1,7 @@
 """The job file: a list of steps for the whole fleet."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
@@ -9,7 +9,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.names import ALL_AXES, MoveTarget, is_position_name
 from orchestrator.model.numbers import Part
-from orchestrator.model.path import PathSpec, Piece
+from orchestrator.model.path import MAX_COORDINATES, MAX_PIECES, PathSpec, Piece
 from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.state import StartWish
 from orchestrator.model.units import Quantity
@@ -123,11 +123,38 @@ class Move(MotionOptions, MoveTargets):
         return self
 
 
+def _describe_path_axes(schema: dict[str, Any]) -> None:
+    """In a file, the axes of a path that is in a file of its own may be a map from the names there."""
+    axes = schema["properties"]["axes"]
+    text = {"description": axes.pop("description"), "title": axes.pop("title", "Axes")}
+    named = {"type": "object", "additionalProperties": {"type": "string"}}
+    schema["properties"]["axes"] = {"anyOf": [axes, named], **text}
+    schema["required"] = ["do", *(name for name in schema["required"] if name not in ("start", "pieces"))]
+
+
 class FollowPath(StepBase, PathSpec):
     """Move axes together along a path, without a stop where corners are rounded. How far they may be off it is known
     before they move."""
 
+    model_config = ConfigDict(json_schema_extra=_describe_path_axes)
+
     do: Literal["path"] = "path"
+    file: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=4096,
+        description="Instead of `pieces`: a file beside the job file with G-code, a table of points, or a joint "
+        "trajectory. `axes` may map the names in it to axes: `{X: gantry.x}`. It is read where the job is submitted.",
+    )
+    names: list[str] = Field(
+        default=[], max_length=MAX_SCAN_AXES, description="With `file`: the names of `axes` there, in their order."
+    )
+    start: list[Quantity] = Field(
+        default=[],
+        max_length=MAX_COORDINATES,
+        description="Where the path begins, and the axes stand; of G-code 0 without it, of tables none.",
+    )
+    pieces: list[Piece] = Field(default=[], max_length=MAX_PIECES)
     tolerance: Quantity = Field(
         description="How far the axes may be off the path, in the first axis's unit or with one; a path that cannot be "
         "promised within it is refused. Corners `within` a distance are part of the path."
@@ -144,12 +171,35 @@ class FollowPath(StepBase, PathSpec):
         def __init__(
             self,
             *,
-            axes: Sequence[str],
-            start: Sequence[float | str],
-            pieces: Sequence[Mapping[str, Any] | Piece],
+            axes: Sequence[str] | Mapping[str, str],
             tolerance: float | str,
+            start: Sequence[float | str] = (),
+            pieces: Sequence[Mapping[str, Any] | Piece] = (),
             **more: Any,
         ) -> None: ...
+
+    @model_validator(mode="before")
+    @classmethod
+    def _split_names(cls, data: Any) -> Any:
+        """`axes: {X: gantry.x}` is `axes: [gantry.x]` and `names: [X]`."""
+        if not isinstance(data, dict) or not isinstance(data.get("axes"), dict):  # pyright: ignore[reportUnknownMemberType]
+            return data  # pyright: ignore[reportUnknownVariableType]
+        plain = cast(dict[str, Any], data)
+        axes = cast(dict[Any, Any], plain["axes"])
+        return {**plain, "axes": list(axes.values()), "names": [str(name) for name in axes]}
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if self.file is None:
+            if not self.start or not self.pieces:
+                raise ValueError("needs `start` and `pieces`, or `file`")
+            if self.names:
+                raise ValueError("names in a file need `file`; write `axes` as a list")
+        elif self.pieces:
+            raise ValueError("has `file`, so `pieces` have no meaning; remove one of them")
+        elif self.names and len(self.names) != len(self.axes):
+            raise ValueError(f"has {len(self.names)} names for {len(self.axes)} axes; give one for each")
+        return self
 
 
 MOTION_STEPS = ("move", "path")

@@ -154,7 +154,8 @@ class PathSpec(Model):
     def _check_points(self) -> Self:
         if len(set(self.axes)) != len(self.axes):
             raise ValueError("an axis is named twice in `axes`; name each once")
-        self._check_width("start", self.start)
+        if self.start:  # a path in a file that was not read yet may have none
+            self._check_width("start", self.start)
         for k, piece in enumerate(self.pieces):
             for name, point in _list_points(piece):
                 self._check_width(f"pieces.{k}.{name}", point)

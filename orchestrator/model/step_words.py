@@ -13,13 +13,14 @@ def describe_step(step: Step) -> str:
     many steps it has."""
     own = {"axes", "points", "scanspec", "at_each"} if isinstance(step, Scan) else set[str]()
     if isinstance(step, FollowPath):
-        own = {"axes", "start", "pieces"}
+        own = {"axes", "start", "pieces", "names"}
     said = step.model_dump(mode="json", exclude_defaults=True, exclude={"do", "name", "steps", *own})
     words = [_describe_field(key, value) for key, value in said.items()]
     if isinstance(step, Repeat):
         words = [f"{step.times} times: {len(step.steps)} step{'' if len(step.steps) == 1 else 's'}"]
     if isinstance(step, FollowPath):
-        words = [f"of {' '.join(step.axes)}, {len(step.pieces)} piece{'' if len(step.pieces) == 1 else 's'}", *words]
+        pieces = "" if step.file else f", {len(step.pieces)} piece{'' if len(step.pieces) == 1 else 's'}"
+        words = [f"of {' '.join(step.axes)}{pieces}", *words]
     if isinstance(step, Scan):
         words = [_describe_points(step), *words, *_describe_at_each(step)]
     return " ".join(part for part in (step.do, step.name and f"'{step.name}'", ", ".join(words)) if part)

@@ -179,6 +179,9 @@ def _parse_tolerance(step: FollowPath, unit: Unit) -> float:
 
 def find_start(step: FollowPath, units: Sequence[Unit], frames: Mapping[str, FrameSpec]) -> list[Fraction]:
     """Where the axes of a path stand at its start: user positions, in the units of the axes. Raises `Refusal`."""
+    if step.file is not None:
+        text = f"the path is in the file {step.file!r} of the client, which has to read it"
+        raise Refusal("unread-path", text, "submit the job with `tutti submit`, or from Python, where the file is")
     try:
         frame = None if step.frame is None else find_frame(step, frames)
         named = units if frame is None else [frame.unit] * len(units)

@@ -22,6 +22,7 @@ from orchestrator.model.files import (
 )
 from orchestrator.model.fleet_names import list_names, suggest_name
 from orchestrator.model.job import Job
+from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.templates.parameters import (
     MAX_PARAMETERS,
     Parameter,
@@ -208,8 +209,13 @@ class Template:
                 problems.append(_describe_problem(self._file, filler.origins, each.place, each.text))
         if job is None or problems or filler.failed:
             return problems, None
-        # A relative path of points is one beside the job file.
-        return [], FilledJob(self._file, locate_point_files(job, Path(self._file.name).parent), filler.origins)
+        # Relative names of files are of those beside the job file.
+        folder = Path(self._file.name).parent
+        try:
+            read = read_path_steps(locate_point_files(job, folder), folder)
+        except FileError as error:
+            return list(error.problems), None
+        return [], FilledJob(self._file, read, filler.origins)
 
     def _list_values(self) -> Iterator[YamlNode]:
         """All scalars that are no declarations."""

@@ -1,0 +1,95 @@
+"""Paths of jobs that are in files of other programs, read in the place of their steps.
+
+A file that stops on its way, or changes its speed, becomes several steps; they are a repeat of one pass, so that what
+is said about a step of the job still names the step that was written.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from orchestrator.model.files import FileError, FileProblem, validate_value
+from orchestrator.model.job import MAX_REPEATED, FollowPath, Job, Repeat, Step
+from orchestrator.model.paths.files.reading import GCODE, read_path_file
+from orchestrator.model.units import Unit, UnitError, parse_quantity, parse_rate
+
+# What the step of the job says about each path of its file.
+_SHARED = ("frame", "tolerance", "acceleration", "jerk", "record", "start_class", "align", "max_start_skew")
+MAX_JOB_BYTES = 12_000_000  # of a job as it is sent; the coordinator takes 16 MB
+
+
+def read_path_steps(job: Job, folder: Path | None = None) -> Job:
+    """The job with the pieces of all files in the place of their names. folder: of relative names.
+
+    Raises `FileError` with every mistake of a file, by line and column; nothing of it is taken then.
+    """
+    steps = _read_steps(job.steps, folder)
+    if steps is job.steps:
+        return job
+    read = job.model_copy(update={"steps": steps})
+    size = len(read.to_json())
+    if size > MAX_JOB_BYTES:
+        text = f"with its files of paths the job has {size / 1e6:.1f} MB; at most {MAX_JOB_BYTES / 1e6:g} MB are sent"
+        raise FileError([FileProblem(job.name, 1, "", f"{text}: split the program into several jobs")])
+    return read
+
+
+def _read_steps(steps: list[Step], folder: Path | None) -> list[Step]:
+    """The steps with files read; the same list if there are none."""
+    read = [_read_step(step, folder) for step in steps]
+    return steps if all(new is old for new, old in zip(read, steps, strict=True)) else read
+
+
+def _read_step(step: Step, folder: Path | None) -> Step:
+    if isinstance(step, Repeat):
+        inside = _read_steps(step.steps, folder)
+        return step if inside is step.steps else step.model_copy(update={"steps": inside})
+    if not isinstance(step, FollowPath) or step.file is None:
+        return step
+    path = Path(step.file) if folder is None else folder / step.file
+    plain = read_path_file(path, dict(zip(step.names or step.axes, step.axes, strict=True)), _find_places(step, path))
+    made: list[Step] = []
+    for number, each in enumerate(plain):
+        fields = {**_add_fields(step, each), "name": step.name} if each["do"] == "path" else each
+        job, problems = validate_value({"schema": "tutti.job/1", "name": "file", "steps": [fields]}, Job)
+        if job is None:
+            place = ".".join(map(str, problems[0].place[2:]))
+            text = f"its path {number + 1} is not valid: {place} {problems[0].text}"
+            raise FileError([FileProblem(str(path), 1, "", text)])
+        made += job.steps
+    if len(made) > MAX_REPEATED:
+        text = f"stops, or changes its feed, {len(made)} times; at most {MAX_REPEATED} times are possible"
+        raise FileError([FileProblem(str(path), 1, "", f"{text}: split the program")])
+    return made[0] if len(made) == 1 else Repeat(times=1, steps=made, name=step.name)
+
+
+def _find_places(step: FollowPath, path: Path) -> dict[str, float]:
+    """Where the axes of G-code stand before it, mm, by letter."""
+    if not step.start or path.suffix.lower() not in GCODE:
+        return {}
+    pairs = zip(step.names or step.axes, step.start, strict=True)
+    try:
+        return {name.upper(): float(parse_quantity(value, Unit.MM, name)) for name, value in pairs}
+    except UnitError as error:
+        raise FileError([FileProblem(str(path), 1, "", f"`start` of its step: {error}")]) from None
+
+
+def _add_fields(step: FollowPath, each: dict[str, Any]) -> dict[str, Any]:
+    """A path of a file with what its step says. The lower one of two speeds holds."""
+    said = step.model_dump(mode="json", exclude_defaults=True, by_alias=True)
+    fields = {**each, **{name: said[name] for name in _SHARED if name in said}, "tolerance": said["tolerance"]}
+    if "corner" in said:
+        fields["corner"] = said["corner"]
+    if step.speed is not None:
+        own = each.get("speed")
+        fields["speed"] = step.speed if own is None else _choose_lower([step.speed, own])
+    return fields
+
+
+def _choose_lower(speeds: Sequence[float | str]) -> float | str:
+    """The lowest of speeds; one that has no sense is refused with the path."""
+    try:
+        values = [parse_rate(each, Unit.MM, 1) if isinstance(each, str) else each for each in speeds]
+    except UnitError:
+        return speeds[0]
+    return speeds[values.index(min(values))]
