@@ -15,6 +15,7 @@ from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.jobs.approval import JobApprovals
 from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
+from orchestrator.coordinator.jobs.path_intake import split_paths
 from orchestrator.coordinator.jobs.rehearsal import JobRehearsal
 from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
@@ -170,6 +171,7 @@ class UserRequests:
 
     async def _dry_run(self, request: DryRun) -> DryRunDone:
         job = await self._intake.points.resolve_points(request.job)
+        job = await split_paths(self._services.view, job)
         return await self._rehearsal.dry_run(request.model_copy(update={"job": job}))
 
     async def _read_points(self, request: ReadPoints) -> PointsRead:

@@ -189,7 +189,6 @@ class PathReport(Model):
     """A path as it is planned. length: along it, in `unit`, in the coordinates of its frame, if it has one. bound: once
     its members have answered. stops: where its members had to wait for its continuation."""
 
-
     unit: Unit
     frame: str = ""
     length: float

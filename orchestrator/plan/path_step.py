@@ -1,7 +1,7 @@
 """A path step in counts: one profile per axis from where the axes stand, what limits it where, and how fast each member
 moves when."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import inf
@@ -13,12 +13,14 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.job import FollowPath
 from orchestrator.model.names import controller_of
-from orchestrator.model.path import FrameSpec
+from orchestrator.model.path import FrameSpec, LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
+from orchestrator.plan.path.resolve import parse_along
 from orchestrator.plan.path_course import PathCourse
+from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import make_axis_move
@@ -50,7 +52,7 @@ class PlannedPath:
 
     exact: the end of each axis (motor position) and its counts. tolerance, fit_error: in the unit of `report`.
     counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s. course: the
-    motion, for members that execute it in chunks.
+    motion, for members that execute it in chunks; a line on a trapezoid has none.
     """
 
     plan: StepPlan
@@ -62,7 +64,7 @@ class PlannedPath:
     counts_per_unit: Mapping[str, float]
     times_s: Array
     speeds: Mapping[str, Array]
-    course: PathCourse
+    course: PathCourse | None
 
     def find_speeds(self, member: str) -> tuple[Array, Array]:
         """Instants, s, and the speed of the axes of a member together, in the unit of `report` per s."""
@@ -83,7 +85,6 @@ def plan_path_step(
     step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec] | None = None
 ) -> PlannedPath:
     """Plan a path whose axes stand at its start. frames: those of the fleet file. Raises `Refusal`, `PlanError`."""
-    _require_orders(starts)
     unit = _find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
     _require_start(step, starts, frames or {})
@@ -102,9 +103,20 @@ def plan_path_step(
         rows = plan.evaluate(times_s)
         return PathStates(rows.positions - shift, rows.velocities, rows.accelerations)
 
-    fitted = fit_profiles(evaluate_motors, plan.duration_s, axes, tolerance)
-    times_s = np.linspace(0.0, plan.duration_s, SAMPLES)
-    speeds = np.abs(plan.evaluate(times_s).velocities).T
+    slow = next((start for start in starts if start.order < 3), None)
+    stretches, course = _list_stretches(plan), None
+    if slow is not None and len(step.pieces) == 1 and isinstance(step.pieces[0], LinePiece):
+        fitted = fit_line(axes, plan.length, parse_along(step, unit))
+        times_s = np.linspace(0.0, fitted.duration_s, SAMPLES)
+        speeds = sample_speeds(fitted, axes, times_s)
+        stretches = [PathStretch(from_s=0.0, to_s=plan.duration_s, binds=f"a trapezoid, which {slow.name} needs")]
+    else:
+        fitted = fit_profiles(evaluate_motors, plan.duration_s, axes, tolerance)
+        _require_orders(start for start in starts if start.name in fitted.profiles)
+        times_s = np.linspace(0.0, plan.duration_s, SAMPLES)
+        speeds = np.abs(plan.evaluate(times_s).velocities).T
+        moved = [column for column, axis in enumerate(axes) if axis.name in fitted.profiles]
+        course = PathCourse(fitted.motion, axes, moved, fitted.motion.positions[0], find_fit_error(axes, tolerance))
     path = PlannedPath(
         StepPlan(fitted.duration_s, fitted.profiles, fitted.standing),
         [make_axis_move(each.name, each.axis, each.start_counts, exact[each.name][1], each.order) for each in starts],
@@ -114,20 +126,14 @@ def plan_path_step(
             frame=step.frame or "",
             length=plan.length,
             duration_s=plan.duration_s,
-            stretches=_list_stretches(plan),
+            stretches=stretches,
         ),
         tolerance,
         fitted.error,
         {axis.name: axis.counts_per_unit for axis in axes},
         times_s,
         {start.name: row for start, row in zip(starts, speeds, strict=True)},
-        PathCourse(
-            fitted.motion,
-            axes,
-            [column for column, axis in enumerate(axes) if axis.name in fitted.profiles],
-            fitted.motion.positions[0],
-            find_fit_error(axes, tolerance),
-        ),
+        course,
     )
     return replace(path, report=path.make_report(fitted.duration_s, None))
 
@@ -220,8 +226,8 @@ def _describe_place(step: FollowPath, starts: Sequence[PathStart], frames: Mappi
     return f"in {step.frame} the axes are at {words} {frame.unit}"
 
 
-def _require_orders(starts: Sequence[PathStart]) -> None:
-    """Raise `Refusal` for an axis whose controller executes trapezoids only."""
+def _require_orders(starts: Iterable[PathStart]) -> None:
+    """Raise `Refusal` for an axis that moves, and whose controller executes trapezoids only."""
     for start in starts:
         if start.order < 3:
             remedy = "leave the axis out of the path, and move it before or after"

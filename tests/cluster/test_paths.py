@@ -191,8 +191,10 @@ def test_a_member_that_can_only_move_from_rest_to_rest_is_named() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}, {do: home}]"))
         before = count_motions(fleet)
-        found = await refusal(fleet, lines(("gantry.x", "stage.u"), (20, 10)))
-        assert found.code == "path-class" and "stage.u" in found.text and "leave the axis out" in found.remedy
+        arc = "{piece: arc, to: [20, 10], through: [12, 4]}"
+        path = f"{{do: path, axes: [gantry.x, stage.u], start: [0, 0], pieces: [{arc}], tolerance: 1 mm}}"
+        found = await refusal(fleet, job(f"[{path}]"))
+        assert found.code == "path-class" and "stage.u" in found.text and "leave it out" in found.remedy
         assert count_motions(fleet) == before
 
     run_fleet(main, demo_fleet())

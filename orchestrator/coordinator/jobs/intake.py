@@ -5,6 +5,7 @@ from datetime import timedelta
 
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.path_intake import split_paths
 from orchestrator.coordinator.jobs.point_intake import PointIntake
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
@@ -32,7 +33,7 @@ class JobIntake:
 
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
         """Accept a job: it is in the journal when this returns. Raises `Refusal`."""
-        job = await self.points.resolve_points(request.job)
+        job = await split_paths(self._services.view, await self.points.resolve_points(request.job))
         _order_steps(job, request.terms)
         order = self._services.positions.make_resolver().resolve_remaining(job.steps, request.terms.repeat)
         await check_job(self._services.view.fleet, order.list_remaining())

@@ -52,12 +52,13 @@ class FirstChunk:
 def plan_first_chunk(
     path: PlannedPath, whole: StepPlan, infos: Mapping[str, ControllerInfo], begun_s: float
 ) -> FirstChunk | None:
-    """Plan the first chunk; None if no member can be continued. infos: by member. begun_s: where the motion begins, in
-    the time of the path. Raises `Refusal`, `PlanError`."""
+    """Plan the first chunk; None if no member can be continued, and for a line on a trapezoid. infos: by member.
+    begun_s: where the motion begins, in the time of the path. Raises `Refusal`, `PlanError`."""
     members = frozenset(member for member, info in infos.items() if info.chunk_s > 0.0)
-    if not members:
+    course = path.course
+    if not members or course is None:
         return None
-    course, most_s = path.course, min([LONGEST_CHUNK_S, *(infos[member].chunk_s for member in members)])
+    most_s = min([LONGEST_CHUNK_S, *(infos[member].chunk_s for member in members)])
     load_s = SPARE_LOAD_S + max([LEAST_LOAD_S, *(infos[member].chunk_load_s for member in members)])
     clock = course.begin_at(begun_s)
     chunk = course.plan_chunk(clock, 0.0, most_s)

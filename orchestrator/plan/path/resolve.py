@@ -75,9 +75,13 @@ def resolve_path(spec: PathSpec, axes: Sequence[PathAxis], frame: FrameSpec | No
         coordinates = _Coordinates(frame.coordinates, [frame.unit] * len(units))
         mapped = Frame(frame.make_matrix(), frame.make_offset(units))
     parts = _Collector(spec, coordinates).collect()
-    unit = coordinates.units[0]
+    return ResolvedPath(parts, mapped, parse_along(spec, coordinates.units[0]))
+
+
+def parse_along(spec: PathSpec, unit: Unit) -> AlongLimits:
+    """The limits along a path whose first coordinate has this unit. Raises `PathRefusal`."""
     rates = [_parse_limit(value, unit, k + 1) for k, value in enumerate((spec.speed, spec.acceleration, spec.jerk))]
-    return ResolvedPath(parts, mapped, AlongLimits(*rates))
+    return AlongLimits(*rates)
 
 
 def _parse_limit(value: float | str | None, unit: Unit, order: int) -> float | None:
