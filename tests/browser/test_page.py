@@ -266,6 +266,39 @@ def test_a_dropped_job_file_with_mistakes_is_not_submitted(page: Page, ready: Ru
     expect(dialog.get_by_role("button", name="Submit")).to_have_attribute("aria-disabled", "true")
 
 
+PATH_JOB = """schema: tutti.job/1
+name: part on the page
+steps:
+  - {do: move, to: {gantry.x: 20, gantry.y: 10}}
+  - do: path
+    axes: [gantry.x, gantry.y]
+    start: [20, 10]
+    pieces: [{piece: arc, to: [40, 10], centre: [30, 10]}, {piece: line, to: [20, 10]}]
+    tolerance: 200 um
+"""
+
+
+def test_a_path_says_how_far_it_may_be_off_before_it_runs_and_after(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready)
+    drop_file(page, "part.job.yaml", PATH_JOB)
+    dialog = page.get_by_role("dialog")
+    expect(dialog.get_by_text(re.compile(r"path of 51\.4\d* mm in \d+\.\d s"))).to_be_visible()
+    expect(dialog.get_by_text(re.compile(r"at most 0\.\d+ mm off it; 0\.2 mm are allowed"))).to_be_visible()
+    dialog.get_by_text("Bound by member").click()
+    terms = dialog.get_by_role("table").filter(has_text="Profile fit").last  # inside that of the steps
+    expect(terms.get_by_role("row")).to_have_count(3)  # the head, the plan, the gantry
+    expect(terms.get_by_role("row").filter(has_text="gantry")).to_contain_text("mm")
+    dialog.get_by_role("button", name="Submit").click()
+    wait_until(
+        lambda: (page.wait_for_timeout(50), ready.ask(lambda tutti: tutti.list_jobs(1)).jobs[0].state == "done")[1],
+        "the path is done",
+    )
+    open_page(page, ready, "service")
+    page.get_by_role("button", name="part on the page").first.click()
+    report = page.get_by_role("dialog")
+    expect(report.get_by_text(re.compile(r"proven afterwards: at most 0\.\d+ mm"))).to_be_visible()
+
+
 def test_a_file_that_is_too_large_is_said(page: Page, ready: RunningFleet) -> None:
     open_page(page, ready)
     drop_file(page, "large.job.yaml", "x" * 3_000_000)

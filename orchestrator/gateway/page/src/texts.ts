@@ -388,6 +388,16 @@ export const T = {
     within: (predicted: string, allowed: string) => `≤ ${predicted} of ${allowed}`,
   },
 
+  path: {
+    course: (length: string, time: string, frame: string) => `path of ${length}${frame ? ` in ${frame}` : ""} in ${time}`,
+    bound: (predicted: string, allowed: string) => `at most ${predicted} off it; ${allowed} are allowed`,
+    proven: (size: string) => `proven afterwards: at most ${size}`,
+    terms: "Bound by member",
+    member: "Member",
+    plan: "the plan",
+    term: { "profile-fit": "Profile fit", execution: "Execution", start: "Start", clock: "Clock" },
+  },
+
   approval: {
     review: "Review",
     reviewOf: (name: string) => `Review ${name}`,

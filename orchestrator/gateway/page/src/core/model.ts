@@ -275,6 +275,21 @@ export interface ScanSummary {
   most_s?: number | null;
 }
 
+export interface PathBound {
+  tolerance: number;
+  predicted: number;
+  proven?: number | null;
+  terms: { name: string; member?: string; size: number }[];
+}
+
+export interface PathReport {
+  unit: string;
+  frame?: string;
+  length: number;
+  duration_s: number;
+  bound?: PathBound | null;
+}
+
 export interface StepReport {
   index: number;
   do: string;
@@ -293,6 +308,7 @@ export interface StepReport {
   deviations?: string[];
   refused?: Refusal | null;
   scan?: ScanSummary | null;
+  path?: PathReport | null;
   feed_holds?: { by: string; utc: string }[];
 }
 
@@ -342,6 +358,7 @@ export interface StepForecast {
   most_s?: number | null;
   conditions?: string[];
   budget?: SyncBudget | null;
+  path?: PathReport | null;
 }
 
 export interface JobForecast {

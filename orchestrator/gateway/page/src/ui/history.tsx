@@ -10,6 +10,7 @@ import { accept, showNote } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { T } from "../texts.ts";
 import { Act, closeDialog, Empty, openDialog, Panel } from "./parts.tsx";
+import { PathFacts } from "./pathbound.tsx";
 import { alignCurves, Plot } from "./plot.tsx";
 import { usePolled } from "./polled.ts";
 import { StartStrip } from "./strip.tsx";
@@ -112,6 +113,7 @@ function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Elem
           {text}
         </p>
       ))}
+      {step.path ? <PathFacts path={step.path} /> : null}
       {step.scan ? <ScanDetails scan={step.scan} /> : null}
       {moved ? (
         <details>

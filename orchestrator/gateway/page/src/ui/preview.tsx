@@ -5,6 +5,7 @@ import { useMemo, useState } from "preact/hooks";
 import { explain, formatNs, formatSeconds, formatUnit } from "../core/format.ts";
 import type { JobForecast, Preview } from "../core/model.ts";
 import { T } from "../texts.ts";
+import { PathFacts } from "./pathbound.tsx";
 import { alignCurves, Plot } from "./plot.tsx";
 
 export function PreviewPlots({ preview }: { preview: Preview }): JSX.Element {
@@ -127,6 +128,7 @@ export function ForecastSteps({ forecast, dryRun }: { forecast?: JobForecast | n
               <td class="num">{step.index + 1}</td>
               <td>
                 {step.text}
+                {step.path ? <PathFacts path={step.path} /> : null}
                 {(step.conditions ?? []).map((text) => (
                   <small class="remedy" key={text}>
                     {text}
