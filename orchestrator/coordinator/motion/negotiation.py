@@ -287,7 +287,7 @@ class StartNegotiation:
             within_s = {} if first is None else dict.fromkeys(first.members, first.most_s + first.load_s)
             bound = make_path_bound(path, agreement.proposals, windows, within_s)
             require_tolerance(bound, agreement.movers)
-            duration_s = agreement.plan.duration_s if first is None else path.course.duration_s
+            duration_s = agreement.plan.duration_s if first is None else first.course.duration_s
             agreement.path = path.make_report(duration_s, bound)
 
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:

@@ -114,7 +114,7 @@ class PathRest:
 async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
     """Plan the rest of a path from where its axes were braked on it. Raises `Refusal`."""
     planned, view = rest.planned, services.fleet.view
-    assert planned.path is not None
+    assert planned.path is not None and planned.path.course is not None
     missing = services.fleet.permits.find_missing(planned.request.axes)
     if missing is not None:
         raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")

@@ -75,8 +75,8 @@ class PlannedMotion:
     @property
     def duration_s(self) -> float:
         """From T0 to the end, as planned."""
-        path = self.planned.path
-        return self.agreement.plan.duration_s if path is None else path.course.duration_s - self.planned.begun_s
+        first = self.agreement.first
+        return self.agreement.plan.duration_s if first is None else first.course.duration_s - self.planned.begun_s
 
     def make_present(self, between: BetweenSteps) -> PresentMove:
         """The step as the one that another step follows; once T0 is decided."""
