@@ -22,9 +22,9 @@ from orchestrator.runtime.virtual import VirtualFleet
 
 Array = NDArray[np.float64]
 
-SETTLE_S = 60  # of clock readings before the job
+SETTLE_S = 40  # of clock readings before the job
 TRUTH_NS = 5 * NS_PER_MS
-COURSE = 8_001  # points of the path that positions are compared with
+COURSE = 4_001  # points of the path that positions are compared with
 
 
 class PathDemoFailed(TuttiError):
