@@ -11,6 +11,7 @@ from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
 from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport, PathReport
