@@ -65,9 +65,8 @@ def _find_delays(
         return None
     ages_s = times_s if first is None or not chunked else np.minimum(times_s, first.most_s + first.load_s)
     rate = agreement.proposals[member].clock_ppm * 1e-6
-    starts = [each.start_for_verdict for each in report.evidence.values()]
-    low = min(each.earliest_ns for each in starts) - t0_ns - ages_s * rate * NS_PER_S
-    high = max(each.latest_ns for each in starts) - t0_ns + ages_s * rate * NS_PER_S
+    early_ns, late_ns = _narrow_start(agreement, member, report, t0_ns)
+    low, high = early_ns - ages_s * rate * NS_PER_S, late_ns + ages_s * rate * NS_PER_S
     from_start = low, high
     for axis, evidence in report.evidence.items():
         planned_s = report.lowered_s.get(axis)
@@ -79,6 +78,18 @@ def _find_delays(
     if (low > high).any():  # an end that does not belong to this start tells nothing about the way
         low, high = from_start
     return low / NS_PER_S, high / NS_PER_S
+
+
+def _narrow_start(agreement: StartAgreement, member: str, report: MemberReport, t0_ns: int) -> tuple[int, int]:
+    """The start of a member around T0, ns: its evidence, narrowed by its promise where both agree."""
+    starts = [each.start_for_verdict for each in report.evidence.values()]
+    early_ns, late_ns = min(each.earliest_ns for each in starts) - t0_ns, max(each.latest_ns for each in starts) - t0_ns
+    window = None if agreement.budget is None else agreement.budget.members.get(member)
+    if window is None:
+        return early_ns, late_ns
+    delayed_ns = max(each.late_ns for each in report.evidence.values())
+    narrow = max(early_ns, window.earliest_ns), min(late_ns, window.latest_ns + delayed_ns)
+    return narrow if narrow[0] <= narrow[1] else (early_ns, late_ns)
 
 
 def _took(ends_ns: list[int], duration_s: float) -> bool:

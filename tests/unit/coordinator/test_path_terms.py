@@ -10,7 +10,7 @@ from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.path_proof import prove_path
 from orchestrator.coordinator.motion.path_terms import make_time_terms
 from orchestrator.model.profile import Profile
-from orchestrator.model.report import MemberReport, PathBound, PathReport, PathTerm
+from orchestrator.model.report import MemberBudget, MemberReport, PathBound, PathReport, PathTerm, SyncBudget
 from orchestrator.model.state import AxisEvidence, TimeInterval
 from orchestrator.model.units import Unit
 from orchestrator.plan.path_step import PlannedPath
@@ -87,6 +87,18 @@ def test_what_starts_prove_is_around_the_middle_of_all() -> None:
     both = state_evidence((0.0, 1.0), None)
     # Half a millisecond each, at 100 mm/s each.
     assert prove(a=both, b=both) == pytest.approx(0.01 + 0.05 * 2**0.5, rel=1e-3)
+
+
+def test_a_promise_narrows_what_evidence_leaves_open() -> None:
+    window = MemberBudget(terms=[], earliest_ns=0, latest_ns=MS // 2)
+    agreement = agree()
+    agreement.budget = SyncBudget(
+        predicted_ns=MS, allowed_ns=MS, worst_member="a", worst_term="", members={"a": window, "b": window}
+    )
+    both = state_evidence((-1.0, 1.0), None)
+    path = prove_path(agreement, {"a": both, "b": both}, 0)
+    assert path is not None and path.bound is not None
+    assert path.bound.proven == pytest.approx(0.01 + 0.025 * 2**0.5, rel=1e-3)
 
 
 def test_ends_prove_more() -> None:
