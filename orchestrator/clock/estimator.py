@@ -52,6 +52,7 @@ class TickMapping:
     bound_ns: guaranteed error at `host_at_ns`; it grows with `drift_ppm` from there.
     residual_ns: mean distance of the samples from the mapping.
     consistent: all samples fit the model; otherwise the mapping uses the last sample only.
+    moved_ns: how much later than the middle of what is possible the mapping was placed, for usual delays.
     """
 
     ticks_at: int
@@ -64,6 +65,7 @@ class TickMapping:
     samples: int
     min_rtt_ns: int
     consistent: bool = True
+    moved_ns: int = 0
 
     def to_host_ns(self, ticks: int) -> int:
         """Return the host time at which the counter becomes `ticks`."""
@@ -76,6 +78,10 @@ class TickMapping:
     def bound_at_ns(self, host_ns: int) -> int:
         """Return the guaranteed error of `to_host_ns()` near the instant `host_ns`."""
         return self.bound_ns + round(abs(host_ns - self.host_at_ns) * self.drift_ppm * 1e-6)
+
+    def late_bound_at_ns(self, host_ns: int) -> int:
+        """Return how much later than `to_host_ns()` the true instant can be, near the instant `host_ns`."""
+        return self.bound_at_ns(host_ns) - 2 * self.moved_ns
 
 
 class TickEstimator:
@@ -143,6 +149,7 @@ class TickEstimator:
             samples=self._count,
             min_rtt_ns=int((samples[:, 1] - samples[:, 0]).min()),
             consistent=consistent,
+            moved_ns=math.floor(abs(offset_ns - lines.offset_ns)),
         )
 
     def _append_sample(self, sample: CounterSample) -> None:
