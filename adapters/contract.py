@@ -26,7 +26,7 @@ from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.explain import list_problems
-from orchestrator.model.fleet import Controller
+from orchestrator.model.fleet import Controller, DigitalInput
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import FaultReport, StartClass, StepCosts
@@ -188,6 +188,8 @@ class Lowered:
     gap_ns: with `start.follows`, how long after the end of the present move, at the latest, the controller can begin
     this one if it is loaded by `load_next` while the present one runs; None: it cannot be loaded then.
     commands: the commands that would be sent, for display.
+    triggers: by output that the controller switches on the way (`start.triggers`), the guaranteed interval of an edge
+    at its terminal relative to the instant asked for, one entry per cause.
     """
 
     start_class: StartClass
@@ -201,6 +203,9 @@ class Lowered:
     clock_ppm: float = field(default=100.0, kw_only=True)
     can_advance: bool = field(default=False, kw_only=True)
     gap_ns: int | None = field(default=None, kw_only=True)
+    triggers: Mapping[str, tuple[BudgetTerm, ...]] = field(
+        default_factory=dict[str, tuple[BudgetTerm, ...]], kw_only=True
+    )
 
     @property
     def window_ns(self) -> tuple[int, int]:
@@ -249,6 +254,23 @@ class MoveOutcome:
     state: Literal["done", "stopped", "fault"]
     ended: Mapping[str, HostInterval]
     reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchedOutput:
+    """What an output with a trigger did in the last step: for each instant in turn, as far as it was reached, the
+    interval of its edge at the terminal. unknown: one more may have happened."""
+
+    edges: Sequence[HostInterval]
+    unknown: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LatchedPosition:
+    """A position that the controller has captured by an input, and the interval in which that happened."""
+
+    counts: int
+    span: HostInterval
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,6 +385,17 @@ def require_start_class(start: StartOptions, known: Sequence[StartClass], why: s
         raise Refusal("start-class", f"no start by {wanted}: {why}", f"request start class {' or '.join(known)}")
 
 
+def require_triggers(lowered: Lowered, start: StartOptions) -> None:
+    """Raise `Refusal` for a trigger that the make has not taken into the lowered step."""
+    for trigger in start.triggers:
+        if trigger.output not in lowered.triggers:
+            raise Refusal(
+                "no-triggers",
+                f"output {trigger.output}: this make has no triggers on the way",
+                "use an output of an SMC-4000",
+            )
+
+
 def ends_too_early(made_s: float, wanted_s: float, start: StartOptions) -> bool:
     """Return whether a move that cannot be as slow as requested ends too early: by more than a fiftieth of its
     duration, and by more than `start.early_ns`."""
@@ -444,8 +477,9 @@ class Driver(ABC):
         """Compile profiles to what the controller can execute. Pure: the same arguments give the same result.
 
         With `start.wait` the move starts when that input becomes active. With `start.drive` the controller makes that
-        output active at T0 (with or without axes of its own) and passive again later. Both happen only after `go`, like
-        any start.
+        output active at T0 (with or without axes of its own) and passive again later. With `start.triggers` it switches
+        outputs on the way, and the step ends only after the last of them. All happen only after `go`, like any start;
+        none after `stop` or `disarm_move`, or after the end, and the outputs are passive then.
 
         Raises `Refusal` that names the axis and what would fit; code `start-class` for a start that the controller
         cannot make.
@@ -555,6 +589,20 @@ class Driver(ABC):
     async def take_samples(self) -> SampledPositions:
         """Stop recording, fetch what was recorded, and free its memory. Called at rest. Raises `Refusal`."""
         raise Refusal("no-sampling", "nothing is being recorded", "begin it first")
+
+    async def latch_position(self, axis: str, point: DigitalInput, within_ns: int) -> LatchedPosition:
+        """Arm the latch of an axis, and return the position that it has captured when the input became active.
+
+        Ends with a stop, too. Raises `Refusal` (code `no-latch` for a make that has none; `latch-input` for an input
+        that does not latch the axis; `line-level` if it is active already; `latch-timeout`).
+        """
+        del point, within_ns
+        raise Refusal("no-latch", f"axis {axis}: this make has no position latch", "use an axis of an SMC-4000")
+
+    async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
+        """Return what the outputs with triggers did in the last step, by output; called after its end, however it
+        ended, and before another one is armed. Raises `Refusal`."""
+        return {}
 
     @abstractmethod
     async def stop(self, *, abort: bool) -> None:

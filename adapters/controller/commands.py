@@ -21,9 +21,11 @@ from adapters.controller.sampling import SampleCollection
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
 from adapters.controller.surveillance import Surveillance
+from adapters.controller.triggers import LatchControl, TriggerCollection
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
@@ -47,6 +49,8 @@ from orchestrator.model.messages import (
     HomeReply,
     HomeRequest,
     JogRequest,
+    LatchReply,
+    LatchRequest,
     LeasedRequest,
     LeaseReply,
     LeaseRequest,
@@ -66,6 +70,8 @@ from orchestrator.model.messages import (
     SetPositionRequest,
     StopRequest,
     TakeSamples,
+    TakeTriggers,
+    TriggersTaken,
 )
 from orchestrator.model.state import FaultReport
 from orchestrator.model.units import UnitError, parse_quantity
@@ -111,6 +117,8 @@ class Components:
     referencing: AxisReferencing
     surveillance: Surveillance
     samples: SampleCollection
+    triggers: TriggerCollection
+    scale: Callable[[], FleetScale]
     status: ControllerStatus
     publisher: StatePublisher
 
@@ -125,6 +133,7 @@ class ControllerCommands:
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
         self._supervisor = supervisor
         self._answers = AnswerCache()
+        latches = LatchControl(context.driver, context.config, self._require_idle, components.scale)
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (AdoptRequest, AdoptedReply, self._handle_adopt),
@@ -144,6 +153,8 @@ class ControllerCommands:
             "output": (OutputRequest, Reply, self._handle_output),
             "begin-sampling": (BeginSampling, SamplingBegun, components.samples.begin),
             "take-samples": (TakeSamples, SamplesTaken, components.samples.take),
+            "take-triggers": (TakeTriggers, TriggersTaken, components.triggers.take),
+            "latch": (LatchRequest, LatchReply, latches.latch),
             "reset": (ResetRequest, Reply, self._handle_reset),
             "configure": (ConfigureRequest, Reply, self._handle_configure),
             "raw": (RawRequest, RawReply, self._handle_raw),

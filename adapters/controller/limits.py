@@ -16,7 +16,8 @@ def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *,
     """Raise `Refusal` unless every profile starts at the position of its axis, the axis may move, and the profile stays
     inside all limits.
 
-    drives: the controller drives a trigger line, and so takes part in the step without an axis.
+    drives: the controller drives a trigger line, or switches outputs on the way, and so takes part in the step without
+    an axis.
     """
     if not profiles and not drives:
         raise Refusal("no-axes", "the step moves no axis of this controller")

@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from adapters.contract import Driver, Lowered, MoveOutcome, SettingDifference
+from adapters.contract import Driver, Lowered, MoveOutcome, SettingDifference, require_triggers
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
 from adapters.controller.next_step import FollowingStep, NextStepSlot, PreparedMove
@@ -143,6 +143,7 @@ class StepParticipant:
                 self._requested_ns = self._clock.now_ns()
             mapping = self._driver.clock_mapping()
             lowered = self._driver.lower_profiles(request.profiles, request.start, mapping)
+            require_triggers(lowered, request.start)
         at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
         return Proposal(
             tick_at_fleet_ns=self._scale().to_fleet_ns(mapping.host_at_ns)
@@ -155,6 +156,7 @@ class StepParticipant:
             tick_ns=lowered.tick_ns,
             terms=list(lowered.terms),
             edge=list(lowered.edge),
+            triggers={output: list(terms) for output, terms in lowered.triggers.items()},
             clock_ppm=lowered.clock_ppm,
             can_advance=lowered.can_advance,
             gap_ns=lowered.gap_ns if request.start.follows else None,
@@ -195,6 +197,7 @@ class StepParticipant:
             lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
             start = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
             lowered = self._driver.lower_profiles(request.profiles, start, mapping)
+            require_triggers(lowered, start)
         if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
             raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
         armed_step = ArmedStep(
@@ -246,6 +249,7 @@ class StepParticipant:
             durations_s=dict(lowered.durations_s),
             terms=list(lowered.terms),
             edge=list(lowered.edge),
+            triggers={output: list(terms) for output, terms in lowered.triggers.items()},
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, move.began_ns),
             began_fleet_ns=move.armed_step.scale.to_fleet_ns(move.began_ns),
             took_ns=self._clock.now_ns() - move.began_ns,

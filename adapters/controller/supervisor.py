@@ -32,6 +32,7 @@ from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
 from adapters.controller.store import PersistentMemory
 from adapters.controller.surveillance import StepActivityChecks, Surveillance
+from adapters.controller.triggers import TriggerCollection
 from orchestrator.bus.base import BusDeclaration, RequestHandler
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
@@ -121,6 +122,8 @@ class ControllerSupervisor:
             referencing=self._referencing,
             surveillance=self._surveillance,
             samples=SampleCollection(driver, condition, self._has_step, self._require_scale),
+            scale=self._require_scale,
+            triggers=TriggerCollection(driver, context.clock, condition, self._has_step, self._require_scale),
             status=condition,
             publisher=self._publisher,
         )
@@ -527,7 +530,8 @@ class ControllerSupervisor:
             check_path_limits(self._status, request.profiles)
             return
         self._require_may_move(request)
-        check_profiles(self._status, request.profiles, drives=request.start.drive is not None)
+        drives = request.start.drive is not None or bool(request.start.triggers)
+        check_profiles(self._status, request.profiles, drives=drives)
 
     def _check_following_step(self, request: ProposeRequest | ArmRequest) -> None:
         """Check the same for profiles that begin where the present step ends. Raises `Refusal`."""

@@ -106,6 +106,10 @@ class FleetKeys:
         """Positions that controllers have sampled by themselves; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/samples"
 
+    def job_triggers(self, job: str | None = None) -> str:
+        """What outputs did on the way of a step; published by the coordinator."""
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/triggers"
+
     @property
     def queue(self) -> str:
         """The queue of jobs; published by the coordinator."""

@@ -143,8 +143,8 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show JOB: its steps and the history of its state. JOB: the beginning of its id, its name, or `last`."""
     from orchestrator.client import Tutti
     from orchestrator.model.job import Repeat, iterate_steps
+    from orchestrator.model.operation.step_words import describe_step
     from orchestrator.model.scans.step_order import StepOrder
-    from orchestrator.model.step_words import describe_step
     from orchestrator.monitor.fleet_view import format_step
     from orchestrator.monitor.report_table import describe_gap, describe_used
     from orchestrator.monitor.times import format_time, localize_times

@@ -9,13 +9,13 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.job import MOTION_STEPS, Job, Scan, Step
+from orchestrator.model.operation.step_words import describe_step
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.profile import Profile
 from orchestrator.model.scan import GridPoints
 from orchestrator.model.scans.step_order import StepOrder
 from orchestrator.model.state import ControllerState
-from orchestrator.model.step_words import describe_step
 from orchestrator.plan.forecast import ForecastMotion, JobForecaster
 
 MAX_STEPS = 1000  # that are drawn

@@ -12,6 +12,7 @@ from orchestrator.model.numbers import Part
 from orchestrator.model.path import MAX_COORDINATES, MAX_PIECES, PathSpec, Piece
 from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.state import StartWish
+from orchestrator.model.triggers import Triggers, check_job_outputs, check_step_triggers
 from orchestrator.model.units import Quantity
 
 UNKNOWN_ACTOR = "unknown"
@@ -95,6 +96,7 @@ class MoveTargets(StepBase):
     record: StepSampling | None = Field(
         default=None, description="Have controllers record positions by themselves, for the recording of the job."
     )
+    triggers: Triggers = Field(default=[], description="Outputs that are switched on the way.")
 
 
 class Move(MotionOptions, MoveTargets):
@@ -120,6 +122,7 @@ class Move(MotionOptions, MoveTargets):
         twice = sorted(self.to.keys() & self.by.keys())
         if twice:
             raise ValueError(f"{', '.join(twice)} is in both `to` and `by`; an axis has one target")
+        check_step_triggers(self.triggers, [*self.to, *self.by])
         return self
 
 
@@ -165,6 +168,12 @@ class FollowPath(StepBase, PathSpec):
     start_class: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
     align: _Align = 0
     max_start_skew: _OwnSkew = None
+    triggers: Triggers = Field(default=[], description="Outputs that are switched on the way.")
+
+    @model_validator(mode="after")
+    def _check_triggers(self) -> "FollowPath":
+        check_step_triggers(self.triggers, self.axes)
+        return self
 
     if TYPE_CHECKING:
 
@@ -284,6 +293,25 @@ class WaitInput(StepBase):
         def __init__(self, *, input: str, timeout: str, value: bool = True, name: str | None = None) -> None: ...
 
 
+class Latch(StepBase):
+    """Arm the position latch of an axis, and wait until an input has captured its position."""
+
+    do: Literal["latch"] = "latch"
+    axis: str = Field(description="controller.axis")
+    input: str = Field(description="controller.input, the latch input of that axis.")
+    timeout: Annotated[Duration, Field(gt=0)]
+
+    if TYPE_CHECKING:
+
+        def __init__(self, *, axis: str, input: str, timeout: str, name: str | None = None) -> None: ...
+
+    @model_validator(mode="after")
+    def _one_controller(self) -> "Latch":
+        if self.axis.partition(".")[0] != self.input.partition(".")[0]:
+            raise ValueError(f"{self.input} cannot latch {self.axis}: name an input of the same controller")
+        return self
+
+
 PointStep = Annotated[Move | Dwell | SetOutput | WaitInput, Field(discriminator="do")]
 
 _NOT_AT_EACH = {
@@ -291,6 +319,7 @@ _NOT_AT_EACH = {
     "enable": "axes are switched before the scan; put it there",
     "disable": "the next point needs the axes; put it behind the scan",
     "path": "a scan stops at its points; put the path before or behind the scan",
+    "latch": "the record of a scan has no place for it; put it before or behind the scan",
     "set-position": "it would shift the points after it; put it before the scan",
     "scan": "add its axes to `axes` of this scan instead",
     "repeat": "write its steps out, or repeat the scan",
@@ -396,7 +425,7 @@ class Repeat(StepBase):
 
 
 Step = Annotated[
-    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Scan | FollowPath | Repeat,
+    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Latch | Scan | FollowPath | Repeat,
     Field(discriminator="do"),
 ]
 Repeat.model_rebuild()
@@ -430,7 +459,14 @@ def named_axes(step: Step) -> list[str]:
         return list(step.axes)
     if isinstance(step, Home | Enable | Disable):
         return step.axes or []
+    if isinstance(step, Latch):
+        return [step.axis]
     return list(step.axes) if isinstance(step, SetPosition) else []
+
+
+def list_trigger_outputs(step: Step) -> list[str]:
+    """The outputs that a step switches on the way."""
+    return [trigger.output for trigger in step.triggers] if isinstance(step, Move | FollowPath) else []
 
 
 def find_moved_twice(axes: Iterable[str], at_each: Iterable[Step]) -> Iterator[tuple[int, list[str]]]:
@@ -501,6 +537,12 @@ class Job(Model):
 
     # Validation fills the fields itself, as for a model without a constructor of its own.
     __init__.__pydantic_base_init__ = True  # pyright: ignore[reportFunctionMemberAccess]
+
+    @model_validator(mode="after")
+    def _separate_outputs(self) -> "Job":
+        steps = list(iterate_steps(self.steps))
+        check_job_outputs(steps, (step.output for step in steps if isinstance(step, SetOutput)))
+        return self
 
     @field_validator("max_start_skew", "max_end_skew", "max_path_skew")
     @classmethod

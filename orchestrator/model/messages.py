@@ -187,6 +187,18 @@ class ChunkOptions(Model):
     peak_jerks: dict[str, float] = Field(default={})
 
 
+class OutputTrigger(Model):
+    """Switch an output on the way. output: the member's own, by name.
+
+    instants_ns: from T0 on, growing. pulse_ns: how long it is active each time; 0: it changes its level each time,
+    first to active, and is passive after the end of the step.
+    """
+
+    output: Id
+    instants_ns: list[Int53] = Field(min_length=1)
+    pulse_ns: Int53 = Field(ge=0)
+
+
 class StartOptions(Model):
     """How a member is to start.
 
@@ -203,6 +215,7 @@ class StartOptions(Model):
     follows: the move begins where the member's present move ends, and is loaded while that one runs, as far as the make
     can.
     chunk: the move is the first chunk of a path.
+    triggers: outputs of the member that it switches on the way; it may also move no axis of the step.
     """
 
     start_class: StartWish = "auto"
@@ -215,6 +228,7 @@ class StartOptions(Model):
     wait: TriggerWait | None = None
     drive: TriggerDrive | None = None
     chunk: ChunkOptions | None = None
+    triggers: list[OutputTrigger] = Field(default=[])
 
 
 class ProposeRequest(StepRequest):
@@ -269,6 +283,9 @@ class Proposal(Reply):
     edge: list[BudgetTerm] = Field(
         default=[], description="Window of the edge of the trigger line that it drives, relative to T0."
     )
+    triggers: dict[Id, list[BudgetTerm]] = Field(
+        default={}, description="By output with a trigger: window of its edges relative to the instants asked for."
+    )
     clock_ppm: float = Field(default=100.0, description="Guaranteed bound of the controller's rate error.")
     can_advance: bool = Field(default=False, description="Whether T0 can be brought forward after it was armed.")
     gap_ns: Int53 | None = Field(
@@ -294,8 +311,8 @@ class ArmRequest(StepRequest):
 
 
 class ArmedReply(Reply):
-    """The step is loaded. durations_s, terms, edge: as in the proposal, for the clock mapping that is frozen into it,
-    at T0.
+    """The step is loaded. durations_s, terms, edge, triggers: as in the proposal, for the clock mapping that is frozen
+    into it, at T0.
 
     waits: the controller cannot load the move while its present one runs. The adapter loads it as soon as that has
     ended, and answers the commit after that.
@@ -305,6 +322,7 @@ class ArmedReply(Reply):
     durations_s: dict[str, float] = Field(default={})
     terms: list[BudgetTerm] = Field(default=[])
     edge: list[BudgetTerm] = Field(default=[])
+    triggers: dict[Id, list[BudgetTerm]] = Field(default={})
     mapping: ClockMapping | None = None
     began_fleet_ns: Int53 | None = Field(default=None, description="When the adapter began.")
     took_ns: Int53 = 0
@@ -510,6 +528,43 @@ class SamplesTaken(Reply):
     fleet_ns: list[Int53] = Field(default=[])
     bound_ns: Int53 = 0
     counts: dict[str, list[Int53]] = Field(default={})
+
+
+class LatchRequest(LeasedRequest):
+    """Arm the latch of the one axis of `axes`, and answer when `input` has captured a position; at rest."""
+
+    input: Id
+    within_ns: Int53 = Field(gt=0)
+
+
+class LatchReply(Reply):
+    """The captured position, and the interval in which that was, fleet time."""
+
+    counts: Int53 = 0
+    earliest_ns: Int53 = 0
+    latest_ns: Int53 = 0
+
+
+class TakeTriggers(FencedRequest):
+    """Fetch what the outputs with triggers did in a step; at rest, after its end."""
+
+    job: Label
+    step: Int53
+
+
+class TriggerEdges(Model):
+    """What an output with a trigger did: for each instant in turn, as far as it was reached, the interval of its edge
+    at the terminal, fleet time. unknown: one more edge may have happened, of which there is no evidence."""
+
+    earliest_ns: list[Int53] = Field(default=[])
+    latest_ns: list[Int53] = Field(default=[])
+    unknown: bool = False
+
+
+class TriggersTaken(Reply):
+    """By output."""
+
+    outputs: dict[Id, TriggerEdges] = Field(default={})
 
 
 class RawRequest(Request):

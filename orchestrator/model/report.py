@@ -8,7 +8,7 @@ from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
-from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass
+from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass, TimeInterval
 from orchestrator.model.units import Unit
 
 JobState = Literal[
@@ -289,6 +289,55 @@ class SamplingReport(Model):
     problem: str = ""
 
 
+class AxisPlace(Model):
+    """Where an axis was at an instant that is known as an interval: between these positions, in its unit (motor
+    position), by plan and evidence of its start."""
+
+    least: float
+    most: float
+
+
+class TriggerRow(Model):
+    """One instant of a trigger. number: from 1. planned_ns, earliest_ns, latest_ns: the instant asked for, and the
+    interval promised for the edge, fleet time. seen: the interval of the edge by evidence of the controller; None: it
+    did not happen, or nothing is known of it. positions: of the axes of the step at that, of a step that was done."""
+
+    number: Int53
+    planned_ns: Int53
+    earliest_ns: Int53
+    latest_ns: Int53
+    seen: TimeInterval | None = None
+    positions: dict[str, AxisPlace] = Field(default={})
+
+
+class LatchReport(Model):
+    """A position that a controller has captured by an input. position: of the user, in `unit`; counts: of the
+    controller. seen: the interval in which that was. How soon after the edge it was captured depends on the make."""
+
+    axis: str
+    input: str
+    position: float
+    unit: Unit
+    counts: Int53
+    seen: TimeInterval
+
+
+class TriggerReport(Model):
+    """What an output did on the way. planned: instants of the plan; seen: edges by evidence of the controller.
+
+    outside: of them, those that were certainly not within the promise. widest_ns: of the intervals by evidence. rows:
+    the first ones; all of them are in the recording. problem: why there are fewer, or none.
+    """
+
+    output: str
+    planned: Int53
+    seen: Int53 = 0
+    outside: Int53 = 0
+    widest_ns: Int53 = 0
+    rows: list[TriggerRow] = Field(default=[])
+    problem: str = ""
+
+
 class StepReport(Model):
     """The record of one step, or of a whole scan (`scan`), followed by that of its point that was not done.
     After feed holds it describes the last part, and lists the holds before.
@@ -322,6 +371,8 @@ class StepReport(Model):
     feed_holds: list[FeedHold] = Field(default=[])
     scan: ScanSummary | None = None
     sampling: SamplingReport | None = None
+    triggers: list[TriggerReport] = Field(default=[])
+    latch: LatchReport | None = None
     path: PathReport | None = None
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 

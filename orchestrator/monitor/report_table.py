@@ -6,7 +6,7 @@ from statistics import median
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget
+from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget, TriggerReport
 from orchestrator.model.state import AxisEvidence
 from orchestrator.monitor.path_words import describe_path
 from orchestrator.monitor.tables import make_plain_table
@@ -151,9 +151,13 @@ def _make_budget_rows(step: StepReport) -> list[list[str]]:
 
 
 def _describe_deviations(step: StepReport) -> list[str]:
-    """Describe a path with its bound, feed holds inside the step, and predicted end and path skew."""
+    """Describe a path with its bound, triggers, feed holds inside the step, and predicted end and path skew."""
     budget = step.budget
     lines = [f"step {step.index}: {text}" for text in ([] if step.path is None else describe_path(step.path))]
+    lines += [f"step {step.index}: {_describe_triggers(each)}" for each in step.triggers]
+    latch = step.latch
+    if latch is not None:
+        lines.append(f"step {step.index}: {latch.axis} was at {latch.position:g} {latch.unit} when {latch.input} came")
     lines += [
         f"step {step.index}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
@@ -167,6 +171,16 @@ def _describe_deviations(step: StepReport) -> list[str]:
                 f"{said.worst_member}"
             )
     return lines
+
+
+def _describe_triggers(triggered: TriggerReport) -> str:
+    """What an output did on the way."""
+    text = f"{triggered.output}: {triggered.seen} of {triggered.planned} triggers seen"
+    if triggered.seen:
+        text += f", each within {triggered.widest_ns / 1e6:.2f} ms"
+    if triggered.outside:
+        text += f", {triggered.outside} not within the promise"
+    return text + (f"; {triggered.problem}" if triggered.problem else "")
 
 
 def _describe_scan(step: StepReport) -> list[str]:

@@ -5,7 +5,7 @@ with the soft limits although nothing is known about its beginning.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial, singledispatchmethod
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from orchestrator.model.job import (
     Enable,
     FollowPath,
     Home,
+    Latch,
     MotionOptions,
     Move,
     Repeat,
@@ -31,13 +32,13 @@ from orchestrator.model.job import (
     WaitInput,
 )
 from orchestrator.model.names import ALL_AXES, controller_of, is_position_name
+from orchestrator.model.operation.step_words import describe_step
 from orchestrator.model.positions.resolve import (
     PositionResolver,
     iterate_targets,
     list_file_positions,
     replace_targets,
 )
-from orchestrator.model.step_words import describe_step
 from orchestrator.model.units import UnitError
 from orchestrator.plan.forecast_axes import AxisForecaster, MoveWays, Order
 from orchestrator.plan.forecast_passes import (
@@ -56,6 +57,7 @@ from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iter
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
 from orchestrator.plan.targets import explain_beyond_limits, explain_beyond_range, make_axis_move
+from orchestrator.plan.triggers import ResolvedTrigger, find_brake_outputs, resolve_triggers
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,7 @@ class ForecastMotion:
     exact: Mapping[str, tuple[Fraction, int]]
     plan: StepPlan
     path: PlannedPath | None = None
+    triggers: Sequence[ResolvedTrigger] = ()
 
 
 class _Span(NamedTuple):
@@ -98,7 +101,7 @@ class JobForecaster(AxisForecaster):
         """axes: their states now; others are unknown. orders: of the profiles that each controller executes."""
         super().__init__(fleet, axes, orders)
         self._outputs: dict[str, bool] = {}
-        self._reserved = _find_reserved_outputs(fleet)
+        self._reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None
         """The step that was taken last, if it moves and all its positions are known."""
         self._notes: dict[str, None] = {}
@@ -180,6 +183,7 @@ class JobForecaster(AxisForecaster):
         span = self._plan_ways(step, ways)
         if ways.plan is not None and len(ways.exact) == len(step.to) + len(step.by):
             self.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
+        self._check_triggers(step)
         return span
 
     @_run.register
@@ -204,7 +208,19 @@ class JobForecaster(AxisForecaster):
         for name, (end, _) in path.exact.items():
             self.axes[name] = self._state(name).model_copy(update={"motor": end, "known": True})
         self.motion = ForecastMotion(path.moves, path.exact, path.plan, path)
+        self._check_triggers(step)
         return _Span(path.plan.duration_s, path.plan.duration_s)
+
+    def _check_triggers(self, step: Move | FollowPath) -> None:
+        """Check outputs and units of triggers, and their instants where the motion is known."""
+        try:
+            resolved = resolve_triggers(self._fleet, step.triggers, lambda axis: self._state(axis).offset)
+            if self.motion is not None:
+                for trigger in resolved:
+                    trigger.find_instants_ns(self.motion.plan)
+                self.motion = replace(self.motion, triggers=resolved)
+        except Refusal as error:
+            self._add_problem(("triggers",), error.code, error.text, error.remedy)
 
     def _place_path(self, step: FollowPath, axes: Mapping[str, Axis]) -> list[PathStart]:
         """Where the axes of a path are before it: an axis whose position is not known must be at its start."""
@@ -334,6 +350,15 @@ class JobForecaster(AxisForecaster):
             self._add_problem(("input",), "unknown-name", text, "correct the name")
         state = "active" if step.value else "inactive"
         self._notes[f"input {step.input} becomes {state} within {format_ns(step.timeout)}"] = None
+        return _Span(0.0, step.timeout / 1e9)
+
+    @_run.register
+    def _(self, step: Latch) -> _Span:
+        self._find_axis(step.axis, ("axis",))
+        text = self._fleet.names.explain_unknown(step.input, "input")
+        if text is not None:
+            self._add_problem(("input",), "unknown-name", text, "correct the name")
+        self._notes[f"input {step.input} latches {step.axis} within {format_ns(step.timeout)}"] = None
         return _Span(0.0, step.timeout / 1e9)
 
     # Passes
@@ -496,16 +521,6 @@ class JobForecaster(AxisForecaster):
             return _Span()
         ways.plan = plan
         return _Span(plan.duration_s, longest.duration_s if ways.bounded else None)
-
-
-def _find_reserved_outputs(fleet: Fleet) -> dict[str, str]:
-    """Outputs that jobs may not switch, with what they are."""
-    reserved: dict[str, str] = {}
-    for controller, config in fleet.controllers.items():
-        for name, axis in config.axes.items():
-            if axis.brake is not None and axis.brake.output is not None:
-                reserved[f"{controller}.{axis.brake.output}"] = f"the brake of {controller}.{name}"
-    return reserved
 
 
 def forecast_job(

@@ -89,8 +89,8 @@ def _find_wanted(digits: str, plan: "JobPlan", job_id: str) -> str:
 
 
 async def _print_plan(tutti: "Tutti", entry: "QueueEntry", planned: "JobPlanned") -> None:
+    from orchestrator.model.operation.step_words import describe_step
     from orchestrator.model.scans.step_order import StepOrder
-    from orchestrator.model.step_words import describe_step
     from orchestrator.monitor.times import localize_times
 
     assert planned.plan is not None

@@ -46,6 +46,7 @@ def export(
     moves    each axis of each motion step, with the intervals of its start
              and end, and the step's verdict
     device   positions that controllers have recorded by themselves (`record`)
+    triggers each edge of outputs that were switched on the way (`triggers`)
 
     Units, job and verdicts are metadata of the files. HDF5 has the tables in one file; of CSV, metadata are in a JSON
     file beside.
@@ -105,12 +106,15 @@ def _make_tables(
     from orchestrator.monitor.export.moves import make_moves_table
     from orchestrator.monitor.export.recorded import load_run
     from orchestrator.monitor.export.samples import make_device_table, make_grid_table, make_samples_table
+    from orchestrator.monitor.export.triggers import make_triggers_table
 
     run = load_run(opened)
     tables: list[Any] = [make_grid_table(run, period_ns), make_samples_table(run)]
     notes: list[str] = []
     if run.samples:
         tables.append(make_device_table(run))
+    if run.triggers:
+        tables.append(make_triggers_table(run))
     if run.report is not None:
         tables.append(make_moves_table(run.report, run.events))
     elif summary.job_id:

@@ -13,11 +13,11 @@ from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal import journal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.job import FollowPath, Job, Move, Scan, iterate_steps
+from orchestrator.model.operation.step_words import describe_step
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.scans.step_order import RemainingStep, StepOrder, count_point_steps, count_reports
 from orchestrator.model.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
-from orchestrator.model.step_words import describe_step
 
 MAX_DESCRIBED_STEPS = 20  # remaining steps that are described in words
 

@@ -21,6 +21,7 @@ from orchestrator.model.job import (
     FollowPath,
     Home,
     Job,
+    Latch,
     Move,
     Scan,
     SetOutput,
@@ -28,6 +29,7 @@ from orchestrator.model.job import (
     WaitInput,
     find_digests,
     iterate_steps,
+    list_trigger_outputs,
 )
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.operation.approval import JobPlan
@@ -118,8 +120,9 @@ class _JobUses:
             self.homes_all |= step.axes is None
         elif isinstance(step, SetOutput):
             self.outputs[step.output] = None
-        elif isinstance(step, WaitInput):
+        elif isinstance(step, WaitInput | Latch):
             self.controllers.add(controller_of(step.input))
+        self.outputs |= dict.fromkeys(list_trigger_outputs(step))
 
     def add_controllers(self, fleet: Fleet) -> None:
         """Add the controllers of axes, outputs, trigger lines and permits."""

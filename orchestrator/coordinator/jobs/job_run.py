@@ -34,8 +34,9 @@ from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import FollowPath, Home, Job, Move, Scan, Step, iterate_steps
+from orchestrator.model.job import FollowPath, Home, Job, Move, Scan, Step, iterate_steps, list_trigger_outputs
 from orchestrator.model.messages import RefusalDetails, StopMode
+from orchestrator.model.names import controller_of
 from orchestrator.model.operation.approval import JobApproval, join_changes, list_changes
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import (
@@ -176,8 +177,10 @@ class JobRun:
 
     @property
     def members(self) -> list[str]:
-        """Controllers that it can move, to stop them all."""
-        return list(group_by_controller(find_axes(self._services.view.fleet, self.steps_to_run)))
+        """Controllers that it can move, or whose outputs it switches on the way, to stop them all."""
+        moved = group_by_controller(find_axes(self._services.view.fleet, self.steps_to_run))
+        outputs = [output for step in iterate_steps(self.steps_to_run) for output in list_trigger_outputs(step)]
+        return list(dict.fromkeys([*moved, *map(controller_of, outputs)]))
 
     async def interrupt_job(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
         """Stop its axes and end it. Does nothing to a job that is ending already."""
@@ -433,7 +436,7 @@ class JobRun:
             if self._motion_step is not None:
                 return await self._run_motion(self._motion_step)
             await self._on_state("running", "")
-            await services.plain_steps.run_step(step, self.row.id, self.row.actor, self._on_progress)
+            latched = await services.plain_steps.run_step(step, self.row.id, self.row.actor, self._on_progress)
         except Refusal as error:
             services.log.warning(error.text, job=self.row.id, step=index, code=error.code)
             reason = f"{error.text}; {error.remedy}" if error.remedy else error.text
@@ -446,7 +449,8 @@ class JobRun:
                 refused=RefusalDetails.of(error),
             )
         took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
-        return StepReport(index=index, do=step.do, name=step.name or "", state="done", actual_s=took_s)
+        name = step.name or ""
+        return StepReport(index=index, do=step.do, name=name, state="done", actual_s=took_s, latch=latched)
 
     async def _run_motion(self, step: MotionStep) -> StepReport:
         """Run a motion step: behind the one before, if it is loaded there; otherwise from rest. Raises `Refusal`."""

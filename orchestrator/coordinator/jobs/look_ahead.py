@@ -67,6 +67,8 @@ def _find_hindrance(fleet: Fleet, moving: Move, step: Move) -> str:
     for each, when in ((moving, "before it"), (step, "for it")):
         if each.record is not None:
             return f"controllers record positions {when} (`record`)"
+        if each.triggers:
+            return f"outputs are switched on the way {when} (`triggers`)"
     if step.align:
         return "it waits for aligned ticks (`align`)"
     return "a trigger line starts it (`start: line`)" if step.start == "line" else ""

@@ -28,6 +28,7 @@ from orchestrator.model.job import (
     SetOutput,
     Step,
     iterate_steps,
+    list_trigger_outputs,
     named_axes,
 )
 from orchestrator.model.names import controller_of
@@ -146,16 +147,17 @@ def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
 
 
 def find_needed_controllers(fleet: Fleet, steps: list[Step]) -> frozenset[str]:
-    """Controllers that no other job may use meanwhile: those of its axes, and those whose outputs start its members
-    by a trigger line. Raises `UnknownName`."""
-    moved, outputs = set[str](), set[str]()
+    """Controllers that no other job may use meanwhile: those of its axes, those whose outputs it switches on the way,
+    and those whose outputs start its members by a trigger line. Raises `UnknownName`."""
+    moved, outputs, triggered = set[str](), set[str](), set[str]()
     for step in iterate_steps(steps):
         if isinstance(step, Move | FollowPath | Scan):
             moved |= {controller_of(axis) for axis in named_axes(step)}
+            triggered |= {controller_of(output) for output in list_trigger_outputs(step)}
         elif isinstance(step, SetOutput):
             outputs.add(step.output)
     drivers = {controller_of(wire.from_) for wire in find_wires(fleet, moved, outputs)}
-    return frozenset({controller_of(axis) for axis in find_axes(fleet, steps)} | drivers)
+    return frozenset({controller_of(axis) for axis in find_axes(fleet, steps)} | drivers | triggered)
 
 
 def find_wires(fleet: Fleet, moved: Collection[str], outputs: Collection[str]) -> list[TriggerWire]:

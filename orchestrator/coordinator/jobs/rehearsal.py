@@ -50,7 +50,9 @@ class JobRehearsal:
             if isinstance(step, Move | FollowPath) and motion is not None and motion.plan.profiles:
                 asked = StepRequest("dry-run", request.job, index, step)
                 resolved = ResolvedMove(motion.moves, dict(motion.exact))
-                planned = PlannedStep(asked, resolved, motion.plan, {}, rehearsal=True, path=motion.path)
+                planned = PlannedStep(
+                    asked, resolved, motion.plan, {}, rehearsal=True, path=motion.path, triggers=motion.triggers
+                )
                 rehearsals.append(self._rehearse(planned, forecast, forecaster.problems))
             if len(rehearsals) == REHEARSALS_AT_ONCE or number == len(request.job.steps) - 1:
                 for done in await asyncio.gather(*rehearsals):

@@ -2,22 +2,26 @@
 
 from collections.abc import Mapping
 
-from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.requests import FencedFields
 from orchestrator.coordinator.jobs.homing import HomingSequence, ProgressCallback
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import Disable, Dwell, Enable, Home, SetOutput, SetPosition, Step, WaitInput
+from orchestrator.model.job import Disable, Dwell, Enable, Home, Latch, SetOutput, SetPosition, Step, WaitInput
 from orchestrator.model.messages import (
     EnableRequest,
+    LatchReply,
+    LatchRequest,
     LeasedRequest,
     OutputRequest,
     Reply,
     SetPositionRequest,
     raise_first_refusal,
 )
+from orchestrator.model.report import LatchReport
+from orchestrator.model.state import TimeInterval
 from orchestrator.plan.step import ExactTargets
 
 ANSWER_S = 3.0
@@ -32,8 +36,10 @@ class PlainSteps:
         self._targets = targets
         self._homing = HomingSequence(fleet, targets)
 
-    async def run_step(self, step: Step, holder: str, actor: str, progress: ProgressCallback) -> None:
-        """Run `step` to its end. holder: has the leases of its axes."""
+    async def run_step(self, step: Step, holder: str, actor: str, progress: ProgressCallback) -> LatchReport | None:
+        """Run `step` to its end; return what it has latched, if it is for that. holder: has the leases of its axes."""
+        if isinstance(step, Latch):
+            return await self._latch_position(step, holder, actor)
         if isinstance(step, Enable | Disable):
             await self.switch_motors(
                 self._fleet.view.fleet.expand_names(step.axes), on=isinstance(step, Enable), holder=holder, actor=actor
@@ -48,6 +54,32 @@ class PlainSteps:
             await self._set_output(step, actor)
         elif isinstance(step, WaitInput):
             await self._wait_input(step)
+        return None
+
+    async def _latch_position(self, step: Latch, holder: str, actor: str) -> LatchReport:
+        """Have the controller capture a position. Raises `Refusal`."""
+        controller, _, axis = step.axis.partition(".")
+        request = LatchRequest(
+            **self._request_fields(actor),
+            axes=[axis],
+            holder=holder,
+            input=step.input.partition(".")[2],
+            within_ns=step.timeout,
+        )
+        timeout_s = ANSWER_S + step.timeout / NS_PER_S
+        replies = await self._fleet.requests.request_all("latch", {controller: request}, LatchReply, timeout_s)
+        raise_first_refusal(replies)
+        reply, config = replies[controller], self._fleet.view.fleet.axis(step.axis)
+        state = self._fleet.view.axis_now(step.axis)
+        offset = 0.0 if state is None else float(state.offset)
+        return LatchReport(
+            axis=step.axis,
+            input=step.input,
+            position=config.to_unit(reply.counts) + offset,
+            unit=config.unit,
+            counts=reply.counts,
+            seen=TimeInterval(earliest_ns=reply.earliest_ns, latest_ns=reply.latest_ns),
+        )
 
     async def switch_motors(self, axes: list[str], holder: str, actor: str, *, on: bool) -> None:
         """Switch the motors of `axes`, with their brakes. Raises `Refusal`."""

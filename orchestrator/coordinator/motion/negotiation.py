@@ -21,6 +21,7 @@ from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.coordinator.motion.trigger import TriggerStart
+from orchestrator.coordinator.motion.triggers import StepTriggers
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import TriggerWire
@@ -74,6 +75,7 @@ class StartAgreement:
     aligned: bool = False
     present: PresentMove | None = None
     first: FirstChunk | None = None
+    triggers: StepTriggers = field(default_factory=StepTriggers)
     _shares: "tuple[StepPlan, dict[str, dict[str, Profile]]] | None" = None
 
     @property
@@ -83,8 +85,14 @@ class StartAgreement:
 
     @property
     def members(self) -> list[str]:
-        """The movers, and the controller that drives their trigger line."""
-        return self.movers if self.line is None else list(dict.fromkeys([self.line.driver, *self.movers]))
+        """The movers, the controller that drives their trigger line, and those that switch outputs on the way."""
+        drivers = [] if self.line is None else [self.line.driver]
+        return list(dict.fromkeys([*drivers, *self.movers, *self.triggers.owners]))
+
+    @property
+    def actors(self) -> list[str]:
+        """The members that are stopped with the step: the movers, and those that switch outputs on the way."""
+        return list(dict.fromkeys([*self.movers, *self.triggers.owners]))
 
     @property
     def disarm_ns(self) -> int:
@@ -175,6 +183,7 @@ class StartNegotiation:
         self._requests = services.fleet.requests
         self._estimator = services.estimator
         self._planned = planned
+        self._triggers = StepTriggers(planned.triggers)
         self._request = planned.request
         self._early_ns = self._request.max_end_skew_ns or END_SKEW_NS
 
@@ -187,12 +196,17 @@ class StartNegotiation:
             return await self._agree_following()
         chunk = await self._plan_first_chunk()
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
-        first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk)
-        lines = [line for wire in self._view.fleet.wiring if (line := await self._find_line(wire, first)) is not None]
+        aligned = bool(self._request.move.align)
+        first = StartAgreement(plan, aligned=aligned, first=chunk, triggers=self._triggers)
+        # Instants on the way are counted from a T0 by the clock.
+        wires = [] if self._triggers.owners else self._view.fleet.wiring
+        lines = [line for wire in wires if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
             raise Refusal(
                 "start-class",
-                f"no trigger line is wired to an input that {' or '.join(first.movers)} can wait for",
+                "a step with triggers starts by the clock of its controllers"
+                if self._triggers.owners
+                else f"no trigger line is wired to an input that {' or '.join(first.movers)} can wait for",
                 "add `wiring` to the fleet file, or remove `start` from the step",
             )
         candidates = [replace(first, line=line) for line in ([] if by_line else [None]) + lines]
@@ -212,9 +226,10 @@ class StartNegotiation:
         return agreed
 
     async def _plan_first_chunk(self) -> FirstChunk | None:
-        """The first chunk of a path, if members can execute it in chunks. Raises `Refusal`."""
+        """The first chunk of a path, if members can execute it in chunks; a path with triggers is loaded as a whole,
+        because their instants are set before it begins. Raises `Refusal`."""
         planned = self._planned
-        if planned.path is None:
+        if planned.path is None or self._triggers.owners:
             return None
         members = dict.fromkeys(controller_of(axis) for axis in planned.plan.profiles)
         try:
@@ -313,12 +328,19 @@ class StartNegotiation:
         }
         start_class = "auto" if wish == "line" else wish
         first = agreement.first
+        outputs = agreement.triggers.find_outputs(agreement.plan)
         return {
             member: (
                 line.start_options(member, lead_ns)
                 if line is not None and line.covers(member)
                 else StartOptions(start_class=start_class, lead_ns=lead_ns)
-            ).model_copy(update={**common, "chunk": None if first is None else first.options(member)})
+            ).model_copy(
+                update={
+                    **common,
+                    "chunk": None if first is None else first.options(member),
+                    "triggers": outputs.get(member, []),
+                }
+            )
             for member in members
         }
 

@@ -1,7 +1,7 @@
 """Planning of a motion step: from the present state of the axes to profiles."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
@@ -16,6 +16,7 @@ from orchestrator.model.state import AxisState, ControllerInfo, ControllerState,
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan, plan_step
+from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
 MAX_REST_COUNTS = 1  # by which an axis may stand beside the place where its path was braked: rounding
 
@@ -68,7 +69,7 @@ class PlannedStep:
 
     ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
     the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
-    motion begins, in its time: after a feed hold, not at its start.
+    motion begins, in its time: after a feed hold, not at its start. triggers: of the step.
     """
 
     request: StepRequest
@@ -79,6 +80,7 @@ class PlannedStep:
     rehearsal: bool = False
     path: PlannedPath | None = None
     begun_s: float = 0.0
+    triggers: Sequence[ResolvedTrigger] = ()
 
 
 async def plan_request(
@@ -161,6 +163,11 @@ def _plan_from(
     instances: Mapping[str, str],
 ) -> PlannedStep:
     move = request.move
+    if move.triggers and goal:
+        # Some of them have happened, and positions are counted from where the axis started.
+        text = "a step with triggers cannot be continued after a feed hold"
+        raise Refusal("triggers-held", text, "run the job again, from this step")
+    triggers = resolve_triggers(context.fleet, move.triggers, lambda axis: context.states[axis].offset)
     missing = services.fleet.permits.find_missing(request.axes)
     if missing is not None:
         raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
@@ -168,12 +175,12 @@ def _plan_from(
         if isinstance(move, FollowPath):
             path = plan_path_step(move, make_path_starts(move, context), context.fleet.frames)
             resolved = ResolvedMove(path.moves, dict(path.exact))
-            return PlannedStep(request, resolved, path.plan, instances, path.exact, path=path)
+            return PlannedStep(request, resolved, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved = resolve_targets(move, context, goal)
         plan = plan_step(resolved.moves, move.sync, move.speed, move.ramps)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
-    return PlannedStep(request, resolved, plan, instances, resolved.exact)
+    return PlannedStep(request, resolved, plan, instances, resolved.exact, triggers=triggers)
 
 
 async def _query_controller(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from orchestrator.bus.base import Bus, Priority
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.model.operation.recording import StepSamples
+from orchestrator.model.operation.recording import RecordedTriggers, StepSamples
 from orchestrator.model.report import StepRecording
 
 
@@ -24,3 +24,7 @@ class StepPublisher:
     def publish_samples(self, samples: StepSamples) -> None:
         """Publish what a controller has sampled during a step."""
         self.bus.put(self.keys.job_samples(samples.job_id), samples.to_json(), Priority.EVENT)
+
+    def publish_triggers(self, triggers: RecordedTriggers) -> None:
+        """Publish what an output did on the way of a step."""
+        self.bus.put(self.keys.job_triggers(triggers.job_id), triggers.to_json(), Priority.EVENT)

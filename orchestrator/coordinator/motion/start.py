@@ -353,7 +353,7 @@ class StartSequence:
     async def disarm(self) -> None:
         """Unload all members, each independently of the others' silence; one that reports motion or does not answer is
         stopped as well."""
-        movers, state = self._agreement.movers, self.state
+        movers, state = self._agreement.actors, self.state
         state.unloaded = True
 
         async def unload_member(member: str) -> None:

@@ -17,6 +17,7 @@ from orchestrator.coordinator.motion.report import judge_completed_step, make_st
 from orchestrator.coordinator.motion.sampling import StepSampler
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StartSequence, StateCallback
+from orchestrator.coordinator.motion.trigger_rows import TriggerRows
 from orchestrator.coordinator.motion.watch import StepWatch
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import RefusalDetails
@@ -103,7 +104,7 @@ class PlannedMotion:
             if begun and self.feed is not None:
                 await self.feed.hold(actor)
             elif begun:
-                await fleet.stop_members(self.agreement.movers, "feed-hold", actor, f"paused by {actor}")
+                await fleet.stop_members(self.agreement.actors, "feed-hold", actor, f"paused by {actor}")
 
 
 class MotionStep:
@@ -169,7 +170,8 @@ class MotionStep:
                 await motion.start.disarm_line_driver()
             raise
         report = await self._watch_motion(motion, observer, recorder)
-        return report.model_copy(update={"sampling": await sampler.take()})
+        report = report.model_copy(update={"sampling": await sampler.take()})
+        return await TriggerRows(services, request, motion.agreement, motion.start.state).add_to(report)
 
     async def run_released(self, motion: PlannedMotion, observer: StepObserver) -> StepReport:
         """Watch a step that was released behind the one before it, to its end; otherwise like `run`."""
@@ -256,7 +258,7 @@ class MotionStep:
             if failure is None and not watch.paused and not feed.is_complete:
                 return self._rest_on_path(motion, feed)
         if failure is not None:
-            await fleet.stop_members(agreement.movers, "decelerate", request.job.actor, failure[1])
+            await fleet.stop_members(agreement.actors, "decelerate", request.job.actor, failure[1])
             await start.disarm_line_driver()
         elif watch.paused:
             reason = f"paused by {start.state.paused_by}"

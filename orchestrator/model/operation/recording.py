@@ -6,6 +6,7 @@ from pydantic import Field
 
 from orchestrator.model.base import HostNs, Int53, Model
 from orchestrator.model.job import Job
+from orchestrator.model.report import TriggerRow
 from orchestrator.model.state import TimeInterval
 
 
@@ -79,6 +80,16 @@ class StepSamples(Model):
     fleet_ns: list[Int53]
     bound_ns: Int53
     axes: dict[str, SampledAxis]
+
+
+class RecordedTriggers(Model):
+    """All instants of one trigger of a step, on `job/{id}/triggers`, in parts of at most some hundred rows."""
+
+    schema_: Literal["tutti.triggers/1"] = Field(default="tutti.triggers/1", alias="schema")
+    job_id: str
+    step: Int53
+    output: str
+    rows: list[TriggerRow]
 
 
 class MessagesDropped(Model):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from orchestrator.model.operation.recording import StepSamples
+from orchestrator.model.operation.recording import RecordedTriggers, StepSamples
 from orchestrator.model.report import JobReport, StepRecording
 from orchestrator.model.state import ControllerEvent, ControllerState
 from orchestrator.monitor.recording.reader import Recording
@@ -38,6 +38,7 @@ class RecordedRun:
     plans: list[StepRecording] = field(default_factory=list[StepRecording])
     events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
     samples: list[StepSamples] = field(default_factory=list[StepSamples])
+    triggers: list[RecordedTriggers] = field(default_factory=list[RecordedTriggers])
     report: JobReport | None = None
     unread: int = 0
 
@@ -64,6 +65,8 @@ def load_run(recording: Recording) -> RecordedRun:
                 run.plans.append(StepRecording.model_validate_json(message.payload))
             elif (kind, leaf) == ("job", "samples"):
                 run.samples.append(StepSamples.model_validate_json(message.payload))
+            elif (kind, leaf) == ("job", "triggers"):
+                run.triggers.append(RecordedTriggers.model_validate_json(message.payload))
             elif (kind, leaf) == ("job", "report"):
                 run.report = JobReport.model_validate_json(message.payload)
         except ValidationError:  # of another version

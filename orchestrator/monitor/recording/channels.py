@@ -12,7 +12,14 @@ from orchestrator.bus.keys import ROOT
 from orchestrator.model.base import Model
 from orchestrator.model.messages import EstopMessage, EstopReset, LeaderHeartbeat
 from orchestrator.model.operation.alarms import AlarmRecord, AlarmRequest
-from orchestrator.model.operation.recording import JobBegun, MessagesDropped, StepSamples, StepStart, WallClockStepped
+from orchestrator.model.operation.recording import (
+    JobBegun,
+    MessagesDropped,
+    RecordedTriggers,
+    StepSamples,
+    StepStart,
+    WallClockStepped,
+)
 from orchestrator.model.report import JobProgress, JobReport, LeaseState, QueueState, StepRecording
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
@@ -33,6 +40,7 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
         ("job", "begun"): JobBegun,
         ("job", "plan"): StepRecording,
         ("job", "samples"): StepSamples,
+        ("job", "triggers"): RecordedTriggers,
         ("queue", "queue"): QueueState,
         ("leader", "leader"): LeaderHeartbeat,
         ("estop", "estop"): EstopMessage,

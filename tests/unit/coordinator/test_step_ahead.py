@@ -87,7 +87,7 @@ class AheadWorld:
         return SimpleNamespace(plan=SimpleNamespace(profiles=self.profiles))
 
     async def _agree(self, *_: object) -> object:
-        agreement = SimpleNamespace(movers=["c"])
+        agreement = SimpleNamespace(movers=["c"], actors=["c"])
         motion = SimpleNamespace(start=self.start, watch=self.start, agreement=agreement, feed=None)
         motion.feed_hold = partial(PlannedMotion.feed_hold, cast(Any, motion))
         return motion
@@ -255,7 +255,7 @@ def make_negotiation(
         fleet=SimpleNamespace(view=view, requests=None),
         estimator=estimator,
     )
-    planned = SimpleNamespace(request=SimpleNamespace(max_end_skew_ns=None))
+    planned = SimpleNamespace(request=SimpleNamespace(max_end_skew_ns=None), triggers=())
     agreement = StartAgreement(cast(Any, None), proposals=proposals, present=present)
     return StartNegotiation(cast(Any, services), cast(Any, planned), present), agreement
 

@@ -4,7 +4,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from orchestrator.model.job import Step
-from orchestrator.model.step_words import describe_step
+from orchestrator.model.operation.step_words import describe_step
 
 STEPS = TypeAdapter[Step](Step)
 

@@ -3,9 +3,10 @@
 import json
 
 from orchestrator.model.duration import format_ns, parse_duration
-from orchestrator.model.job import FollowPath, Repeat, Scan, Step
+from orchestrator.model.job import FollowPath, Move, Repeat, Scan, Step
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.scan import ScanAxis
+from orchestrator.model.triggers import Trigger
 
 
 def describe_step(step: Step) -> str:
@@ -14,16 +15,23 @@ def describe_step(step: Step) -> str:
     own = {"axes", "points", "scanspec", "at_each"} if isinstance(step, Scan) else set[str]()
     if isinstance(step, FollowPath):
         own = {"axes", "start", "pieces", "names"}
-    said = step.model_dump(mode="json", exclude_defaults=True, exclude={"do", "name", "steps", *own})
+    said = step.model_dump(mode="json", exclude_defaults=True, exclude={"do", "name", "steps", "triggers", *own})
     words = [_describe_field(key, value) for key, value in said.items()]
     if isinstance(step, Repeat):
         words = [f"{step.times} times: {len(step.steps)} step{'' if len(step.steps) == 1 else 's'}"]
     if isinstance(step, FollowPath):
         pieces = "" if step.file else f", {len(step.pieces)} piece{'' if len(step.pieces) == 1 else 's'}"
         words = [f"of {' '.join(step.axes)}{pieces}", *words]
+    if isinstance(step, Move | FollowPath):
+        words += map(_describe_trigger, step.triggers)
     if isinstance(step, Scan):
         words = [_describe_points(step), *words, *_describe_at_each(step)]
     return " ".join(part for part in (step.do, step.name and f"'{step.name}'", ", ".join(words)) if part)
+
+
+def _describe_trigger(trigger: Trigger) -> str:
+    places = f"every {trigger.every}" if trigger.at is None else f"at {len(trigger.at)} places"
+    return f"{trigger.output} {places}" + (f" of {trigger.of}" if trigger.of else "")
 
 
 def _describe_points(scan: Scan) -> str:

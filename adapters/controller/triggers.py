@@ -1,0 +1,91 @@
+"""What outputs with triggers did in a step, fetched from the controller after it; and positions that it latches."""
+
+from collections.abc import Callable
+
+from adapters.contract import Driver, SwitchedOutput
+from adapters.controller.status import ControllerStatus
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import (
+    LatchReply,
+    LatchRequest,
+    LeasedRequest,
+    TakeTriggers,
+    TriggerEdges,
+    TriggersTaken,
+)
+
+REST_NS = 5 * NS_PER_S  # for which a controller is waited for that still brakes: some answer only at rest
+LOOK_NS = 20 * NS_PER_MS
+
+
+class TriggerCollection:
+    """The triggers of one controller. has_step: whether a step is loaded or moving. scale: fleet time."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        clock: Clock,
+        status: ControllerStatus,
+        has_step: Callable[[], bool],
+        scale: Callable[[], FleetScale],
+    ) -> None:
+        self._driver = driver
+        self._clock = clock
+        self._status = status
+        self._has_step = has_step
+        self._scale = scale
+
+    async def take(self, request: TakeTriggers) -> TriggersTaken:
+        """Fetch what happened in the last step. Raises `Refusal`."""
+        del request
+        until_ns = self._clock.now_ns() + REST_NS
+        while any(axis.moving for axis in self._status.require_online().axes.values()):
+            if self._clock.now_ns() > until_ns:
+                raise Refusal("moving", "an axis is still moving", "wait for the end of the motion")
+            await sleep_ns(self._clock, LOOK_NS)
+        if self._has_step():
+            raise Refusal("busy", "a step is loaded", "wait for its end")
+        switched, scale = await self._driver.take_triggers(), self._scale()
+        return TriggersTaken(outputs={output: _to_fleet(each, scale) for output, each in switched.items()})
+
+
+class LatchControl:
+    """The position latches of one controller. require_idle: raises `Refusal` unless the requester may use its axes, and
+    no step is loaded."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        config: Controller,
+        require_idle: Callable[[LeasedRequest], None],
+        scale: Callable[[], FleetScale],
+    ) -> None:
+        self._driver = driver
+        self._config = config
+        self._require_idle = require_idle
+        self._scale = scale
+
+    async def latch(self, request: LatchRequest) -> LatchReply:
+        """Arm a latch, and answer when it has captured a position. Raises `Refusal`."""
+        self._require_idle(request)
+        point = self._config.inputs.get(request.input)
+        if point is None:
+            known = ", ".join(self._config.inputs) or "none"
+            raise Refusal("unknown-input", f"no input {request.input}; inputs: {known}", "correct the name")
+        found, scale = await self._driver.latch_position(request.axes[0], point, request.within_ns), self._scale()
+        return LatchReply(
+            counts=found.counts,
+            earliest_ns=scale.to_fleet_ns(found.span.earliest_ns) - scale.bound_ns,
+            latest_ns=scale.to_fleet_ns(found.span.latest_ns) + scale.bound_ns,
+        )
+
+
+def _to_fleet(switched: SwitchedOutput, scale: FleetScale) -> TriggerEdges:
+    return TriggerEdges(
+        earliest_ns=[scale.to_fleet_ns(each.earliest_ns) - scale.bound_ns for each in switched.edges],
+        latest_ns=[scale.to_fleet_ns(each.latest_ns) + scale.bound_ns for each in switched.edges],
+        unknown=switched.unknown,
+    )
