@@ -14,6 +14,7 @@ from adapters.contract import (
     SampledPositions,
     SamplingPlan,
     SettingDifference,
+    SwitchedOutput,
 )
 from adapters.toolkit.connection import MoverDriver
 from adapters.toolkit.refusals import log_refusals
@@ -157,6 +158,10 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
     async def take_samples(self) -> SampledPositions:
         with log_refusals(self._log, "the fetching of samples"):
             return await self._sampling.take()
+
+    async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
+        with log_refusals(self._log, "the fetching of triggers"):
+            return await self._start.player.take()
 
     async def stop(self, *, abort: bool) -> None:
         self._device.stop_all(abort=abort)

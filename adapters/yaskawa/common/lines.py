@@ -1,8 +1,12 @@
-"""Trigger lines that the resident program waits for or drives: the loaded values, and the guaranteed timing."""
+"""Trigger lines that the resident program waits for or drives, and outputs that it switches on the way: the loaded
+values, and the guaranteed timing."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
+from adapters.contract import SwitchedOutput
 from adapters.toolkit.wired_points import find_driven_output, find_wait_input
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.clock.base import NS_PER_US
@@ -48,6 +52,57 @@ class ProgramOutput:
         """Check that the output is passive. outputs: bit 0 is output 1, set where it is on. Raises `Refusal`."""
         if outputs >> (self.number - 1) & 1 == self.level:
             raise Refusal("line-level", f"output {self.name} is already active", "switch it off: `tutti io set`")
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramTriggers:
+    """An output that the program switches at instants after T0. turns: its level changes each time; otherwise it is a
+    pulse of `output.active_ticks`."""
+
+    output: ProgramOutput
+    instants_ns: tuple[int, ...]
+    turns: bool
+
+    def make_table(self, ticks: int, first: int, t0_ns: int, mapping: TickMapping) -> list[int]:
+        """The samples after XT0, `ticks`. first: samples after XT0 at which a move begins."""
+        return [round(mapping.to_ticks(t0_ns + each)) - first - ticks for each in self.instants_ns]
+
+    def level_of(self, number: int) -> int:
+        """The level that the output is set to at an instant."""
+        return self.output.level if not self.turns or number % 2 == 0 else 1 - self.output.level
+
+
+class LoadedStep(Protocol):
+    """The step beside which a table is played. ticks: XT0; t0_ns: T0, of the host; both may be brought forward."""
+
+    @property
+    def ticks(self) -> int: ...
+
+    @property
+    def t0_ns(self) -> int: ...
+
+    @property
+    def mapping(self) -> TickMapping: ...
+
+
+class OutputPlayer(Protocol):
+    """Plays the triggers of a step."""
+
+    def forget(self) -> None:
+        """Forget the last table: the controller may no longer have it."""
+        ...
+
+    async def load(self, switches: ProgramTriggers, step: LoadedStep) -> None:
+        """Load the table, read it back, and start its program, which waits for the gate. Raises `Refusal`."""
+        ...
+
+    async def is_playing(self) -> bool:
+        """Whether the program still plays the table."""
+        ...
+
+    async def take(self) -> Mapping[str, SwitchedOutput]:
+        """What the output did, by the stamps of the program. Raises `Refusal`."""
+        ...
 
 
 def resolve_wait_input(config: Controller, requested: TriggerWait) -> ProgramWait:

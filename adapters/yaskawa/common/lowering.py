@@ -79,6 +79,7 @@ class YaskawaLowered(Lowered):
     load: "RegisterLoad | ContourLoad"
     waits: lines.ProgramWait | None = None
     drives: lines.ProgramOutput | None = None
+    switches: lines.ProgramTriggers | None = None
 
     @property
     def moving_axes(self) -> tuple[YaskawaAxisMove, ...]:
@@ -179,7 +180,8 @@ def format_fields(values: Mapping[int, int]) -> str:
 class LoweringContext:
     """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded. gate:
     the timing of its program; None for one that cannot hold a following step. axes: of the controller.
-    release_ns: how long a release or a withdrawal of a following step takes."""
+    release_ns: how long a release or a withdrawal of a following step takes. beside_commands, beside_elements: what
+    triggers take from a contour."""
 
     config: Controller
     motors: Mapping[str, int]
@@ -190,6 +192,8 @@ class LoweringContext:
     gate: GateTiming | None = None
     axes: int = 0
     release_ns: int = 0
+    beside_commands: float = 0.0
+    beside_elements: int = 0
 
 
 def lower_moves(
@@ -315,7 +319,8 @@ def takes_chunks(context: LoweringContext) -> bool:
 def find_interval(context: LoweringContext, tick_ns: float) -> int:
     """The exponent of the shortest records that the program keeps up with."""
     options, model = context.options, context.model
-    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS + model.interleaved_commands) * LOOP_SPREAD * options.decode_us * NS_PER_US
+    commands = LOOP_COMMANDS + HOST_COMMANDS + model.interleaved_commands + context.beside_commands
+    loop_ns = commands * LOOP_SPREAD * options.decode_us * NS_PER_US
     return max(least_interval(loop_ns, tick_ns, model), model.intervals[0])
 
 
@@ -401,7 +406,9 @@ def _lower_to_contour(
             "remove `jerk` from its limits, and move it from standstill to standstill",
         )
     room = ContourLimits(
-        options.array_elements - TAIL_LENGTH, find_interval(context, tick_ns), options.contour_sag_counts
+        options.array_elements - TAIL_LENGTH - context.beside_elements,
+        find_interval(context, tick_ns),
+        options.contour_sag_counts,
     )
 
     def build_records(within: ContourLimits) -> ContourLoad:
@@ -529,7 +536,9 @@ def _make_lowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: length * tick_ns * 1e-9 for axis, length in lengths.items()},
         path_error_counts=errors,
-        terms=lines.clock_terms(bound_ns, options, mapping, start, drives_line=drives is not None)
+        terms=lines.clock_terms(
+            bound_ns, options, mapping, start, drives_line=drives is not None or bool(start.triggers)
+        )
         if waits is None or start.wait is None
         else lines.wait_terms(start.wait, waits, options, tick_ns),
         edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, start, drives),

@@ -12,8 +12,9 @@ that the whole length of a record is available for it. The loop reads a ring of 
 the host raises while it runs: a contour may be longer than the arrays. Its end is in elements of their own, behind the
 ring: records of full length, then shorter ones. Where XN is not raised in time, that end brakes the axes to rest.
 
-`#DOG`, the watchdog, runs in a thread of its own from after the start of a step to its end: it stops the axes when the
-deadline XDL has not been extended in time, or when the program has died.
+`#DOG`, the watchdog, runs in a thread of its own from after the start of a step to its end, and to that of its
+triggers: it stops the axes and makes the output passive when the deadline XDL has not been extended in time, or when
+the program has died.
 
 A step that follows the present one (`#F<mask>`) waits in the other of two threads: for the end of the present one, then
 at its own release, with its registers loaded; and begins at its sample if all axes are where the present one was to end
@@ -41,6 +42,8 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XLI    input to begin by, as AI takes it; 0: by XT0
     XLO    output to drive at XT0           XLV    its active level
     XLH    samples until it is passive again
+    XRN    triggers of the table            XRI    the next one
+    XRV    level that it sets the output to XRT    array: samples after XT0, then the stamps
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
@@ -66,6 +69,9 @@ LOOP_COMMANDS = 4  # one round per record: WC, CD, count, jump; one more, once, 
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
 
 LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
+TABLE = "XRT"  # of triggers
+TABLE_VARIABLES = ("XRN", "XRI", "XRV")
+PULSE_LABEL, LEVEL_LABEL = "#PULSE", "#LEVEL"
 OUTPUT_PASSIVE = "OB XLO,1-XLV"  # of the trigger line; XLO is 0, and this command refused, while no line is driven
 CONTOUR_VARIABLES = ("XN", "XM", "XDT", "XI", "XW", "XTB", "XV", "XJ")
 REGISTER_VARIABLES = {"PA": "XP", "SP": "XS", "AC": "XU", "DC": "XW"}
@@ -73,7 +79,7 @@ BEGIN_VARIABLE = "XB"
 FOLLOWING_VARIABLES = ("XFT", "XFGO", "XFARM", "XFL", "XFA", "XFOK", "XOFF", "XZT", "XZA")
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
-    *("XDL", "XDOG", *LINE_VARIABLES, *CONTOUR_VARIABLES, *FOLLOWING_VARIABLES),
+    *("XDL", "XDOG", *LINE_VARIABLES, *TABLE_VARIABLES, *CONTOUR_VARIABLES, *FOLLOWING_VARIABLES),
     *(f"{name}{number}" for name in (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ") for number in range(1, 5)),
 )
 TAIL = "XTD"
@@ -115,18 +121,22 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
     for mask in range(1, 1 << axes) if contours else ():
         lines += contour_lines(mask, axes)
     halts = ";".join(f"HX{thread}" for thread in STEP_THREADS)
+    running = "+".join(f"_HX{thread}" for thread in (*STEP_THREADS, EDGE_THREAD))
     lines += [
         *edge_lines(),
+        *trigger_lines(),
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
         f"#HOLD;WT {STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{gate.decided_before})",
         f"XOK=XGO&((XT0-TIME)>{gate.wait_after_gate})",
         "XLATE=1-XOK;EN",
         "#SHUT;EN",
         *take_lines(range(axes)),
-        f"#DOG;WT {WATCHDOG_STEP_TICKS};JP #DOG,(TIME<XDL)&((_HX{STEP_THREAD}+_HX{SECOND_STEP_THREAD})>0)",
-        "JP #SHUT,XDONE=1",
+        f"#DOG;WT {WATCHDOG_STEP_TICKS};JP #DOG,(TIME<XDL)&(({running})>0)",
+        f"JP #SHUT,XDONE&(_HX{EDGE_THREAD}=0)",
         # The program first, or it would begin the contour again.
-        f"{halts};ST{axis_letters((1 << axes) - 1)};XDOG=1;DT 0;CD 0;EN",
+        f"{halts};ST{axis_letters((1 << axes) - 1)};XDOG=1",
+        f"HX{EDGE_THREAD};JP #LEAVE,XLO=0;{OUTPUT_PASSIVE}",
+        "#LEAVE;DT 0;CD 0;EN",
     ]
     return tuple(lines)
 
@@ -208,6 +218,33 @@ def contour_lines(mask: int, axes: int, *, ring: bool = True) -> list[str]:
         f"#K{mask};AI XLI;{increment_command('0')};XACT=TIME;XQ #DOG,{WATCHDOG_THREAD}",
         f"JP #P{mask}",
     ]
+
+
+def trigger_lines() -> tuple[str, ...]:
+    """Return the lines that switch an output at the samples of a table: by pulses, and by changes of its level.
+
+    They run in the thread of trigger lines, with its variables for the output, so that what halts that thread also
+    makes the output passive. The instants come from the plan, and WT waits for them in a move and in a contour alike.
+    Of the trip-points on positions MF and MR hold in a contour, too, but they see one direction of one axis, to 2 ms
+    (L7476); of AP, AD and AR the manual does not state whether a contour is a profile (L2715-2727).
+
+    An element that was played contains the sample before the command that switched the output: on one line nothing
+    comes between the two (L14633). A late instant is played at once: the product is 0 then, and its first factor is
+    read first, so that it is never negative, which would end the program (code 6).
+    """
+    left = f"(XT0+{TABLE}[XRI]-TIME)"
+    wait = f"WT ({left}>0)*{left}"
+    return (
+        f"{PULSE_LABEL};WT {STEP_TICKS};JP #SHUT,XLATE=1;JP {PULSE_LABEL},XOK=0",
+        f"#NEXT;{wait};{TABLE}[XRI]=TIME;OB XLO,XLV",
+        "WT XLH;OB XLO,1-XLV",
+        "XRI=XRI+1;JP #NEXT,XRI<XRN",
+        "XLO=0;EN",
+        f"{LEVEL_LABEL};WT {STEP_TICKS};JP #SHUT,XLATE=1;JP {LEVEL_LABEL},XOK=0",
+        f"#TURN;{wait};{TABLE}[XRI]=TIME;OB XLO,XRV",
+        "XRV=1-XRV;XRI=XRI+1;JP #TURN,XRI<XRN",
+        "OB XLO,1-XLV;XLO=0;EN",
+    )
 
 
 def edge_lines() -> tuple[str, ...]:

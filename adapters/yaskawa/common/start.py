@@ -8,6 +8,7 @@ from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.course_records import BegunPath, ChunkRecords
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.lines import OutputPlayer
 from adapters.yaskawa.common.lowering import (
     ContourLoad,
     CourseLoad,
@@ -61,6 +62,12 @@ class _LoadedMove:
     loaded: ChunkRecords | None = None
 
     @property
+    def switched_ns(self) -> int:
+        """When its last trigger is due; T0 without any."""
+        switches = self.lowered.switches
+        return self.t0_ns + (0 if switches is None else switches.instants_ns[-1])
+
+    @property
     def end_ticks(self) -> int:
         """The sample in which its last axis ends."""
         return self.ticks + max((move.samples for move in self.lowered.moves), default=0)
@@ -72,13 +79,14 @@ class SampleStart:
     LATE_TICKS = 4
     """Of a contour's stamps: two commands separate the last record from its stamp."""
 
-    def __init__(self, device: SmcDevice, clock: Clock, options: YaskawaOptions) -> None:
+    def __init__(self, device: SmcDevice, clock: Clock, options: YaskawaOptions, player: OutputPlayer) -> None:
         self._device = device
         self._clock = clock
         self._options = options
         self._loaded: _LoadedMove | None = None
         self._next: _LoadedMove | None = None
         self._refill = ContourRefill(device)
+        self.player = player
 
     # Before T0
 
@@ -106,7 +114,7 @@ class SampleStart:
         phase = ticks + first - mapping.to_ticks(t0_ns)
         # A watchdog left from an earlier step would fire when this one starts, and a second thread of it cannot be
         # started (L10305).
-        shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
+        shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", "XLO=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
         gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog_command(ticks))
         if isinstance(lowered.load, CourseLoad):
             maker = lowered.load.maker
@@ -124,6 +132,9 @@ class SampleStart:
         if drives is not None:
             await session.send_settings((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.active_ticks}"))
             await session.send_command(f"XQ #EDGE,{EDGE_THREAD}")
+        self.player.forget()
+        if lowered.switches is not None:
+            await self.player.load(lowered.switches, loaded)
         return {"check": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}
 
     async def _load_move(self, lowered: YaskawaLowered, gate: Sequence[str], then: str) -> None:
@@ -168,6 +179,8 @@ class SampleStart:
             lowered.waits.require_passive(record.inputs)
         if lowered.drives is not None:
             lowered.drives.require_passive(record.outputs)
+        if lowered.switches is not None:
+            lowered.switches.output.require_passive(record.outputs)
         for move in lowered.moves:
             axis = record.axes[move.index]
             if axis.is_moving:
@@ -466,12 +479,13 @@ class SampleStart:
                     seen_ns[move.axis] = record.sent_ns
                 elif move.axis not in ended:
                     ended[move.axis] = HostInterval(seen_ns[move.axis], record.received_ns)
-            if len(ended) == len(moves):
+            if len(ended) == len(moves) and (loaded.lowered.switches is None or not await self.player.is_playing()):
                 break
             ticks = round((self._device.samples.current_mapping() or loaded.mapping).to_ticks(record.received_ns))
             await self._device.session.send_command(self._watchdog_command(max(ticks, self._released_ticks())))
             # Poll again soon after the next planned end: the stamps record only the last end.
-            left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
+            ends_ns = min((planned_ns[axis] for axis in seen_ns if axis not in ended), default=loaded.switched_ns)
+            left_ns = ends_ns + SETTLE_NS - self._clock.now_ns()
             watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not stopped else SETTLE_NS
             if not stopped:
                 watch_ns = self._spare_turn(watch_ns)

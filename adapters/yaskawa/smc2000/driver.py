@@ -45,6 +45,7 @@ from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
 from adapters.yaskawa.smc2000.program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
 from adapters.yaskawa.smc2000.replies import parse_serial_reply
 from adapters.yaskawa.smc2000.start import SerialStart
+from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -109,7 +110,8 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             PolledPoints(sorted(motors.values()), inputs, outputs),
         )
         watch = SettingsWatch(device, motors, SMC2000_WATCHED, slow=True)
-        super().__init__(setup, motors, device, SerialStart(device, setup.clock, options), watch)
+        start = SerialStart(device, setup.clock, options, TriggerPlayer(device, options))
+        super().__init__(setup, motors, device, start, watch)
         channels = SAMPLED_AXES[max(motors.values()) >= SAMPLED_AXES[0]]
         limits = SamplingLimits.of_link(channels, ARRAY_BACK, options.exchange_ns, self._char_ns)
         self._sampling = DeviceSampling(device, motors, limits)

@@ -12,6 +12,7 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     ExamplePlace,
+    LatchedPosition,
     Lowered,
     require_no_problems,
     validate_options,
@@ -46,10 +47,13 @@ from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.language.dialect import motor_indices
+from adapters.yaskawa.triggers.latch import PositionLatch
+from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_needs
+from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Controller, SerialLink, UdpLink
+from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
@@ -91,7 +95,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         device = self.DEVICE(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
         serial = isinstance(setup.config.link, SerialLink)
         watch = SettingsWatch(device, motors, SMC4000_WATCHED, slow=serial)
-        super().__init__(setup, motors, device, SampleStart(device, setup.clock, options), watch)
+        start = SampleStart(device, setup.clock, options, TriggerPlayer(device, options))
+        super().__init__(setup, motors, device, start, watch)
         char_ns = 10 * NS_PER_S // setup.config.link.baud if isinstance(setup.config.link, SerialLink) else NS_PER_US
         limits = SamplingLimits.of_link(SAMPLED_AXES, UPLOAD_ELEMENTS, options.exchange_ns, char_ns)
         self._sampling = DeviceSampling(device, motors, limits)
@@ -185,14 +190,19 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
     def _off_by_error(self, axis: AxisRecord) -> bool:
         return super()._off_by_error(axis) and not axis.is_enabled
 
+    async def latch_position(self, axis: str, point: DigitalInput, within_ns: int) -> LatchedPosition:
+        with log_refusals(self._log, "the latch"):
+            return await PositionLatch(self._device, self._clock, self._motors).take(axis, point, within_ns)
+
     # Steps
 
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Lowered:
-        return lower_moves(self._context(self._capabilities.costs), profiles, start, mapping)
+        context = self._context(self._capabilities.costs, find_needs(start))
+        return add_triggers(lower_moves(context, profiles, start, mapping), context, start, mapping)
 
-    def _context(self, costs: StepCosts) -> LoweringContext:
+    def _context(self, costs: StepCosts, needs: TriggerNeeds = NO_TRIGGERS) -> LoweringContext:
         return LoweringContext(
             self._config,
             self._motors,
@@ -202,6 +212,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             gate=self._device.gate,
             axes=self._device.axes_count,
             release_ns=RELEASE_NS,
+            beside_commands=needs.commands,
+            beside_elements=needs.elements,
         )
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:

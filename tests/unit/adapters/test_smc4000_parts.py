@@ -11,7 +11,7 @@ from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoi
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.program import TAIL, VARIABLES, array_name, following_lines, program_lines
+from adapters.yaskawa.common.program import TABLE, TAIL, VARIABLES, array_name, following_lines, program_lines
 from adapters.yaskawa.common.record import AXIS_LETTERS
 from adapters.yaskawa.common.session import parse_reply
 from adapters.yaskawa.common.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
@@ -158,7 +158,7 @@ def test_the_program_refers_only_to_what_it_has(axes: int, contours: bool):
     labels = {line.split(";")[0] for line in lines if line.startswith("#")}
     assert {f"#F{mask}" for mask in range(1, 1 << axes)} <= labels
     assert set(re.findall(r"(?:JP ?|JS ?|XQ ?)(#\w+)", text)) <= labels
-    arrays = {array_name(index) for index in range(4)} | {TAIL}
+    arrays = {array_name(index) for index in range(4)} | {TAIL, TABLE}
     names = {name for name in re.findall(r"\bX[A-Z]+[0-9]*\b(?! )", text) if not set(name) <= set(AXIS_LETTERS)}
     assert names - arrays <= {*VARIABLES}
     assert len(VARIABLES) <= 510 and len(labels) <= 510  # L14277, L12254

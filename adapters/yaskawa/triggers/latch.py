@@ -1,0 +1,67 @@
+"""The position latch of an axis: its own input captures the position within 25 µs (L413, L2536-2592).
+
+The latch of axis X is input 1, and so on; it is fast with a falling edge only (CN, third field -1; L3645). It captures
+as soon as it is armed while its input is active.
+"""
+
+from collections.abc import Mapping
+
+from adapters.contract import HostInterval, LatchedPosition
+from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.record import AXIS_LETTERS
+from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.model.duration import format_ns
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import DigitalInput
+
+LATCHES = 4  # axes that have one
+LOOK_NS = 20 * NS_PER_MS
+FALLING = -1
+
+
+class PositionLatch:
+    """The latches of one controller. motors: by axis, its index."""
+
+    def __init__(self, device: SmcDevice, clock: Clock, motors: Mapping[str, int]) -> None:
+        self._device = device
+        self._clock = clock
+        self._motors = motors
+
+    async def take(self, axis: str, point: DigitalInput, within_ns: int) -> LatchedPosition:
+        """Arm the latch and wait until it has captured a position. Raises `Refusal`."""
+        index, session = self._motors[axis], self._device.session
+        letter = AXIS_LETTERS[index]
+        await self._require_input(axis, index, point)
+        until_ns, armed_ns = self._clock.now_ns() + within_ns, self._clock.now_ns()
+        await session.send_command(f"AL{letter}")
+        while True:
+            (armed, counts), answer = await session.read_numbers(f"_AL{letter}", f"_RL{letter}")
+            if not armed:
+                return LatchedPosition(int(counts), HostInterval(armed_ns, answer.received_ns))
+            armed_ns = answer.sent_ns
+            if self._clock.now_ns() >= until_ns:
+                text = f"the latch of axis {axis} has captured nothing within {format_ns(within_ns)}"
+                raise Refusal("latch-timeout", text, "check the signal and its wire, or allow more with `timeout`")
+            if await self._device.sleep_to_stop(min(LOOK_NS, until_ns - self._clock.now_ns())):
+                raise Refusal("stopped", f"a stop came while the latch of axis {axis} was armed", "")
+
+    async def _require_input(self, axis: str, index: int, point: DigitalInput) -> None:
+        """Raise `Refusal` for an input that does not latch the axis, or is active already."""
+        if index >= LATCHES or point.number != index + 1:
+            own = f"input {index + 1}" if index < LATCHES else "no input"
+            raise Refusal(
+                "latch-input",
+                f"input {point.number} does not latch axis {axis}; {own} does",
+                f"connect the signal to {own}, and name that in the fleet file",
+            )
+        (polarity,), _ = await self._device.session.read_numbers("_CN2")
+        if point.active != "low" or int(polarity) != FALLING:
+            raise Refusal(
+                "latch-input",
+                f"the latch of axis {axis} is to take a falling edge: `active: low`, and CN,,-1 in the controller; "
+                f"found `active: {point.active}` and CN,,{polarity:.0f}",
+                "a rising edge passes its optocoupler 1.5 ms late; invert the signal",
+            )
+        record = await self._device.read_record()
+        if not record.inputs >> index & 1:
+            raise Refusal("line-level", f"input {point.number} is active already", "make it passive before the step")

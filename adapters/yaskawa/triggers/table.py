@@ -1,0 +1,117 @@
+"""The table of triggers in the controller: loaded before a step, and read with its stamps after it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from adapters.contract import HostInterval, SwitchedOutput
+from adapters.yaskawa.common.arrays import ARRAY_SPACE_FULL, TOO_MANY_ARRAYS, free_arrays
+from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.lines import LoadedStep, ProgramTriggers
+from adapters.yaskawa.common.options import YaskawaOptions
+from adapters.yaskawa.common.program import EDGE_THREAD, LEVEL_LABEL, PULSE_LABEL, TABLE
+from adapters.yaskawa.common.session import MAX_PACKET, CommandSession, SmcCommandRefused
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.errors import Refusal
+
+UPLOAD_ELEMENTS = 100  # at once
+STAMP_DIGITS = 10  # of an element in an upload (PF)
+ELEMENT_CHARACTERS = MAX_PACKET - len(f"QD {TABLE}[],99999,99999\r\x1a")
+
+
+@dataclass(frozen=True, slots=True)
+class _PlayedTable:
+    switches: ProgramTriggers
+    table: list[int]
+    step: LoadedStep
+
+
+class TriggerPlayer:
+    """The triggers of the step that is loaded, or was last."""
+
+    def __init__(self, device: SmcDevice, options: YaskawaOptions) -> None:
+        self._device = device
+        self._options = options
+        self._played: _PlayedTable | None = None
+
+    def forget(self) -> None:
+        """Forget the last table: the controller may no longer have it."""
+        self._played = None
+
+    async def load(self, switches: ProgramTriggers, step: LoadedStep) -> None:
+        """Load the table, read it back, and start its program, which waits for the gate. Raises `Refusal`."""
+        first, _ = self._options.begin_ticks(step.mapping.tick_ns, interleaved=True)
+        table = switches.make_table(step.ticks, first, step.t0_ns, step.mapping)
+        session, output = self._device.session, switches.output
+        await free_arrays(session, (TABLE,))
+        try:
+            await session.send_command(f"DM {TABLE}[{len(table)}]")
+        except SmcCommandRefused as refusal:
+            if refusal.number not in (ARRAY_SPACE_FULL, TOO_MANY_ARRAYS):
+                raise
+            raise Refusal(
+                "array-space",
+                f"the controller has no room for {len(table)} triggers beside its other arrays",
+                "write a longer `every`, or divide the step",
+            ) from None
+        fitting = ELEMENT_CHARACTERS // (max(len(str(each)) for each in table) + 2)
+        for at in range(0, len(table), fitting):
+            await session.load_array(TABLE, at, table[at : at + fitting])
+        if await read_table(session, len(table)) != table:
+            raise Refusal("read-back", f"{TABLE} does not contain the samples that were loaded", "try again")
+        self._played = _PlayedTable(switches, table, step)
+        wanted = {"XLO": output.number, "XLV": output.level, "XLH": output.active_ticks}
+        wanted |= {"XRN": len(table), "XRI": 0, "XRV": output.level}
+        commands = [f"{name}={value}" for name, value in wanted.items()]
+        entry = LEVEL_LABEL if switches.turns else PULSE_LABEL
+        held = await session.set_and_read(commands, list(wanted), f"XQ {entry},{EDGE_THREAD}")
+        for (name, value), found in zip(wanted.items(), held, strict=True):
+            if found != value:
+                raise Refusal("read-back", f"{name} reads back as {found:.0f}, not {value}", "try again")
+
+    async def is_playing(self) -> bool:
+        """Whether the program still plays the table."""
+        (running,), _ = await self._device.session.read_numbers(f"_HX{EDGE_THREAD}")
+        return bool(running)
+
+    async def take(self) -> Mapping[str, SwitchedOutput]:
+        """What the output did, by the stamps of the program. Raises `Refusal`."""
+        played, session = self._played, self._device.session
+        if played is None:
+            return {}
+        mapping = self._device.samples.current_mapping() or played.step.mapping
+        try:
+            (begun, index), _ = await session.read_numbers("XOK", "XRI")
+            held = await read_table(session, len(played.table)) if begun else played.table
+        except SmcCommandRefused as refusal:
+            raise Refusal("no-stamps", f"the stamps of the triggers cannot be read: {refusal}", "") from None
+        count = int(index) if begun else 0
+        edges = [self._find_edge(played, number, held[number], mapping) for number in range(count)]
+        # The program may have been halted between a stamp and its count: before OB, or after it.
+        unknown = count < len(held) and held[count] != played.table[count]
+        return {played.switches.output.name: SwitchedOutput(edges, unknown)}
+
+    def _find_edge(self, played: _PlayedTable, number: int, stamp: int, mapping: TickMapping) -> HostInterval:
+        """The interval of an edge: after its wait had ended the stamp was read, during its sample, and OB came next."""
+        options, due = self._options, played.step.ticks + played.table[number]
+        least_ns, most_ns = options.decode_min_us * NS_PER_US, options.decode_us * NS_PER_US
+        earliest_ns = max(mapping.to_host_ns(stamp), mapping.to_host_ns(due) + least_ns) + least_ns
+        latest_ns = mapping.to_host_ns(stamp + 1) + most_ns
+        bound_ns, late_ns = mapping.bound_at_ns(latest_ns), mapping.late_bound_at_ns(latest_ns)
+        rises = played.switches.level_of(number)
+        delay_ns = (options.output_on_us if rises else options.output_off_us) * NS_PER_US
+        return HostInterval(earliest_ns - bound_ns, latest_ns + late_ns + delay_ns)
+
+
+async def read_table(session: CommandSession, count: int) -> Sequence[int]:
+    """Read the elements of the table; they arrive in the position format (L9105), which a user may have set to
+    anything."""
+    (before,), _ = await session.read_numbers("_PF")
+    await session.send_command(f"PF {STAMP_DIGITS}.0")
+    found: list[int] = []
+    try:
+        for first in range(0, count, UPLOAD_ELEMENTS):
+            found += await session.read_array(TABLE, first, min(first + UPLOAD_ELEMENTS, count) - 1)
+    finally:
+        await session.send_command(f"PF {before:.1f}")
+    return found
