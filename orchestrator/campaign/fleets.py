@@ -5,6 +5,7 @@ from random import Random
 from typing import Any
 
 from orchestrator.bench import sync_fleets as makes
+from orchestrator.campaign.trigger_outputs import TRIGGER_NUMBER, TRIGGER_OUTPUT
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.example_fleet import load_example
 from sim.core.campaign import CampaignTraits, campaign_traits
@@ -20,6 +21,8 @@ PERMIT_MAKE = "smc4000"
 PATH_MAKE = "smc4000"
 """A make that executes paths in chunks."""
 PATH_JERK = 20_000  # of a drive that follows a path, unit/s³
+TRIGGER_MAKE = "smc4000"
+"""The make whose controllers have an output with triggers."""
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
 
 # Slower than the default rate, as with many controllers on one computer. A permit's controller is polled more often.
@@ -38,7 +41,7 @@ def _draft_smc4000(number: int, units: int, draw: Random) -> FleetDraft:
     config["simulate"]["options"] = _SHORT_HOMING
     if draw.random() < 0.3:
         config["axes"]["y"] = {**config["axes"]["x"], "motors": ["Y"]}
-    config["outputs"] = {"start": {"number": 1}}
+    config["outputs"] = {"start": {"number": 1}, TRIGGER_OUTPUT: {"number": TRIGGER_NUMBER}}
     config["inputs"] = {**config["inputs"], PERMIT: {"number": 2, "active": "low"}}
     return {f"a{number}": config}
 

@@ -7,6 +7,7 @@ from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
+from orchestrator.campaign.triggers import TriggerChecker
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, StepReport
 from orchestrator.model.state import ControllerState, TimeInterval
@@ -31,6 +32,7 @@ class InvariantChecker:
         self._position_lost: set[str] = set()
         self._changed_crystals: set[str] = set()
         self._records = PhaseRecords(fleet, recorder)
+        self._triggers = TriggerChecker(fleet, self._records, self.add_violation)
         self._motions = MotionChecker(fleet, recorder, self._records, self._untrusted, self.add_violation)
 
     def add_violation(self, invariant: str, text: str) -> None:
@@ -109,6 +111,7 @@ class InvariantChecker:
                 self._motions.check_motion(phase, name, motion, steps, reports)
             if name not in phase.at_rest:
                 self.add_violation("3", f"{name} is not at rest after the end of all jobs")
+        self._triggers.check_phase(phase, steps, reports, self._untrusted)
         for job_id, report in reports.items():
             for step in report.steps if report is not None else []:
                 self._check_evidence(phase, job_id, step)

@@ -7,9 +7,11 @@ from random import Random
 from typing import Any, Literal, NamedTuple
 
 from orchestrator.campaign.fleets import PATH_MAKE, find_traits
+from orchestrator.campaign.trigger_outputs import TRIGGER_OUTPUT, TRIGGER_PERIOD
 from orchestrator.model.fleet import Fleet, group_by_link
-from orchestrator.model.job import Job
+from orchestrator.model.job import Job, Move
 from orchestrator.model.queue import QueueTerms
+from orchestrator.model.triggers import Trigger
 
 SPEED_FRACTION = 0.17  # of the speed limits: no axis reaches its target before the fault
 WITNESS = "witness"  # of a fleet that works again
@@ -24,9 +26,9 @@ PATH_TOLERANCE = 8.0  # units: the clocks of a campaign's fleet are young
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain", "path"]
+MainKind = Literal["move", "home", "chain", "path", "trigger"]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
-several chunks."""
+several chunks. trigger: outputs are switched on the way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,8 @@ def draw_orders(
         job = _draw_path("main", _JobAxes(fleet, main, there), draw)
     else:
         job = _draw_chain("main", axes, member, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
+    if kind == "trigger":
+        job = _add_triggers(job, fleet, main)
     orders = [JobOrder(job, QueueTerms(), tuple(main))]
     if beside:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
@@ -194,6 +198,20 @@ def _draw_path(name: str, axes: _JobAxes, draw: Random) -> Job:
     path = {"do": "path", "axes": moved, "start": start, "pieces": pieces, "speed": speed, "tolerance": PATH_TOLERANCE}
     axes.positions.update(dict(zip(moved, points[-1], strict=True)))
     return make_job(name, [path])
+
+
+def _add_triggers(job: Job, fleet: Fleet, controllers: Sequence[str]) -> Job:
+    """The job with triggers of all controllers that have an output for them; it starts by their clocks, and all axes
+    end together, so that an output is not switched longer than its controller moves."""
+    outputs = [f"{name}.{TRIGGER_OUTPUT}" for name in controllers if TRIGGER_OUTPUT in fleet.controllers[name].outputs]
+    triggers = [Trigger(output=output, every=TRIGGER_PERIOD) for output in outputs]
+    steps = [
+        step.model_copy(update={"triggers": triggers, "start": "auto", "sync": "time"})
+        if isinstance(step, Move)
+        else step
+        for step in job.steps
+    ]
+    return job.model_copy(update={"steps": steps})
 
 
 def _draw_targets(

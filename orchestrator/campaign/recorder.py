@@ -10,9 +10,9 @@ from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHa
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.clock.base import Clock
 
-Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk"]
-"""chain: a step is loaded behind a moving one, and has not been moving for long. chunk: the next chunk of a path is
-loaded or released; this stage has seeds of its own."""
+Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger"]
+"""chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
+the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way."""
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
 
 _RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk")

@@ -78,7 +78,7 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
 _CHUNK_WINDOW_NS = 3 * NS_PER_S  # from the begin of loading a chunk until after its release
-_KINDS: dict[Stage, MainKind] = {"home": "home", "chain": "chain", "chunk": "path"}
+_KINDS: dict[Stage, MainKind] = {"home": "home", "chain": "chain", "chunk": "path", "trigger": "trigger"}
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
 
@@ -284,7 +284,7 @@ class _Scenario:
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
         stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
-        if stage is not None and cell.stage in ("chain", "chunk"):
+        if stage is not None and cell.stage in ("chain", "chunk", "trigger"):
             stage = cell.stage
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
@@ -512,7 +512,7 @@ class _Scenario:
         t0_ns = self._t0_host_ns(request)
         if stage == "fire":
             return self._draw.randint(min(now_ns, t0_ns), t0_ns + _FIRE_WINDOW_NS)
-        if stage == "motion":
+        if stage in ("motion", "trigger"):
             return t0_ns + self._draw.randint(*_MOTION_WINDOW_NS)
         return None
 

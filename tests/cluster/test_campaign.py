@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from orchestrator.campaign.faults import FAULTS
-from orchestrator.campaign.fleets import MAKES
+from orchestrator.campaign.fleets import MAKES, TRIGGER_MAKE
 from orchestrator.campaign.recorder import STAGES
 from orchestrator.campaign.runs import CELLS, PAIRS, PHASES, ROUND, cells_of_seed, run_campaign
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, run_scenario
@@ -86,6 +86,22 @@ def test_no_fault_between_two_chunks_violates_an_invariant(first: int) -> None:
         cells = [FaultCell("chunk", each.name, "smc4000") for each in named if "smc4000" in (each.makes or MAKES)]
         story = run_scenario(seed, cells)
         assert not story.violations, story.summarize()
+
+
+TRIGGERED = [
+    ("stop", "limit", "coordinator-killed"),
+    ("estop", "link-closed", "host-killed"),
+    ("power-cycle", "cable-pulled", "none"),
+]
+"""Faults while outputs are switched on the way."""
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3))])
+def test_no_fault_makes_an_output_act_beside_its_step(seed: int) -> None:
+    cells = [FaultCell("trigger", fault, TRIGGER_MAKE) for fault in TRIGGERED[seed - 1]]
+    story = run_scenario(seed, cells)
+    assert not story.violations, story.summarize()
+    assert len(story.hit) >= PHASES - 1
 
 
 @pytest.mark.parametrize(

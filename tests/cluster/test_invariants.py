@@ -11,6 +11,7 @@ import pytest
 from cluster.test_busy_host import delayed_starts
 from cluster.worlds import PREPARE, demo_fleet, outcome, run_fleet
 
+from adapters.contract import HostInterval, SwitchedOutput
 from adapters.controller import step_end
 from adapters.controller.jogging import JogControl
 from adapters.controller.leases import MotionLeases
@@ -19,9 +20,12 @@ from adapters.controller.participant import StepParticipant
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.shrc203.driver import ShrcDriver
+from adapters.yaskawa.common import device
 from adapters.yaskawa.common.course_records import ChunkRecords, RecordMaker
 from adapters.yaskawa.common.course_refill import ContourRefill
+from adapters.yaskawa.common.program import EDGE_THREAD, OUTPUT_PASSIVE
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
+from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.access import FleetAccess
@@ -244,6 +248,31 @@ def drives_on_alone(patch: Patch) -> None:
     patch.setattr(FleetAccess, "stop_members", lenient)
 
 
+def pulses_after_a_stop(patch: Patch) -> None:
+    """A stop is of the axes only: the thread of triggers continues, and its output stays as it is."""
+    honest = device.stop_commands
+
+    def forgetful(*, abort: bool) -> tuple[str, ...]:
+        kept = (each for each in honest(abort=abort) if each not in (f"HX{EDGE_THREAD}", OUTPUT_PASSIVE))
+        return tuple("STXY" if each in ("ST", "AB") else each for each in kept)
+
+    patch.setattr(device, "stop_commands", forgetful)
+
+
+def claims_planned_pulses(patch: Patch) -> None:
+    """Every trigger of a step is reported as seen at its planned instant, whatever happened."""
+    honest = TriggerPlayer.take
+
+    async def confident(self: TriggerPlayer) -> Any:
+        found, played = await honest(self), self._played
+        if played is None:
+            return found
+        at_ns = [played.step.t0_ns + each for each in played.switches.instants_ns]
+        return {output: SwitchedOutput([HostInterval(each, each) for each in at_ns]) for output in found}
+
+    patch.setattr(TriggerPlayer, "take", confident)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -277,6 +306,8 @@ MUTATIONS = (
     Mutation("17", continues_elsewhere, FaultCell("chunk", "none", "smc4000"), 1),
     Mutation("17", drives_on_alone, FaultCell("chunk", "none", "smc4000"), 1),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000"), 4),
+    Mutation("16", pulses_after_a_stop, FaultCell("trigger", "stop", "smc4000"), 1),
+    Mutation("16", claims_planned_pulses, FaultCell("trigger", "limit", "smc4000"), 1),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.
 SEEDS = (1, 4, 9, 0, 2, 3, 5, 6, 7, 8, 10, 11)

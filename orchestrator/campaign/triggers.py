@@ -1,0 +1,97 @@
+"""Outputs with triggers in the fault campaign: their true edges, against the steps that switch them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
+from orchestrator.campaign.trigger_outputs import TRIGGER_NUMBER, TRIGGER_OUTPUT
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.model.report import JobReport, StepReport
+from orchestrator.runtime.virtual import VirtualFleet
+
+EARLY_NS, LATE_NS = 5 * NS_PER_MS, 15 * NS_PER_MS
+"""Of an edge, before T0 and after the end of the motion: its instant is rounded to a sample, and commands take time."""
+STOPPED_BY_ITSELF = ("limit", "stall")
+NOTICED_NS = 200 * NS_PER_MS
+"""After the end of an axis that its controller has stopped by itself: the adapter has noticed it, and stopped the
+rest."""
+
+AddViolation = Callable[[str, str], None]
+
+
+class TriggerChecker:
+    """Notes when outputs become active, and checks that against steps and reports."""
+
+    def __init__(self, fleet: VirtualFleet, records: PhaseRecords, add_violation: AddViolation) -> None:
+        self._fleet = fleet
+        self._records = records
+        self._add_violation = add_violation
+        self._rises: dict[str, list[int]] = {}
+        for name, config in fleet.fleet.controllers.items():
+            if TRIGGER_OUTPUT in config.outputs:
+                self._rises[name] = []
+                fleet.controllers[name].on_output(partial(self._note_edge, name))
+
+    def _note_edge(self, name: str, number: int, level: bool) -> None:  # noqa: FBT001 - as simulators call it
+        if number == TRIGGER_NUMBER and level:
+            self._rises[name].append(self._fleet.clock.now_ns())
+
+    def check_phase(
+        self,
+        phase: CampaignPhase,
+        steps: Sequence[StepRecord],
+        reports: Mapping[str, JobReport | None],
+        untrusted: set[str],
+    ) -> None:
+        """Check invariant 16 for all edges of a phase."""
+        for name, rises in self._rises.items():
+            begun = [step for step in steps if step.t0_ns is not None and name in step.axes]
+            found: dict[tuple[str, int], list[int]] = {}
+            for at_ns in rises:
+                step = next(
+                    (each for each in reversed(begun) if each.t0_ns is not None and each.t0_ns - EARLY_NS <= at_ns),
+                    None,
+                )
+                if step is None:
+                    self._add_violation("16", f"an output of {name} is active before any step, at {at_ns}")
+                    continue
+                found.setdefault((step.job, step.index), []).append(at_ns)
+                report = reports.get(step.job)
+                done = any(step.index == index for index, _ in self._records.completed_steps(report))
+                end_ns = self._find_end_ns(phase, list(step.axes) if done else [name], step)
+                late_ns = NOTICED_NS if phase.fault.name in STOPPED_BY_ITSELF else LATE_NS
+                if end_ns is None or at_ns > end_ns + late_ns:
+                    text = f"an output of {name} is active at {at_ns}, after the end of its step at {end_ns}"
+                    self._add_violation("16", text)
+            if name not in untrusted:
+                for job_id, report in reports.items():
+                    for each in report.steps if report is not None else ():
+                        self._check_rows(name, each, found.get((job_id, each.index), []))
+            rises.clear()
+            if self._fleet.controllers[name].output_level(TRIGGER_NUMBER):
+                self._add_violation("16", f"an output of {name} is still active after all jobs")
+
+    def _find_end_ns(self, phase: CampaignPhase, names: Sequence[str], step: StepRecord) -> int | None:
+        """When the axes of controllers came to rest in a step; None: they did not move."""
+        assert step.t0_ns is not None
+        ends = [
+            motion.end_ns if motion.end_ns is not None else self._fleet.clock.now_ns()
+            for name in names
+            for axis in self._fleet.fleet.controllers[name].axes.values()
+            for motion in self._records.find_motions(phase, name, axis.motors[0], (step.job, step.index), step.t0_ns)
+        ]
+        return max(ends, default=None)
+
+    def _check_rows(self, name: str, step: StepReport, rises: Sequence[int]) -> None:
+        """Check that every row of evidence is of a true edge, which is inside its interval."""
+        origin_ns = self._records.origin_ns()
+        for triggered in step.triggers:
+            if triggered.output != f"{name}.{TRIGGER_OUTPUT}":
+                continue
+            if triggered.seen > len(rises):
+                self._add_violation("16", f"{triggered.output}: {triggered.seen} edges, and {len(rises)} have happened")
+            for row, at_ns in zip(triggered.rows, rises, strict=False):
+                if row.seen is not None and not row.seen.earliest_ns <= at_ns - origin_ns <= row.seen.latest_ns:
+                    self._add_violation(
+                        "16", f"{triggered.output}: edge {row.number} at {at_ns - origin_ns}, claimed {row.seen}"
+                    )
