@@ -133,7 +133,7 @@ def test_a_changed_frame_changes_the_plan_that_is_approved() -> None:
         before = await client.plan_job(job_id)
         await client.reload_fleet(framed(rotation=31))
         after = await client.plan_job(job_id)
-        assert before.plan.hash != after.plan.hash
+        assert before.plan is not None and after.plan is not None and before.plan.hash != after.plan.hash
 
     run_fleet(main, framed())
 

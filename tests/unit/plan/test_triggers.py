@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_every_crossing_is_at_its_position(seed: int) -> None:
     )
     profile = trapezoid(sign * way, ramp_s, cruise_s)
     step = way * share
-    levels = np.sort(sign * step * np.arange(1, int(way / step) + 1))
+    levels = np.sort(sign * step * np.arange(1, int(way / step) + 1)).astype(np.float64)
     times = find_crossings(profile, levels)
     at = profile.make_evaluator()
     assert len(times) == len(levels)
@@ -127,7 +128,7 @@ def test_every_crossing_is_at_its_position(seed: int) -> None:
         ({"output": "a.lamb", "every": "1 ms"}, "unknown-name", "did you mean a.lamp"),
     ],
 )
-def test_what_a_plan_does_not_have_is_refused(fields: dict[str, object], code: str, words: str) -> None:
+def test_what_a_plan_does_not_have_is_refused(fields: dict[str, Any], code: str, words: str) -> None:
     with pytest.raises(Refusal) as refused:
         resolve(**fields).find_instants_ns(plan_of(trapezoid(10_000, 0.1, 0.4)))
     assert refused.value.code == code
