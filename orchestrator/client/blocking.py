@@ -422,8 +422,8 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Read the points of all scans that are in files or specs, and send them; return the job that names what is
         stored. Points that are stored already are not sent again.
 
-        on_points: called with the progress. Raises `FileError` with every wrong line, and `Refusal`: codes
-        `point-store-full`, `no-scanspec`, `bad-scanspec`.
+        Files of paths are read as well. on_points: called with the progress. Raises `FileError` with every wrong line,
+        and `Refusal`: codes `point-store-full`, `no-scanspec`, `bad-scanspec`.
         """
         return self._run(self._wrapped.send_points(job, on_points))
 

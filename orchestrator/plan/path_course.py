@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.names import controller_of
 from orchestrator.model.profile import Profile
 from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_profiles import Array, FittedAxis, FittedMotion, PathStates, fit_stretch
@@ -84,6 +85,11 @@ class PathCourse:
         """Where the axes are at an instant of the path, counts."""
         positions = self.motion.evaluate(np.array([path_s]))[0][0]
         return {self.axes[column].name: self._round(column, positions[column]) for column in self.columns}
+
+    def find_speed(self, member: str) -> float:
+        """The highest speed of a member's axes together, in their units/s."""
+        columns = [column for column in self.columns if controller_of(self.axes[column].name) == member]
+        return float(np.sqrt((self.motion.velocities[:, columns] ** 2).sum(axis=1).max()))
 
     def restart(self, path_s: float, counts: Mapping[str, int]) -> "PathCourse":
         """The same path for a motion that begins at rest at `path_s`, where the axes stand at `counts`."""

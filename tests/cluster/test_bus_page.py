@@ -201,7 +201,8 @@ def test_every_key_of_the_page_is_published_while_a_job_runs_and_contains_what_i
             expression = re.sub(r"\{\w+\}", "*", f"{client.keys.prefix}/{key}")
             await client.bus.subscribe(expression, heard[key].append)
         run: Job = demo_job()
-        sampled = job("[{do: move, by: {gantry.x: 5}, record: {axes: [gantry.x], period: 5 ms}}]")
+        triggers = "triggers: [{output: gantry.lamp, every: 50 ms}]"
+        sampled = job(f"[{{do: move, by: {{gantry.x: 5}}, record: {{axes: [gantry.x], period: 5 ms}}, {triggers}}}]")
         assert (await client.wait_for_job(await client.submit(run))).state == "done"
         assert (await client.wait_for_job(await client.submit(sampled))).state == "done"
         # One that ends badly is warned of.

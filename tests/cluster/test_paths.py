@@ -9,12 +9,14 @@ import pytest
 from cluster.test_contour import two_gantries
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
+from adapters.yaskawa.common.course_records import ChunkRecords, RingRoom
+from adapters.yaskawa.common.course_refill import ContourRefill
 from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
-from orchestrator.model.report import JobReport, PathReport
+from orchestrator.model.report import FINISHED_STATES, JobReport, PathReport
 from orchestrator.plan.path_profiles import FIT_SHARE
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -362,5 +364,52 @@ def test_an_override_that_is_not_possible_says_what_is(percent: int, words: str)
         assert caught.value.code == "override" and caught.value.remedy
         report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason
+
+    run_fleet(main, gantries())
+
+
+def test_members_wait_for_a_chunk_on_the_path_and_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One member cannot be loaded for some seconds: all of them brake along the path, and go on from there together."""
+    honest, late = ContourRefill.load, list[int]()
+
+    async def slow(self: ContourRefill, records: ChunkRecords, room: RingRoom, played: int) -> None:
+        late.append(records.number)
+        if len(late) < 30:
+            raise Refusal("no-room", "the chunk does not fit", "load it later")
+        await honest(self, records, room, played)
+
+    monkeypatch.setattr(ContourRefill, "load", slow)
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        await sleep_ns(fleet.clock, 20 * NS_PER_S)
+        client, seen = fleet.make_client(), list[list[float]]()
+        job_id = await client.submit(circle(TWO, 4))
+        while (await client.show_job(job_id)).transitions[-1].state not in FINISHED_STATES:
+            seen.append(positions(fleet, TWO))
+            await sleep_ns(fleet.clock, SAMPLE_NS)
+        report = await client.wait_for_job(job_id)
+        path = report.steps[0].path
+        assert report.state == "done" and path is not None and path.stops
+        assert all(stop.at_s > 0 and "does not fit" in stop.reason and stop.member for stop in path.stops)
+        assert circle_errors(np.array(seen)).max() < 0.3
+        assert positions(fleet, TWO) == [150.0, 100.0]
+
+    run_fleet(main, gantries())
+
+
+def test_a_path_that_cannot_be_continued_ends_on_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def refuse(*_: object) -> None:
+        raise Refusal("no-room", "the chunk does not fit", "load it later")
+
+    monkeypatch.setattr(ContourRefill, "load", refuse)
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        report = await outcome(fleet, circle(TWO, 12))
+        path = report.steps[0].path
+        assert report.state == "aborted" and "braked on the path at" in report.reason
+        assert path is not None and len(path.stops) > 1
+        assert not is_moving(fleet, TWO) and circle_errors(np.array([positions(fleet, TWO)])).max() < 0.3
 
     run_fleet(main, gantries())

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.path_chunks import FirstChunk
 from orchestrator.coordinator.motion.planning import StepRequest
@@ -53,7 +53,8 @@ class PathFeed:
         self._request = request
         self._first: FirstChunk = agreement.first
         self._state = state
-        self._tolerance = agreement.path.bound if agreement.path is not None else None
+        self._bound = agreement.path.bound if agreement.path is not None else None
+        self._promised_ns = _find_clock_promises(agreement)
         self._lock = asyncio.Lock()
         self._changed = asyncio.Event()
         self._clock: PathClock = self._first.clock
@@ -162,10 +163,24 @@ class PathFeed:
         }
         replies = await requests.request_all("load-chunk", asked, ChunkReply, max(0.1, latest_s - self._now_s()))
         raise_first_refusal(replies)
+        for member, reply in replies.items():
+            self._require_clock(member, reply)
         if self._now_s() > latest_s:
             raise Refusal("late", "the chunk was loaded too late", "")
         self._stated_s = {member: reply.stop_s for member, reply in replies.items()}
         return number
+
+    def _require_clock(self, member: str, reply: ChunkReply) -> None:
+        """Raise `Refusal` for a member whose clock is known less well than at the start, if that is too much for the
+        tolerance."""
+        bound = self._bound
+        beyond_ns = abs(reply.left_ns) + max(0, reply.bound_ns - self._promised_ns.get(member, reply.bound_ns))
+        if bound is None or len(self._promised_ns) < 2 or not beyond_ns:
+            return
+        beyond = beyond_ns / NS_PER_S * self._first.course.find_speed(member) * max(1.0, self._wanted)
+        if bound.predicted + beyond > bound.tolerance:
+            text = f"its clock is off by {beyond_ns / NS_PER_MS:.2f} ms more than promised: {beyond:.3g} {bound.unit}"
+            raise Refusal("path-error", text, "give the clocks time to settle, or allow a larger `tolerance`", member)
 
     async def _release(self, chunk: ChunkPlan, number: int) -> None:
         """Have all members change over to a loaded chunk. Raises `Refusal`: some of them may have."""
@@ -237,6 +252,9 @@ class PathFeed:
             raise Refusal("override", f"{others} has the whole path loaded already", "wait for its end")
         if self.held_by is not None or self.failure is not None:
             raise Refusal("override", "the path is being braked", "resume it first")
+        if self._bound is not None and rate > 1.0 and self._bound.predicted * rate > self._bound.tolerance:
+            text = f"at {rate:.0%} the axes may be {self._bound.predicted * rate:.3g} {self._bound.unit} off the path"
+            raise Refusal("path-error", text, f"the tolerance is {self._bound.tolerance:.3g}; choose a lower speed")
         course.require_rate(float(self._clock.evaluate(np.array([self._now_s()])).path_s[0]), rate)
         self._revision += 1
         self._wanted = rate
@@ -271,6 +289,15 @@ class PathFeed:
             raise
         self._clock = changed
         return True
+
+
+def _find_clock_promises(agreement: StartAgreement) -> dict[str, int]:
+    """By member, the bound of its clock at the start, ns."""
+    members = agreement.budget.members if agreement.budget is not None else {}
+    return {
+        name: max((term.latest_ns for term in each.terms if term.name == "clock"), default=0)
+        for name, each in members.items()
+    }
 
 
 def _is_late(reply: Reply) -> bool:
