@@ -329,20 +329,23 @@ def test_whatever_ends_a_path_brings_all_members_to_rest(how: str) -> None:
     run_fleet(main, gantries())
 
 
-@pytest.mark.parametrize("percent", [40, 120])
-def test_an_override_changes_the_speed_along_the_path(percent: int) -> None:
+@pytest.mark.parametrize(("percent", "turns"), [(40, 5), (120, 5), (50, 2)])
+def test_an_override_changes_the_speed_along_the_path(percent: int, turns: int) -> None:
+    """Two turns are one chunk, the last one."""
+
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet.fleet, TWO))
         await sleep_ns(fleet.clock, 20 * NS_PER_S)
         client = fleet.make_client()
-        planned = circle(TWO, 5)
+        planned = circle(TWO, turns)
         watched = asyncio.get_running_loop().create_task(watch_truth(fleet, TWO))
         job_id = await begin(fleet, planned, TWO, 2.0)
         await client.override_job(job_id, percent)
         report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason
         seen = np.array(await watched)
-        assert circle_errors(seen).max() < require_sound(report.steps[0].path)
+        path = report.steps[0].path
+        assert circle_errors(seen).max() < require_sound(path) and path is not None and not path.stops
         speeds = np.hypot(*np.diff(seen, axis=0).T) / (SAMPLE_NS / NS_PER_S)
         assert np.percentile(speeds[:60], 80) == pytest.approx(100.0, rel=0.02)
         assert np.percentile(speeds[len(speeds) // 2 :], 50) == pytest.approx(percent, rel=0.02)

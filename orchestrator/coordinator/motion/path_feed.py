@@ -91,13 +91,13 @@ class PathFeed:
     # Continuation
 
     async def run(self) -> None:
-        """Continue the path until its last chunk is released, it is held, or a chunk cannot be loaded. A task in
-        parallel with the supervision of the step."""
-        while not self.chunk.last and self.failure is None and self.held_by is None:
+        """Continue the path until it is held, or a chunk cannot be loaded. A task in parallel with the supervision of
+        the step, which ends it: an override may take the last chunk back."""
+        while self.failure is None and self.held_by is None:
             due_s = self.chunk.end_s - self._first.load_s
             self._changed.clear()
             with suppress(TimeoutError):
-                async with asyncio.timeout(max(0.0, due_s - self._now_s())):
+                async with asyncio.timeout(None if self.chunk.last else max(0.0, due_s - self._now_s())):
                     await self._changed.wait()
                 continue
             await self._continue()
