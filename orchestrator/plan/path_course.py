@@ -98,12 +98,13 @@ class PathCourse:
 
     # Rates
 
-    def begin_at(self, path_s: float) -> PathClock:
-        """The clock of a motion that begins at rest at `path_s`. Raises `Refusal`."""
+    def begin_at(self, path_s: float, rate: float = 1.0) -> PathClock:
+        """The clock of a motion that begins at rest at `path_s`, with `rate` or, if that is more, with 1. Raises
+        `Refusal`."""
         if path_s <= 0.0:
             return PathClock.from_rest(0.0, 0.0)
         for ramp_s in RAMPS_S:
-            clock = PathClock.from_rest(path_s, ramp_s)
+            clock = PathClock.from_rest(path_s, ramp_s, min(rate, 1.0))
             if self._fits(clock, 0.0, ramp_s):
                 return clock
         raise Refusal("path-ramp", "from this place of the path no start along it keeps the limits", "run it again")

@@ -354,6 +354,30 @@ def test_an_override_changes_the_speed_along_the_path(percent: int, turns: int) 
     run_fleet(main, gantries())
 
 
+def test_a_resumed_path_goes_on_at_its_override() -> None:
+    """A slow one would be a fast one otherwise, as soon as the path is resumed."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        await sleep_ns(fleet.clock, 20 * NS_PER_S)
+        client = fleet.make_client()
+        job_id = await begin(fleet, circle(TWO, 3), TWO, 2.0)
+        await client.override_job(job_id, 40)
+        await sleep_ns(fleet.clock, 3 * NS_PER_S)
+        await client.pause_job(job_id, now=True)
+        while (await client.show_job(job_id)).transitions[-1].state != "paused":
+            await sleep_ns(fleet.clock, 50 * NS_PER_MS)
+        await client.resume_job(job_id)
+        seen = np.array(await watch_truth(fleet, TWO))
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        assert circle_errors(seen).max() < require_sound(report.steps[0].path)
+        speeds = np.hypot(*np.diff(seen, axis=0).T) / (SAMPLE_NS / NS_PER_S)
+        assert speeds.max() < 42.0 and np.median(speeds) == pytest.approx(40.0, rel=0.02)
+
+    run_fleet(main, gantries())
+
+
 @pytest.mark.parametrize(
     ("percent", "words"), [(0, "between 10 and 120"), (500, "between 10 and 120"), (120, "axes allow")]
 )

@@ -234,7 +234,7 @@ class StartNegotiation:
         members = dict.fromkeys(controller_of(axis) for axis in planned.plan.profiles)
         try:
             infos = {member: await self._view.query_info(member) for member in members}
-            return plan_first_chunk(planned.path, planned.plan, infos, planned.begun_s)
+            return plan_first_chunk(planned.path, planned.plan, infos, planned.begun_s, planned.rate)
         except BusError as error:
             raise Refusal("absent", str(error), "check that its adapter host is running") from None
         except PlanError as error:

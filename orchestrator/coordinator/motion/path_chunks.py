@@ -23,7 +23,7 @@ class FirstChunk:
     plan: of the step up to the end of the chunk; members that cannot be continued have the whole path in it. members:
     those that can. most_s: the longest chunk that all of them take. load_s: how long before the end of a chunk the
     loading of the next one begins. clock: of the motion. peaks: largest acceleration and jerk of each axis, counts/s²,
-    counts/s³.
+    counts/s³. rate: the feed override wanted; more than 1 is taken on where the axes allow it.
     """
 
     course: PathCourse
@@ -34,6 +34,7 @@ class FirstChunk:
     most_s: float
     load_s: float
     peaks: tuple[Mapping[str, float], Mapping[str, float]]
+    rate: float
 
     def options(self, member: str, chunk: ChunkPlan | None = None) -> ChunkOptions | None:
         """The options of a chunk, this one without another, for a member; None for one that has the whole path."""
@@ -50,17 +51,18 @@ class FirstChunk:
 
 
 def plan_first_chunk(
-    path: PlannedPath, whole: StepPlan, infos: Mapping[str, ControllerInfo], begun_s: float
+    path: PlannedPath, whole: StepPlan, infos: Mapping[str, ControllerInfo], begun_s: float, rate: float
 ) -> FirstChunk | None:
     """Plan the first chunk; None if no member can be continued, and for a line on a trapezoid. infos: by member.
-    begun_s: where the motion begins, in the time of the path. Raises `Refusal`, `PlanError`."""
+    begun_s: where the motion begins, in the time of the path. rate: the feed override that it begins with. Raises
+    `Refusal`, `PlanError`."""
     members = frozenset(member for member, info in infos.items() if info.chunk_s > 0.0)
     course = path.course
     if not members or course is None:
         return None
     most_s = min([LONGEST_CHUNK_S, *(infos[member].chunk_s for member in members)])
     load_s = SPARE_LOAD_S + max([LEAST_LOAD_S, *(infos[member].chunk_load_s for member in members)])
-    clock = course.begin_at(begun_s)
+    clock = course.begin_at(begun_s, rate)
     chunk = course.plan_chunk(clock, 0.0, most_s)
     profiles = {
         axis: chunk.profiles[axis] if controller_of(axis) in members else profile
@@ -68,4 +70,4 @@ def plan_first_chunk(
     }
     duration_s = chunk.stop_s if len(members) == len(infos) else whole.duration_s
     plan = StepPlan(duration_s, profiles, whole.unmoved)
-    return FirstChunk(course, clock, chunk, plan, members, most_s, min(load_s, most_s), course.find_peaks())
+    return FirstChunk(course, clock, chunk, plan, members, most_s, min(load_s, most_s), course.find_peaks(), rate)

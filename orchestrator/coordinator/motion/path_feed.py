@@ -62,7 +62,7 @@ class PathFeed:
         self.released = 0
         self._numbers = 1
         self._revision = 0
-        self._wanted = 1.0
+        self._wanted = self._first.rate
         self._stated_s: Mapping[str, float] = {}
         self.ends_s: Mapping[str, float] = {}
         """By member, when it is at rest, as it states."""

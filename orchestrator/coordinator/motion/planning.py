@@ -69,7 +69,8 @@ class PlannedStep:
 
     ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
     the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
-    motion begins, in its time: after a feed hold, not at its start. triggers: of the step.
+    motion begins, in its time: after a feed hold, not at its start. rate: the feed override then. triggers: of the
+    step.
     """
 
     request: StepRequest
@@ -80,6 +81,7 @@ class PlannedStep:
     rehearsal: bool = False
     path: PlannedPath | None = None
     begun_s: float = 0.0
+    rate: float = 1.0
     triggers: Sequence[ResolvedTrigger] = ()
 
 
@@ -106,11 +108,13 @@ async def plan_request(
 
 @dataclass(frozen=True, slots=True)
 class PathRest:
-    """Where a path was braked: at `path_s` of its own time. planned: the step as it was planned."""
+    """Where a path was braked: at `path_s` of its own time. planned: the step as it was planned. rate: its feed
+    override."""
 
     planned: PlannedStep
     path_s: float
     counts: Mapping[str, int]
+    rate: float
 
 
 async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
@@ -132,7 +136,7 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
             raise Refusal("other-start", text, "submit the job again", controller_of(axis))
     course = planned.path.course.restart(rest.path_s, counts)
     path = replace(planned.path, course=course)
-    return replace(planned, instances=instances, path=path, begun_s=rest.path_s)
+    return replace(planned, instances=instances, path=path, begun_s=rest.path_s, rate=rest.rate)
 
 
 async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:

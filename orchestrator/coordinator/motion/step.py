@@ -237,7 +237,7 @@ class MotionStep:
         goes on from there."""
         start, chunk = motion.start, feed.chunk
         counts = {axis: profile.end_counts for axis, profile in chunk.profiles.items()}
-        self._rest = PathRest(motion.planned, chunk.stop_path_s, counts)
+        self._rest = PathRest(motion.planned, chunk.stop_path_s, counts, feed.rate)
         code, reason = FEED_HOLD, f"paused by {feed.held_by}"
         if feed.held_by is None:
             why = feed.failure or Refusal("late", "the next chunk was not released in time")
