@@ -81,6 +81,7 @@ page-if-possible:
 
 demo: $(RUN)/.stamp page-if-possible
 	$(RUN)/bin/tutti demo
+	@echo "a path over two makes, with its error bound and the truth, as a picture: $(RUN)/bin/tutti demo --path -o eight.png"
 
 test: test-fast test-live
 

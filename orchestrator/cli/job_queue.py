@@ -80,7 +80,8 @@ def pause(job: str, connect: str, fleet: str | None, *, now: bool, as_json: bool
     """Pause a running JOB after its current step (--now: immediately). It keeps its axes; `tutti job resume`
     continues it.
 
-    With --now all axes of a move brake together, by their planned ramps; other steps are still completed.
+    With --now all axes of a move brake together, by their planned ramps, and on a path along it; other steps are still
+    completed.
     """
 
     async def pause_job(tutti: "Tutti") -> None:
