@@ -9,13 +9,15 @@ import pytest
 from cluster.test_contour import two_gantries
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
+from adapters.controller.path_chunks import PathChunks
 from adapters.yaskawa.common.course_records import ChunkRecords, RingRoom
 from adapters.yaskawa.common.course_refill import ContourRefill
-from orchestrator.bench.sync_fleets import make_smc4000
+from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
+from orchestrator.model.messages import ChunkReply, LoadChunkRequest
 from orchestrator.model.report import FINISHED_STATES, JobReport, PathReport
 from orchestrator.plan.path_profiles import FIT_SHARE
 from orchestrator.runtime.virtual import VirtualFleet
@@ -59,6 +61,17 @@ def gantry_and_drive() -> Fleet:
     }
     x: dict[str, Any] = {**gantry["axes"]["x"], "limits": limits}
     controllers = {"gantry": {**gantry, "axes": {"x": x}}, "drive": drive}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "paths", "controllers": controllers})
+
+
+def gantry_and_slow() -> Fleet:
+    """An SMC-4000, and an SMC-2000, which has a path loaded as a whole."""
+    limits = {"velocity": 200, "acceleration": 1000, "jerk": 20_000}
+    gantry, slow = make_smc4000(0), make_smc2000(1)
+    controllers = {
+        "gantry": {**gantry, "axes": {"x": {**gantry["axes"]["x"], "limits": limits}}},
+        "slow": {**slow, "axes": {"y": {**slow["axes"]["x"], "limits": limits}}},
+    }
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "paths", "controllers": controllers})
 
 
@@ -327,6 +340,53 @@ def test_whatever_ends_a_path_brings_all_members_to_rest(how: str) -> None:
         assert circle_errors(np.array([positions(fleet, TWO)])).max() < 12.0
 
     run_fleet(main, gantries())
+
+
+def delay_chunks(monkeypatch: pytest.MonkeyPatch, refused: str, times: int) -> None:
+    """Have a member refuse to load chunks, as if its link were too slow."""
+    load, left = PathChunks.load, [times]
+
+    async def load_late(self: PathChunks, request: LoadChunkRequest) -> ChunkReply:
+        mine = any(axis == refused for axis in request.profiles)
+        if mine and left[0]:
+            left[0] -= 1
+            await asyncio.sleep(10.0)
+        return await load(self, request)
+
+    monkeypatch.setattr(PathChunks, "load", load_late)
+
+
+def test_a_late_chunk_brakes_all_members_along_the_path_and_it_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet.fleet, TWO))
+        await sleep_ns(fleet.clock, 20 * NS_PER_S)
+        job_id = await begin(fleet, circle(TWO, 5), TWO, 0.0)
+        seen = [*await watch_truth(fleet, TWO), *await watch_truth(fleet, TWO)]
+        report = await fleet.make_client().wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        path = report.steps[0].path
+        assert path is not None and circle_errors(np.array(seen)).max() < require_sound(path)
+        assert [each.member for each in path.stops] == ["portal"] and path.stops[0].at_s > 6.0
+        assert positions(fleet, TWO) == [150.0, 100.0]
+
+    delay_chunks(monkeypatch, "y", 1)
+    run_fleet(main, gantries())
+
+
+def test_a_late_chunk_stops_a_member_that_has_the_whole_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        axes = ("gantry.x", "slow.y")
+        await outcome(fleet, prepare(fleet.fleet, axes))
+        await sleep_ns(fleet.clock, 20 * NS_PER_S)
+        job_id = await begin(fleet, circle(axes, 5), axes, 0.0)
+        seen = np.array(await watch_truth(fleet, axes))
+        report = await fleet.make_client().wait_for_job(job_id)
+        assert report.state == "failed" and "not all members can brake along it" in report.reason, report
+        assert len(seen) * SAMPLE_NS < 9 * NS_PER_S, "the whole path takes 16 s"
+        assert circle_errors(seen).max() < 12.0 and not is_moving(fleet, axes)
+
+    delay_chunks(monkeypatch, "x", 1)
+    run_fleet(main, gantry_and_slow())
 
 
 @pytest.mark.parametrize(("percent", "turns"), [(40, 5), (120, 5), (50, 2)])

@@ -81,6 +81,11 @@ class PathFeed:
         return StepPlan(self.chunk.stop_s, profiles, self._first.plan.unmoved)
 
     @property
+    def lost(self) -> Refusal | None:
+        """Why the path is not continued, where a member has all of it loaded, and would leave the others behind."""
+        return None if self._first.covers_all else self.failure
+
+    @property
     def rate(self) -> float:
         """The feed override, 1.0 as planned."""
         return self._wanted
@@ -116,6 +121,7 @@ class PathFeed:
         except (Refusal, PlanError) as error:
             self._give_up(error if isinstance(error, Refusal) else Refusal("plan", str(error)))
             return
+        cause: Refusal | None = None
         while True:
             try:
                 number = await self._load(following, latest_s)
@@ -126,8 +132,10 @@ class PathFeed:
                 self._services.fleet.log.warning(
                     f"chunk {following.begin_s:.1f} s: {refusal}", job=self._request.job_id
                 )
+                # The last attempt may have had no time for any member.
+                cause = cause or refusal
                 if self._now_s() + RETRY_S >= latest_s:
-                    self._give_up(refusal)
+                    self._give_up(cause)
                     return
             await asyncio.sleep(RETRY_S)
         async with self._lock:

@@ -113,6 +113,8 @@ class StepWatch:
         lost = self._permit_watch.describe_loss()
         if lost is not None:
             return "failed", lost
+        if self.feed is not None and self.feed.lost is not None:
+            return "failed", f"the path is not continued, and not all members can brake along it: {self.feed.lost}"
         # Controllers on one line are polled in turn, or are armed for other jobs.
         neighbours = max(view.neighbours[member] for member in self._agreement.proposals)
         if self._waiting_start and now_ns > self._state.t0_fleet_ns + STARTED_NS + neighbours * STARTED_TURN_NS:
