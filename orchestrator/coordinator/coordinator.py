@@ -64,7 +64,8 @@ class Coordinator:
         self._leases = LeaseRegistry(access, bus, keys)
         self._positions = PositionBook(access, environment.journal, self._execute)
         publisher = StepPublisher(bus, keys)
-        motion = MotionServices(access, self.leadership, environment.journal, self._execute, publisher)
+        plan = environment.plan
+        motion = MotionServices(access, self.leadership, environment.journal, self._execute, publisher, plan)
         self._plain_steps = PlainSteps(access, motion.targets)
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)

@@ -92,6 +92,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         clock=LiveClock(),
         journal=journal,
         execute=runs,
+        plan=ThreadExecutor("planning"),
         new_id=lambda: uuid.uuid4().hex,
         sink=make_file_sink(options.log),
         save_fleet=lambda taken: save_fleet(options.fleet, taken),

@@ -1,13 +1,14 @@
 """Check a job before it is accepted, wherever its axes will be then."""
 
 import asyncio
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 
+from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.model.errors import Refusal
 from orchestrator.model.files import format_place
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import StepForecast, StepProblem
-from orchestrator.model.job import Repeat, Scan, Step
+from orchestrator.model.job import FollowPath, Repeat, Scan, Step, iterate_steps
 from orchestrator.model.scans.step_order import RemainingStep
 from orchestrator.plan.forecast import JobForecaster
 
@@ -15,8 +16,8 @@ STEPS_AT_ONCE = 20  # that are checked before other work gets its turn
 MAX_LISTED = 10  # problems in one refusal
 
 
-async def check_job(fleet: Fleet, steps: Iterable[RemainingStep]) -> None:
-    """Run steps forward, from an unknown beginning. More passes and points cost no more.
+async def check_job(fleet: Fleet, steps: Iterable[RemainingStep], plan: Executor) -> None:
+    """Run steps forward, from an unknown beginning. More passes and points cost no more. plan: plans paths.
 
     Raises `Refusal` for what cannot work wherever the axes are.
     """
@@ -25,22 +26,31 @@ async def check_job(fleet: Fleet, steps: Iterable[RemainingStep]) -> None:
         if done and done % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
         written[number] = step
-        await forecast_step(forecaster, number, step)
+        await forecast_step(forecaster, number, step, plan)
     if forecaster.problems:
         raise _make_refusal(written, forecaster.problems)
 
 
-async def forecast_step(forecaster: JobForecaster, number: int, step: Step) -> StepForecast:
-    """Run one step forward, with breaks for other work."""
+async def forecast_step(forecaster: JobForecaster, number: int, step: Step, plan: Executor) -> StepForecast:
+    """Run one step forward, with breaks for other work. plan: plans paths, beside which heartbeats and stops go on."""
     work, done = forecaster.take_in_parts(number, step), 0
+    advance = plan if any(isinstance(each, FollowPath) for each in iterate_steps([step])) else run_inline
     while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value
+        forecast = await advance(_advance, work)
+        if forecast is not None:
+            return forecast
         done += 1
         if done % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
+
+
+def _advance(work: Generator[None, None, StepForecast]) -> StepForecast | None:
+    """One part of the work; the forecast after the last one."""
+    try:
+        next(work)
+    except StopIteration as end:
+        return end.value
+    return None
 
 
 def _make_refusal(steps: Mapping[int, Step], problems: list[StepProblem]) -> Refusal:

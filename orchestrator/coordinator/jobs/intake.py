@@ -36,7 +36,7 @@ class JobIntake:
         job = await split_paths(self._services.view, await self.points.resolve_points(request.job))
         _order_steps(job, request.terms)
         order = self._services.positions.make_resolver().resolve_remaining(job.steps, request.terms.repeat)
-        await check_job(self._services.view.fleet, order.list_remaining())
+        await check_job(self._services.view.fleet, order.list_remaining(), self._services.motion.plan)
         await self._check_terms(request.terms, request.client_key)
         if request.terms.now:
             await self._require_free_way(request)
@@ -57,7 +57,7 @@ class JobIntake:
         from_step = _find_first_step(record.id, order, request)
         resolver = services.positions.make_resolver()
         remaining = resolver.resolve_remaining(job.steps, terms.repeat, from_step).list_remaining(from_step)
-        await check_job(services.view.fleet, remaining)
+        await check_job(services.view.fleet, remaining, services.motion.plan)
         await self._check_terms(terms, request.client_key)
         axes = find_axes(services.view.fleet, [each.step for each in remaining])
         described = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]

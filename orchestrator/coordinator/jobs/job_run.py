@@ -341,7 +341,8 @@ class JobRun:
         services = self._services
         self._take_positions()
         # Again, because the fleet may have changed since the job was accepted.
-        await check_job(services.view.fleet, self._steps.order.list_remaining(self.row.from_step))
+        remaining = self._steps.order.list_remaining(self.row.from_step)
+        await check_job(services.view.fleet, remaining, services.motion.plan)
         axes = find_axes(services.view.fleet, self.steps_to_run)
         since_ns = services.clock.now_ns()
         user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")

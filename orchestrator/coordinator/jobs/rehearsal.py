@@ -45,7 +45,8 @@ class JobRehearsal:
         rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):
             index = request.first + number
-            forecast, motion = await forecast_step(forecaster, index, step), forecaster.motion
+            forecast = await forecast_step(forecaster, index, step, self._services.motion.plan)
+            motion = forecaster.motion
             steps.append(forecast)
             if isinstance(step, Move | FollowPath) and motion is not None and motion.plan.profiles:
                 asked = StepRequest("dry-run", request.job, index, step)

@@ -9,7 +9,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import LatchStore
 from orchestrator.bus.log import LogSink
 from orchestrator.clock.base import Clock
-from orchestrator.clock.executor import Executor
+from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.fleet import Fleet
 
@@ -37,7 +37,8 @@ class CoordinatorEnvironment:
     """The environment of a coordinator: everything that differs between live and virtual fleets.
 
     save_fleet: stores a reloaded fleet for the next start. latches: stores the e-stop latch. run_command: runs the
-    command of `notify`. find_free: returns the free bytes on the disk of the journal, None: not known.
+    command of `notify`. find_free: returns the free bytes on the disk of the journal, None: not known. plan: plans
+    paths, which may take seconds; heartbeats and stops go on meanwhile.
     """
 
     bus: Bus
@@ -51,3 +52,4 @@ class CoordinatorEnvironment:
     latches: LatchStore
     run_command: RunCommand
     find_free: Callable[[], Awaitable[int | None]]
+    plan: Executor = run_inline

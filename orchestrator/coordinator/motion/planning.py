@@ -103,7 +103,7 @@ async def plan_request(
         infos[controller], instances[controller] = info, state.instance
         states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
     context = AxisContext(view.fleet, states, infos, services.targets)
-    return _plan_from(services, request, context, goal, instances)
+    return await _plan_from(services, request, context, goal, instances)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,11 +155,11 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
         if axis in states:
             states[axis] = states[axis].model_copy(update={"commanded_counts": counts})
     context = AxisContext(view.fleet, states, infos, services.targets.expect_targets(before.ends))
-    planned = _plan_from(services, request, context, {}, instances)
+    planned = await _plan_from(services, request, context, {}, instances)
     return replace(planned, ends={**before.ends, **planned.ends})
 
 
-def _plan_from(
+async def _plan_from(
     services: MotionServices,
     request: StepRequest,
     context: AxisContext,
@@ -177,7 +177,8 @@ def _plan_from(
         raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
     try:
         if isinstance(move, FollowPath):
-            path = plan_path_step(move, make_path_starts(move, context), context.fleet.frames)
+            starts = make_path_starts(move, context)
+            path = await services.plan(plan_path_step, move, starts, context.fleet.frames)
             resolved = ResolvedMove(path.moves, dict(path.exact))
             return PlannedStep(request, resolved, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved = resolve_targets(move, context, goal)

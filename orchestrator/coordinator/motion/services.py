@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from orchestrator.clock.executor import Executor
+from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -20,8 +20,9 @@ MotionListener = Callable[[StepRecording, StepReport | None], None]
 class MotionServices:
     """Services and memory that the steps of one coordinator share.
 
-    execute: calls the journal. estimator: lead times of earlier steps. targets: exact targets of axes.
-    stop_times_ns: by controller, how long stopping its last step takes at most. listeners: called after each step.
+    execute: calls the journal. plan: plans paths, which may take seconds. estimator: lead times of earlier steps.
+    targets: exact targets of axes. stop_times_ns: by controller, how long stopping its last step takes at most.
+    listeners: called after each step.
     """
 
     fleet: FleetAccess
@@ -29,6 +30,7 @@ class MotionServices:
     journal: Journal
     execute: Executor
     publisher: StepPublisher
+    plan: Executor = run_inline
     estimator: LeadTimeEstimator = field(default_factory=LeadTimeEstimator)
     targets: ExactTargets = field(default_factory=ExactTargets)
     stop_times_ns: dict[str, int] = field(default_factory=dict[str, int])
