@@ -587,6 +587,8 @@ class StepParticipant:
 
     def _require_phase(self, request: StepRequest, t0_fleet_ns: int, phase: StepPhase) -> ArmedStep:
         armed_step = self._find_step(request)
+        if armed_step is None and self._clock.now_ns() >= self._scale().to_host_ns(t0_fleet_ns):
+            raise Refusal("late", "T0 has passed, and the step was unloaded", "increase the lead time")
         if armed_step is None or armed_step.t0_fleet_ns != t0_fleet_ns:
             raise Refusal(
                 "not-armed", f"not armed for job {request.job} step {request.step} at that T0", "arm it first"

@@ -171,7 +171,7 @@ def test_an_answer_missing_from_a_host_is_a_refusal_that_names_the_member(monkey
         said = await asks.request_all("enable", enabling(fleet, gantry=["x"], stage=["u"]), Reply)
         assert {each.refused.code for each in said.values() if each.refused} == {"not-leased"}
         commits = {
-            name: CommitRequest(**asks.request_fields("tester"), job="j", step=0, t0_fleet_ns=0)
+            name: CommitRequest(**asks.request_fields("tester"), job="j", step=0, t0_fleet_ns=2**50)
             for name in ("gantry", "stage")
         }
         said = await asks.request_all("commit", commits, CommittedReply, 0.2)

@@ -24,6 +24,7 @@ PAGES = (
     "how-to/write-a-fleet.md",
     "how-to/write-a-job.md",
     "how-to/scan-points.md",
+    "how-to/move-along-a-path.md",
     "how-to/use-templates.md",
     "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",

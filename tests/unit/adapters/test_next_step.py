@@ -367,6 +367,19 @@ async def by_drop(desk: Desk) -> None:
     desk.member.drop_step("the controller was restarted")
 
 
+def test_a_promise_after_t0_is_late_and_not_unknown() -> None:
+    """The step was unloaded at T0: its coordinator arms it again, with more lead time."""
+
+    async def body(desk: Desk) -> None:
+        await reach(desk, "armed")
+        await desk.wait_until(FOLLOWING_T0_NS + NS_PER_S)
+        with pytest.raises(Refusal) as caught:
+            await desk.promise_next()
+        assert caught.value.code == "late"
+
+    run(body)
+
+
 PHASES = ["waiting", "armed", "promised", "released"]
 
 
