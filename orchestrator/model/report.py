@@ -54,6 +54,9 @@ class JobProgress(Model):
     points: Int53 | None = None
     fraction: float = Field(ge=0, le=1)
     remaining_s: float | None
+    override_percent: float | None = Field(
+        default=None, description="On a path whose speed can be changed: that speed, in percent of the planned one."
+    )
     reason: str
     utc: str
 

@@ -299,6 +299,43 @@ def test_a_path_says_how_far_it_may_be_off_before_it_runs_and_after(page: Page, 
     expect(report.get_by_text(re.compile(r"proven afterwards: at most 0\.\d+ mm"))).to_be_visible()
 
 
+LONG_PATH_JOB = """schema: tutti.job/1
+name: long part
+steps:
+- {do: move, to: {gantry.x: 20, gantry.y: 10}}
+- do: path
+  axes: [gantry.x, gantry.y]
+  start: [20, 10]
+  speed: 20 mm/s
+  pieces: [{piece: helix, to: [20, 10], centre: [30, 10], turns: 4}]
+  tolerance: 1 mm
+"""
+
+
+def test_the_speed_on_a_path_is_changed_by_keyboard(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready)
+    drop_file(page, "long.job.yaml", LONG_PATH_JOB)
+    page.get_by_role("dialog").get_by_role("button", name="Submit").click()
+    job = page.get_by_role("article", name="Job long part")
+    speed = job.get_by_role("slider", name="Speed on the path")
+    expect(speed).to_have_value("100")
+    speed.press("ArrowUp")
+    speed.press("Home")
+    expect(speed).to_have_attribute("aria-valuetext", "10 %")
+    expect(job.get_by_text("now 100 % of the planned speed")).to_be_visible()  # nothing is sent on the way there
+    for _ in range(10):
+        speed.press("ArrowRight")
+    speed.press("Enter")
+    expect(job.get_by_text("now 60 % of the planned speed")).to_be_visible()
+    speed.press("End")
+    job.get_by_role("button", name="Override long part").click()
+    expect(job.get_by_text("now 120 % of the planned speed")).to_be_visible()
+    expect(job).to_have_count(0, timeout=60_000)
+    sent = [each for each in ready.ask(lambda tutti: tutti.list_commands()) if each.verb == "override"]
+    assert len(sent) == 2
+    assert ready.ask(lambda tutti: tutti.list_jobs(1)).jobs[0].state == "done"
+
+
 def test_a_file_that_is_too_large_is_said(page: Page, ready: RunningFleet) -> None:
     open_page(page, ready)
     drop_file(page, "large.job.yaml", "x" * 3_000_000)

@@ -516,8 +516,9 @@ class JobRun:
             remaining_s = max(0.0, self._step_s - self._elapsed_s())
         place, reason = self._steps.locate(self._step), self._reason
         within_scan = place.point is not None
-        if self._motion_step is not None and self._motion_step.rate != 1.0:
-            reason = f"{reason}; " * bool(reason) + f"on its path at {self._motion_step.rate:.0%} of the planned speed"
+        rate = None if self._motion_step is None else self._motion_step.rate
+        if rate is not None and rate != 1.0:
+            reason = f"{reason}; " * bool(reason) + f"on its path at {rate:.0%} of the planned speed"
         if self._paused_by is not None and self.state != "paused":
             reason = f"pauses after this step: {self._paused_by}"
         return JobProgress(
@@ -533,6 +534,7 @@ class JobRun:
             points=place.step.point_count if isinstance(place.step, Scan) else None,
             fraction=min(1.0, (self._step + within) / len(self._steps)),
             remaining_s=remaining_s,
+            override_percent=None if rate is None else round(100 * rate, 3),
             reason=reason,
             utc=self._services.clock.utc(),
         )

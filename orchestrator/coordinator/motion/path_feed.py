@@ -81,9 +81,14 @@ class PathFeed:
         return StepPlan(self.chunk.stop_s, profiles, self._first.plan.unmoved)
 
     @property
+    def covers_all(self) -> bool:
+        """Whether all members are on it, so that its speed can be changed."""
+        return self._first.covers_all
+
+    @property
     def lost(self) -> Refusal | None:
         """Why the path is not continued, where a member has all of it loaded, and would leave the others behind."""
-        return None if self._first.covers_all else self.failure
+        return None if self.covers_all else self.failure
 
     @property
     def rate(self) -> float:
@@ -228,7 +233,7 @@ class PathFeed:
 
     async def hold(self, actor: str) -> None:
         """Brake along the path as soon as all members can, at the latest at the end of what is released."""
-        if self.held_by is not None or not self._first.covers_all:
+        if self.held_by is not None or not self.covers_all:
             return
         self.held_by = actor
         self._revision += 1
@@ -254,7 +259,7 @@ class PathFeed:
     async def override(self, rate: float) -> None:
         """Play the path at another rate, from where all members can. Raises `Refusal`."""
         course = self._first.course
-        if not self._first.covers_all:
+        if not self.covers_all:
             members = {controller_of(axis) for axis in self._first.plan.profiles}
             others = ", ".join(sorted(members - self._first.members))
             raise Refusal("override", f"{others} has the whole path loaded already", "wait for its end")

@@ -194,10 +194,10 @@ class MotionStep:
         await feed.override(rate)
 
     @property
-    def rate(self) -> float:
-        """The feed override, 1.0 as planned."""
+    def rate(self) -> float | None:
+        """The feed override, 1.0 as planned; None where the speed cannot be changed."""
         feed = self._motion.feed if self._motion is not None else None
-        return 1.0 if feed is None else feed.rate
+        return feed.rate if feed is not None and feed.covers_all else None
 
     def _end_motion(self, motion: PlannedMotion) -> None:
         self._motion = None

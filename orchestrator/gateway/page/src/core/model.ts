@@ -146,6 +146,7 @@ export interface JobProgress {
   points?: number | null;
   fraction: number;
   remaining_s?: number | null;
+  override_percent?: number | null;
   reason: string;
   utc: string;
 }

@@ -1,6 +1,7 @@
 /** The running job: progress, the stage of each member, and what the last motion step has shown. */
 
 import type { JSX } from "preact";
+import { useState } from "preact/hooks";
 import { formatSeconds, percent, shortId } from "../core/format.ts";
 import { post } from "../core/http.ts";
 import { FINISHED, lastMotion, lastReport } from "../core/lastreport.ts";
@@ -46,6 +47,9 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
       </div>
       {job.reason ? <p class="reason">{job.reason}</p> : null}
       <Stages id={id} />
+      {typeof job.override_percent === "number" && !paused ? (
+        <Override name={job.name} now={job.override_percent} onSet={(wanted) => send("override", { percent: wanted })} />
+      ) : null}
       <div class="row">
         {paused ? (
           <Act label={T.job.resume} name={T.job.verb("resume", job.name)} motion why={whyNot("resume")} onAct={() => send("resume")} />
@@ -58,6 +62,45 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
         <Act label={T.job.cancel} name={T.job.verb("cancel", job.name)} why={whyNot("cancel")} onAct={() => send("cancel")} />
       </div>
     </article>
+  );
+}
+
+const LEAST = 10;
+const MOST = 120;
+
+/** The speed along the path, in percent of the planned one. It is sent by Enter or the button, not on the way there. */
+function Override({ name, now, onSet }: { name: string; now: number; onSet: (percent: number) => void }): JSX.Element {
+  const [wanted, setWanted] = useState<number | null>(null);
+  const value = wanted ?? now;
+  const set = (): void => {
+    setWanted(null);
+    onSet(value);
+  };
+  return (
+    <form
+      class="row override"
+      onSubmit={(event) => {
+        event.preventDefault();
+        if (whyNot("override") === "") set();
+      }}
+    >
+      <label>
+        <span>
+          {T.job.override}: <b class="num">{percent(value / 100)}</b> <small>{T.job.overrideNow(percent(now / 100))}</small>
+        </span>
+        <input
+          type="range"
+          min={LEAST}
+          max={MOST}
+          step={5}
+          value={value}
+          aria-valuetext={percent(value / 100)}
+          onInput={(event) => setWanted(Number(event.currentTarget.value))}
+          onKeyDown={(event) => (event.key === "Enter" ? event.currentTarget.form?.requestSubmit() : undefined)}
+        />
+      </label>
+      <Act label={T.job.overrideSet} name={T.job.verb("override", name)} kind="small" motion why={whyNot("override")} onAct={set} />
+    </form>
   );
 }
 
