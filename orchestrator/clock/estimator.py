@@ -2,11 +2,11 @@
 
 A sample states: the counter was `ticks` at some instant between `sent_ns` and `received_ns`, and a value lasts one
 whole tick. So the instant at which the counter became `ticks` lies in (sent - tick, received]. The rate of a crystal
-wanders slowly: seen from now, its time is a straight line, and each sample is a gate through which the line passes.
-A gate widens with the sample's age by the amount that a crystal may have wandered since. The lines that pass all
-gates are the estimate: their middle is the mapping, the farthest of them its bound. Nothing that the model allows
-exceeds this bound: slow replies, one-sided delays of a receiver, coarse ticks, wander. An asymmetry of the fastest
-replies, which no sample can reveal, is inside the bound.
+wanders slowly: seen from one instant, its time is a straight line, and each sample is a gate through which the line
+passes. A gate widens with its distance from that instant by the amount that a crystal may have wandered in between.
+The lines that pass all gates are the estimate: their middle is the mapping, the farthest of them its bound. Nothing
+that the model allows exceeds this bound: slow replies, one-sided delays of a receiver, coarse ticks, wander. An
+asymmetry of the fastest replies, which no sample can reveal, is inside the bound.
 
 `tutti bench clock` compares this with least squares and the smallest round trip (Cristian, 1989): neither gives a
 bound, and bytes that a USB adapter delays pull both off.
@@ -51,7 +51,7 @@ class TickMapping:
 
     bound_ns: guaranteed error at `host_at_ns`; it grows with `drift_ppm` from there.
     residual_ns: mean distance of the samples from the mapping.
-    consistent: all samples fit the model; otherwise the mapping uses the last sample only.
+    consistent: all samples fit the model; otherwise the mapping uses one sample only.
     moved_ns: how much later than the middle of what is possible the mapping was placed, for usual delays.
     """
 
@@ -121,26 +121,27 @@ class TickEstimator:
         """Discard all samples, e.g. after a reset of the controller."""
         self._count, self._last = 0, None
 
-    def compute_mapping(self) -> TickMapping | None:
-        """Return the mapping from the current samples, or None without any."""
-        last, nominal = self._last, self._nominal_tick_ns
-        if last is None:
+    def compute_mapping(self, near_ticks: int | None = None) -> TickMapping | None:
+        """Return the mapping from the current samples, or None without any: as seen from the last sample, or from the
+        one nearest to `near_ticks`, which knows an instant in the past better."""
+        if self._last is None:
             return None
-        samples = self._samples[: self._count]
-        gates = _GateSet(samples, nominal)
+        nominal, samples = self._nominal_tick_ns, self._samples[: self._count]
+        origin = samples[-1] if near_ticks is None else samples[int(np.abs(samples[:, 2] - near_ticks).argmin())]
+        gates = _GateSet(samples, origin, nominal)
         lines = gates.find_lines()
         consistent = lines is not None
         if lines is None:
-            # Outside the model (a delay beyond every allowance, a crystal beyond MAX_PPM): use the last sample only.
-            gates = _GateSet(samples[-1:], nominal)
+            # Outside the model (a delay beyond every allowance, a crystal beyond MAX_PPM): use one sample only.
+            gates = _GateSet(origin[None], origin, nominal)
             lines = gates.find_lines()
             assert lines is not None
         # Move by half the usual delay, but never out of the feasible range nor out of the bound.
         offset_ns = lines.offset_ns + min(self._usual_delay_ns / 2, lines.half_ns)
         tick_ns = nominal * (1.0 + lines.rate)
         return TickMapping(
-            ticks_at=last.ticks,
-            host_at_ns=last.sent_ns + round(offset_ns),
+            ticks_at=int(origin[2]),
+            host_at_ns=int(origin[0]) + round(offset_ns),
             tick_ns=tick_ns,
             rate_ppm=lines.rate * 1e6,
             residual_ns=round(gates.residual_ns(offset_ns, lines.rate)),
@@ -165,8 +166,8 @@ class TickEstimator:
 class _FeasibleLines:
     """The properties common to all feasible lines.
 
-    offset_ns: offset of the middle line when the counter became the last sample's ticks, counted from the instant
-    that sample was sent.
+    offset_ns: offset of the middle line when the counter became the ticks of the sample that they are seen from,
+    counted from the instant that sample was sent.
     half_ns: how far an offset may be moved at its rate.
     bound_ns, rate_bound: largest deviation of any feasible line, in offset and rate."""
 
@@ -178,14 +179,15 @@ class _FeasibleLines:
 
 
 class _GateSet:
-    """The samples, relative to the last one: ages in nominal ns of the counter (0 or less), gates in host ns.
+    """The samples, relative to one of them, `origin`: ages in nominal ns of the counter (negative before it), gates in
+    host ns.
 
     Of the hundreds of gates, straight lines can touch only those on a convex hull: some tens decide, and only those
     are evaluated.
     """
 
-    def __init__(self, samples: _Ints, nominal_tick_ns: float) -> None:
-        sent_ns, received_ns, ticks = (samples - (samples[-1, 0], samples[-1, 0], samples[-1, 2])).T
+    def __init__(self, samples: _Ints, origin: _Ints, nominal_tick_ns: float) -> None:
+        sent_ns, received_ns, ticks = (samples - origin[[0, 0, 2]]).T
         self._ages: _Floats = ticks * nominal_tick_ns
         # Deviation of a line from a sample of this age by wander alone: the integral of a random walk.
         wander_ns = SIGMA_LIMIT * WANDER_PPM * 1e-6 * np.sqrt(np.abs(self._ages * 1e-9) ** 3 / 3) * 1e9

@@ -4,6 +4,8 @@ Every record carries the low 16 bits of the counter; together with the last full
 long as records arrive at least twice in the 64 s in which those bits wrap around.
 """
 
+from dataclasses import dataclass
+
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import MAX_PPM, CounterSample, TickEstimator, TickMapping
 
@@ -11,8 +13,23 @@ SAMPLES_PER_S = 1024  # at TM 1000 (L10619-10622)
 LONGEST_GAP_NS = 20 * NS_PER_S  # after a gap of this length, and at this interval, the whole counter is read
 REFRESH_NS = NS_PER_S  # a mapping stays usable for far longer; its bound states its accuracy
 # The estimator keeps a fixed number of readings: the longer they span, the better the rate is known. While it is young
-# it therefore gets all readings, and later the fastest reading of each second.
+# it therefore gets all readings, and later two of each second: those that bound the counter's time most from either
+# side. They are seldom the fastest: where in its tick of a millisecond a reading is taken decides more than its round
+# trip.
 YOUNG_READINGS = 64
+
+
+@dataclass(slots=True)
+class _ChosenReadings:
+    """Of one second: the reading that proves the latest instant before which the counter had not its value, and the one
+    that proves the earliest at which it had it."""
+
+    earliest: CounterSample
+    latest: CounterSample
+
+
+def _get_ticks(sample: CounterSample) -> int:
+    return sample.ticks
 
 
 class SampleClock:
@@ -26,7 +43,7 @@ class SampleClock:
         self._mapping: TickMapping | None = None
         self._mapped: CounterSample | None = None
         self._taken = 0
-        self._fastest: CounterSample | None = None
+        self._second: _ChosenReadings | None = None
 
     def add_full_reading(self, sent_ns: int, received_ns: int, ticks: int) -> bool:
         """Add a reading of TIME. Return False when the counter did not continue from the last reading: the controller
@@ -56,7 +73,7 @@ class SampleClock:
         self._last = None
         self._mapping = self._mapped = None
         self._taken = 0
-        self._fastest = None
+        self._second = None
 
     def current_mapping(self) -> TickMapping | None:
         """Return the present estimate; it is computed again when it is a second old, or still young and improving."""
@@ -70,21 +87,35 @@ class SampleClock:
             self._mapping, self._mapped = self._estimator.compute_mapping(), last
         return self._mapping
 
+    def find_mapping_near(self, ticks: int) -> TickMapping | None:
+        """Return the estimate from all readings for an instant that may be some seconds ago: its bound does not grow
+        with them."""
+        return self._estimator.compute_mapping(ticks)
+
     def _add_sample(self, sample: CounterSample) -> None:
         self._last = sample
         self._taken += 1
         if self._taken <= YOUNG_READINGS:
             self._estimator.add_sample(sample)
             return
-        fastest = self._fastest
-        if fastest is not None and sample.sent_ns // REFRESH_NS != fastest.sent_ns // REFRESH_NS:
-            self._estimator.add_sample(fastest)
-            if sample.sent_ns - fastest.sent_ns > 2 * REFRESH_NS:
-                # After a pause the newest reading is more valuable than the fastest.
+        second = self._second
+        if second is not None and sample.sent_ns // REFRESH_NS != second.latest.sent_ns // REFRESH_NS:
+            for chosen in sorted({second.earliest, second.latest}, key=_get_ticks):
+                self._estimator.add_sample(chosen)
+            if sample.sent_ns - second.latest.sent_ns > 2 * REFRESH_NS:
+                # After a pause the newest reading is more valuable than others.
                 self._estimator.add_sample(sample)
-            fastest = None
-        if fastest is None or sample.received_ns - sample.sent_ns < fastest.received_ns - fastest.sent_ns:
-            self._fastest = sample
+            second = None
+        if second is None:
+            self._second = _ChosenReadings(sample, sample)
+            return
+        tick_ns = self.tick_ns if self._mapping is None else self._mapping.tick_ns
+        since_ns = (sample.ticks - second.earliest.ticks) * tick_ns
+        if sample.sent_ns - second.earliest.sent_ns > since_ns:
+            second.earliest = sample
+        since_ns = (sample.ticks - second.latest.ticks) * tick_ns
+        if sample.received_ns - second.latest.received_ns < since_ns:
+            second.latest = sample
 
     def _is_consistent(self, sample: CounterSample) -> bool:
         last = self._last

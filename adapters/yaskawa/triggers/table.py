@@ -15,6 +15,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 
 UPLOAD_ELEMENTS = 100  # at once
+SPAN_TICKS = 2048  # of stamps for which the clock is estimated once
 STAMP_DIGITS = 10  # of an element in an upload (PF)
 ELEMENT_CHARACTERS = MAX_PACKET - len(f"QD {TABLE}[],99999,99999\r\x1a")
 
@@ -79,17 +80,25 @@ class TriggerPlayer:
         played, session = self._played, self._device.session
         if played is None:
             return {}
-        mapping = self._device.samples.current_mapping() or played.step.mapping
         try:
             (begun, index), _ = await session.read_numbers("XOK", "XRI")
             held = await read_table(session, len(played.table)) if begun else played.table
         except SmcCommandRefused as refusal:
             raise Refusal("no-stamps", f"the stamps of the triggers cannot be read: {refusal}", "") from None
         count = int(index) if begun else 0
-        edges = [self._find_edge(played, number, held[number], mapping) for number in range(count)]
+        mappings = self._find_mappings(played, held[:count])
+        edges = [self._find_edge(played, number, held[number], mappings[number]) for number in range(count)]
         # The program may have been halted between a stamp and its count: before OB, or after it.
         unknown = count < len(held) and held[count] != played.table[count]
         return {played.switches.output.name: SwitchedOutput(edges, unknown)}
+
+    def _find_mappings(self, played: _PlayedTable, stamps: Sequence[int]) -> list[TickMapping]:
+        """The estimate of the clock for each stamp: as it is known near it, at most half a span away."""
+        found: dict[int, TickMapping] = {}
+        for span in {stamp // SPAN_TICKS for stamp in stamps}:
+            middle = span * SPAN_TICKS + SPAN_TICKS // 2
+            found[span] = self._device.samples.find_mapping_near(middle) or played.step.mapping
+        return [found[stamp // SPAN_TICKS] for stamp in stamps]
 
     def _find_edge(self, played: _PlayedTable, number: int, stamp: int, mapping: TickMapping) -> HostInterval:
         """The interval of an edge: after its wait had ended the stamp was read, during its sample, and OB came next."""

@@ -95,6 +95,21 @@ def test_the_bound_holds_over_every_link(name: str, count: int) -> None:
         assert mapping is not None and mapping.consistent
 
 
+@pytest.mark.parametrize("ago_s", [0, 4, 15, 40])
+def test_an_instant_in_the_past_is_known_as_well_as_the_present(ago_s: int) -> None:
+    for seed in range(20):
+        draw = Random(f"past {seed}")
+        crystal = Oscillator(draw.randrange(10**12), draw.uniform(-90, 90), 0.05, seed)
+        estimator, now_ns = learnt(crystal, draw, 300, WAYS["symmetric"])
+        at_ns = now_ns - ago_s * 10**9
+        tick = int(crystal.device_ns(at_ns) // TICK_NS)
+        near, present = estimator.compute_mapping(tick), estimator.compute_mapping()
+        assert near is not None and present is not None
+        assert abs(near.to_host_ns(tick) - crystal.true_ns(round(tick * TICK_NS))) <= near.bound_at_ns(at_ns)
+        assert near.bound_at_ns(at_ns) <= present.bound_at_ns(at_ns) + 1000
+        assert near.bound_at_ns(at_ns) < present.bound_at_ns(now_ns) + 20_000
+
+
 def test_a_crystal_beyond_the_model_is_reported_and_the_last_reading_is_still_used() -> None:
     draw = Random(3)
     crystal = Oscillator(5, 400.0)
