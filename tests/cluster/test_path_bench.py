@@ -7,7 +7,16 @@ import pytest
 from click.testing import CliRunner
 
 from orchestrator.bench.paths.circles import CircleRun, make_fleet
-from orchestrator.bench.paths.measure import LONG, MAKES, MINUTE, PathsOptions, bench_paths, make_circle_figures
+from orchestrator.bench.paths.measure import (
+    LONG,
+    MAKES,
+    MINUTE,
+    PathsOptions,
+    bench_paths,
+    make_circle_figures,
+    make_trigger_figures,
+)
+from orchestrator.bench.paths.pulses import PulsesRun, PulsesTask, run_pulses
 from orchestrator.bench.registry.benchmarks import BENCHMARKS
 from orchestrator.cli.main import main
 
@@ -57,6 +66,27 @@ def test_a_fleet_of_a_row_has_a_controller_of_each_make() -> None:
 
     adapters = [each.adapter for each in make_fleet(MAKES, Random(1)).controllers.values()]
     assert adapters == ["smc4000", "cia402", "smc2000"]
+
+
+def test_pulses_keep_what_is_asked() -> None:
+    # Of some fleets one whose clock was known worst while one reading of a second was kept: 2.6 ms.
+    run = run_pulses(PulsesTask(400, 24))
+    assert run.edges >= 400 and all(figure.met for figure in make_trigger_figures([run]))
+
+
+def test_pulses_outside_their_intervals_fail_the_benchmark() -> None:
+    good = PulsesRun(400, widest_move_ns=2_000_000, widest_path_ns=2_500_000)
+    assert not BENCHMARKS["paths"].has_failed({"rows": make_trigger_figures([good])})
+    bad = [
+        good._replace(missed=1),
+        good._replace(outside_seen=1),
+        good._replace(outside_promise=1),
+        good._replace(widest_move_ns=2_510_000),
+        good._replace(widest_path_ns=2_510_000),
+        good._replace(refused="trigger-rate: a"),
+    ]
+    for run in bad:
+        assert sum(figure.met is False for figure in make_trigger_figures([good, run])) == 1
 
 
 @pytest.mark.nightly

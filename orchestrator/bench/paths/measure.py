@@ -16,7 +16,9 @@ from orchestrator.bench.paths.planning import (
     run_limits,
     run_time,
 )
+from orchestrator.bench.paths.pulses import PulsesRun, PulsesTask, run_pulses
 from orchestrator.bench.paths.random_paths import KINDS
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.runtime.workers import map_in_processes
 
 UM = 1000.0  # of a mm
@@ -26,7 +28,9 @@ MINUTE = CircleCase("2 SMC-4000, 60 s", TWO, 60, 300, "1 mm")
 LONG = CircleCase("2 SMC-4000, 600 s", TWO, 600, 300, "2 mm")
 MAKES = CircleCase("SMC-4000, CiA 402, SMC-2000, 30 s", MIXED, 30, 300, "2 mm")
 QUICK_S, QUICK_HISTORY_S = 10, 40
-LIMITS_ROW, TIME_ROW, COST_ROW = "limits", "time", "cost"
+LIMITS_ROW, TIME_ROW, COST_ROW, TRIGGERS_ROW = "limits", "time", "cost", "triggers"
+PULSES_A_FLEET = 400
+MOST_MS = 2.5  # of the interval in which a pulse is known to have begun
 
 
 class PathFigure(NamedTuple):
@@ -52,10 +56,11 @@ class PathCounts(NamedTuple):
     pieces: tuple[int, int]
     rounds: int
     gcode_lines: int
+    pulses: int
 
 
-FULL = PathCounts(200, 10, 10_000, 200, (1000, 10_000), 5, 100_000)
-QUICK = PathCounts(5, 0, 80, 20, (1000, 10_000), 2, 10_000)
+FULL = PathCounts(200, 10, 10_000, 200, (1000, 10_000), 5, 100_000, 10_000)
+QUICK = PathCounts(5, 0, 80, 20, (1000, 10_000), 2, 10_000, 800)
 
 
 class PathsOptions(NamedTuple):
@@ -91,7 +96,13 @@ def bench_paths(options: PathsOptions, on_row: Callable[[str], None] = lambda _:
         if case.controllers == TWO and not is_long:
             minute_p99 = figures[0].value
         found += figures
-    for name, measure in ((LIMITS_ROW, _measure_limits), (TIME_ROW, _measure_times), (COST_ROW, _measure_costs)):
+    others = {
+        LIMITS_ROW: _measure_limits,
+        TIME_ROW: _measure_times,
+        COST_ROW: _measure_costs,
+        TRIGGERS_ROW: _measure_triggers,
+    }
+    for name, measure in others.items():
         if re.search(options.only, name):
             on_row(name)
             found += measure(counts, options)
@@ -194,3 +205,33 @@ def _measure_costs(counts: PathCounts, _: PathsOptions) -> list[PathFigure]:
             gcode.peak_mb <= 500,
         ),
     ]
+
+
+def _measure_triggers(counts: PathCounts, options: PathsOptions) -> list[PathFigure]:
+    fleets = max(1, counts.pulses // PULSES_A_FLEET)
+    tasks = [PulsesTask(PULSES_A_FLEET, options.seed * 1000 + number) for number in range(fleets)]
+    return make_trigger_figures(list(map_in_processes(run_pulses, tasks, options.processes)))
+
+
+def make_trigger_figures(runs: Sequence[PulsesRun]) -> list[PathFigure]:
+    """The figures of pulses on the way of moves and along paths."""
+    row = TRIGGERS_ROW
+    refused = [run.refused for run in runs if run.refused]
+    edges, missed = sum(run.edges for run in runs), sum(run.missed for run in runs)
+    found = [PathFigure(row, "fleets refused", len(refused), "", "0", met=False, note=refused[0]) for _ in refused[:1]]
+    by_evidence, by_promise = sum(run.outside_seen for run in runs), sum(run.outside_promise for run in runs)
+    found += [
+        PathFigure(row, f"of {edges} pulses, without a row or evidence", missed, "", "0", missed == 0),
+        PathFigure(row, "outside their interval by evidence", by_evidence, "", "0", by_evidence == 0),
+        PathFigure(row, "outside their promise", by_promise, "", "0", by_promise == 0),
+    ]
+    widest = {
+        "on moves": max(run.widest_move_ns for run in runs),
+        "along paths": max(run.widest_path_ns for run in runs),
+    }
+    for way, widest_ns in widest.items():
+        value = widest_ns / NS_PER_MS
+        found.append(
+            PathFigure(row, f"interval {way}, largest", round(value, 2), "ms", f"≤ {MOST_MS}", value <= MOST_MS)
+        )
+    return found

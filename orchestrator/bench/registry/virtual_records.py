@@ -329,10 +329,12 @@ VIRTUAL_BENCHMARKS = (
     Benchmark(
         "paths",
         """Move simulated controllers of several makes along circles, and measure how far they are off them; plan random
-        paths, and compare them with their limits, the least time, and their cost. In virtual time.
+        paths, and compare them with their limits, the least time, and their cost; switch an output on the way. In
+        virtual time.
 
-        The ground truth comes from the simulators: no path may be above the bound that was stated ahead. Everything
-        takes a core an hour or so; --quick, with 5 paths of 10 s a row and without the long circles, half a minute.
+        The ground truth comes from the simulators: no path may be above the bound that was stated ahead, and no pulse
+        outside its interval. Everything takes a core an hour or so; --quick, with 5 paths of 10 s a row and without the
+        long circles, half a minute.
         """,
         "tutti bench paths --quick --json",
         (
