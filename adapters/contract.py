@@ -597,7 +597,8 @@ class Driver(ABC):
         that does not latch the axis; `line-level` if it is active already; `latch-timeout`).
         """
         del point, within_ns
-        raise Refusal("no-latch", f"axis {axis}: this make has no position latch", "use an axis of an SMC-4000")
+        text = f"axis {axis}: this make has no position latch"
+        raise Refusal("no-latch", text, "use an axis of an SMC-4000, or of a CiA 402 drive")
 
     async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
         """Return what the outputs with triggers did in the last step, by output; called after its end, however it

@@ -29,6 +29,7 @@ from adapters.cia402.objects import CONSUMER, CYCLIC_MODE, FOLLOWED, DictionaryO
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import required_pdos
 from adapters.cia402.power import PowerStage
+from adapters.cia402.probe import TouchProbe, find_edge
 from adapters.cia402.sampling import PdoSampling
 from adapters.cia402.sdo import bus_off_fault
 from adapters.cia402.starts import SyncScheduler
@@ -42,6 +43,7 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     JogMove,
+    LatchedPosition,
     Lowered,
     PathChunk,
     SampledPositions,
@@ -55,7 +57,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
-from orchestrator.model.fleet import CanBusLink
+from orchestrator.model.fleet import CanBusLink, DigitalInput
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import FaultReport, StepCosts
@@ -326,6 +328,11 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
 
     async def take_samples(self) -> SampledPositions:
         return self._make_sampling().take(len(self._bus.units), self._bus.bitrate)
+
+    async def latch_position(self, axis: str, point: DigitalInput, within_ns: int) -> LatchedPosition:
+        with log_refusals(self._log, "the touch probe"):
+            edge = find_edge(point, self._options.probe_inputs)
+            return await TouchProbe(self.connection.node, axis, edge).take(point, within_ns)
 
     def _make_sampling(self) -> PdoSampling:
         return PdoSampling(self.connection.node, self._options, self._axis)

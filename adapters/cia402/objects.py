@@ -96,6 +96,19 @@ HOMING_METHOD = DictionaryObject(0x6098, 0, 8, "homing method", signed=True)
 HOMING_SWITCH_SPEED = DictionaryObject(0x6099, 1, 32, "speed during search for switch")
 HOMING_ZERO_SPEED = DictionaryObject(0x6099, 2, 32, "speed during search for zero")
 HOMING_ACCELERATION = DictionaryObject(0x609A, 0, 32, "homing acceleration")
+PROBE_FUNCTION = DictionaryObject(0x60B8, 0, 16, "touch probe function")
+PROBE_STATUS = DictionaryObject(0x60B9, 0, 16, "touch probe status")
+PROBE_POSITIONS = (
+    (
+        DictionaryObject(0x60BA, 0, 32, "touch probe 1 positive edge", signed=True),
+        DictionaryObject(0x60BB, 0, 32, "touch probe 1 negative edge", signed=True),
+    ),
+    (
+        DictionaryObject(0x60BC, 0, 32, "touch probe 2 positive edge", signed=True),
+        DictionaryObject(0x60BD, 0, 32, "touch probe 2 negative edge", signed=True),
+    ),
+)
+"""By probe, of its rising and of its falling edge."""
 INPUTS = DictionaryObject(0x60FD, 0, 32, "digital inputs")
 OUTPUTS = DictionaryObject(0x60FE, 1, 32, "physical outputs")
 OUTPUT_MASK = DictionaryObject(0x60FE, 2, 32, "output bit mask")

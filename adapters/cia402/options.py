@@ -38,6 +38,11 @@ class Cia402Options(FiringOptions):
         gt=0,
         description="Deceleration of an abort, axis unit/s² (6085h). None: keep the drive's setting.",
     )
+    probe_inputs: tuple[int, ...] = Field(
+        default=(1, 2),
+        max_length=2,
+        description="Numbers of the inputs that are the drive's touch probe 1 and 2, by its manual.",
+    )
     heartbeat_ms: int = Field(default=100, ge=10, le=5000, description="Period of the drive's heartbeat.")
     state_ms: int = Field(
         default=50, ge=5, le=5000, description="Longest period of the drive's unsolicited state messages."

@@ -22,6 +22,7 @@ from sim.cia402.modes import (
     ProfileVelocity,
 )
 from sim.cia402.options import DriveOptions
+from sim.cia402.probes import TouchProbes
 from sim.cia402.servo import ServoEvents, ServoMotor
 from sim.cia402.states import POWERED, Leave, PowerState, PowerStates
 from sim.core.controller import LimitSwitch
@@ -81,6 +82,7 @@ class ServoDrive:
             ServoEvents(events.changed, self._handle_motion_end, self._handle_limit, self._handle_following_error),
         )
         self.states = PowerStates(dictionary.get_value, self._stop_for_state, self._state_changed, self._has_voltage)
+        self._probes = TouchProbes(dictionary, options, lambda: round(self.servo.actual_position), events.changed)
         self._homing = HomingMode(dictionary, self.servo, options)
         self._homing.failed = lambda: events.emergency(HOMING_ERROR_CODE, _GENERIC | _PROFILE)
         interpolated = InterpolatedPosition(dictionary, self.servo, cyclic=False, missed=options.sync_missed)
@@ -283,6 +285,7 @@ class ServoDrive:
         self._mode = self._dictionary.get_value(0x6060) if self._dictionary.get_value(0x6060) in self._modes else 0
         self.servo.offset = -self.servo.mechanical_position
         self.servo.internal_limit = False
+        self._probes.switch_off()
         self.states.enter_state(PowerState.NOT_READY)
         self.states.enter_state(PowerState.DISABLED)
 
@@ -292,7 +295,10 @@ class ServoDrive:
         self.servo.terminals.drive_outputs(0, 0xFFFF_FFFF)
 
     def set_input(self, number: int, *, level: bool) -> None:
+        before = self.servo.terminals.input_level(number)
         self.servo.terminals.set_input(number, level=level)
+        if before != level:
+            self._probes.handle_input(number, level=level)
         if not self._has_voltage():
             self.states.lose_voltage()
 

@@ -56,6 +56,8 @@ class DriveOptions(BaseModel):
     home_is_offset: bool = False
     """The home position becomes the home offset (0x607C); otherwise minus it, so that zero is the offset away from
     it."""
+    probe_inputs: Annotated[tuple[InputNumber, ...], Field(max_length=2)] = (1, 2)
+    """Inputs that are touch probe 1 and 2."""
     enable_input: InputNumber | None = None
     """While this input is low the power stage has no voltage."""
 

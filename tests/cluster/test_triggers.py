@@ -23,6 +23,7 @@ from orchestrator.monitor.export.recorded import RecordedRun
 from orchestrator.monitor.export.triggers import make_triggers_table
 from orchestrator.monitor.report_table import make_report_tables
 from orchestrator.runtime.virtual import VirtualFleet
+from sim.cia402.unit import SimulatedDrive
 
 SETTLED_S = 60.0  # after this time the clocks of controllers are known as well as they ever are
 LAMP = "output: gantry.lamp"
@@ -424,3 +425,99 @@ def test_a_stop_ends_an_armed_latch() -> None:
         assert report.state in ("aborted", "failed") and virtual.clock.now_ns() - began_ns < 1000 * NS_PER_MS
 
     run_fleet(main, with_probe())
+
+
+# Latches of CiA 402 drives
+
+
+def with_drive(active: str = "high", number: int = 2, **simulate: object) -> Fleet:
+    plain = demo_fleet().to_plain()
+    plain["controllers"]["lift"] = {
+        "adapter": "cia402",
+        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 3},
+        "axes": {
+            "z": {
+                "motors": ["1"],
+                "unit": "mm",
+                "scale": 1000,
+                "limits": {"velocity": 50, "acceleration": 500},
+                "homing": {"speed": 5},
+            }
+        },
+        "inputs": {"probe": {"number": number, "active": active}},
+        "simulate": {"options": simulate},
+    }
+    return Fleet.model_validate(plain)
+
+
+PROBE = "{do: latch, axis: lift.z, input: lift.probe, timeout: 5 s}"
+
+
+@pytest.mark.parametrize("active", ["high", "low"])
+def test_a_touch_probe_reports_where_the_drive_was_at_the_edge(active: str) -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        virtual.act_on_controller("lift", lambda unit: unit.set_input(2, level=active == "low"))
+        client, drive = virtual.make_client("operator"), virtual.controllers["lift"]
+        assert isinstance(drive, SimulatedDrive)
+        prepare = "{do: enable, axes: [lift]}, {do: home, axes: [lift.z]}, {do: move, to: {lift.z: 12.5}}"
+        submitted = await client.submit(job(f"[{prepare}, {{do: set-position, axes: {{lift.z: 2.5}}}}, {PROBE}]"))
+        while drive.position("1") != 12_500:
+            await sleep_ns(virtual.clock, 50 * NS_PER_MS)
+        await sleep_ns(virtual.clock, 1000 * NS_PER_MS)
+        edge_ns = virtual.clock.now_ns() - origin_host_ns(virtual)
+        # The probe bounces: its first edge counts.
+        for level in (True, False, True):
+            virtual.act_on_controller("lift", lambda unit, to=level: unit.set_input(2, level=to == (active == "high")))
+        report = await submitted.result()
+        latched = report.steps[-1].latch
+        assert report.state == "done" and latched is not None, report.reason
+        assert (latched.position, latched.counts, latched.unit) == (2.5, 12_500, "mm")
+        assert latched.seen.earliest_ns <= edge_ns <= latched.seen.latest_ns
+        assert latched.seen.latest_ns - latched.seen.earliest_ns < 30 * NS_PER_MS
+        assert drive.station.dictionary.get_value(0x60B8) == 0  # it is off again
+
+    run_fleet(main, with_drive(active))
+
+
+@pytest.mark.parametrize(
+    ("fleet", "code", "words"),
+    [
+        (with_drive(), "latch-timeout", "captured nothing within 5 s"),
+        (with_drive("low"), "line-level", "active already"),
+        (with_drive(number=3), "latch-input", "input 1 and input 2"),
+        (with_drive(probe_inputs=(1,)), "latch-input", "touch probe 2"),
+        (with_drive(without=("60B8", "60B9")), "no-latch", "no touch probe"),
+    ],
+)
+def test_what_a_drive_cannot_latch_is_refused(fleet: Fleet, code: str, words: str) -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client = virtual.make_client("operator")
+        with pytest.raises(JobFailed) as failed:
+            await client.run(job(f"[{{do: enable, axes: [lift]}}, {{do: home, axes: [lift.z]}}, {PROBE}]"))
+        refused = failed.value.report.steps[-1].refused
+        assert refused is not None and refused.code == code and words in refused.text
+
+    run_fleet(main, fleet)
+
+
+@pytest.mark.parametrize("way", ["stop", "other", "restart"])
+def test_a_touch_probe_that_is_broken_off_reports_nothing(way: str) -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client, drive = virtual.make_client("operator"), virtual.controllers["lift"]
+        assert isinstance(drive, SimulatedDrive)
+        await client.run(job("[{do: enable, axes: [lift]}, {do: home, axes: [lift.z]}]"))
+        submitted = await client.submit(job(f"[{PROBE}]"))
+        await sleep_ns(virtual.clock, 1000 * NS_PER_MS)
+        began_ns = virtual.clock.now_ns()
+        if way == "stop":
+            await client.stop()
+        elif way == "other":
+            drive.station.dictionary.accept_value(0x60B8, 0, 0)
+        else:
+            virtual.act_on_controller("lift", lambda unit: unit.set_power(on=False))
+            virtual.act_on_controller("lift", lambda unit: unit.set_power(on=True))
+        report = await submitted.result()
+        assert report.state in ("aborted", "failed") and virtual.clock.now_ns() - began_ns < 1500 * NS_PER_MS
+        assert not any(step.latch for step in report.steps)
+
+    run_fleet(main, with_drive())
