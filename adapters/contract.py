@@ -392,7 +392,7 @@ def require_triggers(lowered: Lowered, start: StartOptions) -> None:
             raise Refusal(
                 "no-triggers",
                 f"output {trigger.output}: this make has no triggers on the way",
-                "use an output of an SMC-4000",
+                "use an output of an SMC-4000, or of an SMC-2000 with a port of its own",
             )
 
 

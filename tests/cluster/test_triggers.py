@@ -9,6 +9,7 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, run_fleet
 from rich.console import Console
 
+from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000
 from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.client.steps import JobFailed
@@ -521,3 +522,87 @@ def test_a_touch_probe_that_is_broken_off_reports_nothing(way: str) -> None:
         assert not any(step.latch for step in report.steps)
 
     run_fleet(main, with_drive())
+
+
+# The SMC-2000, on a serial line
+
+
+def with_press(address: int | None = None, **limits: float) -> Fleet:
+    press = make_smc2000(0, address)
+    axis = {**press["axes"]["x"], "limits": {"velocity": 200, "acceleration": 1000, **limits}}
+    press = {**press, "axes": {"x": axis}, "outputs": {"lamp": {"number": 1}}}
+    gantry = make_smc4000(0)
+    controllers = {"press": press, "gantry": gantry}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "press", "controllers": controllers})
+
+
+async def run_press(virtual: VirtualFleet, wait_s: float = 0.0) -> tuple[Tutti, TrueEdges]:
+    """A client, once both axes are homed, and the true edges of the press from then on."""
+    client, true = virtual.make_client("operator"), TrueEdges(virtual, "press", (("press.x", "press", "X"),))
+    await client.run(job("[{do: enable, axes: [press, gantry]}, {do: home}]"))
+    await sleep_ns(virtual.clock, round(wait_s * 1e9))
+    true.forget()
+    return client, true
+
+
+PRESS = "output: press.lamp"
+
+
+@pytest.mark.parametrize("limits", [{}, {"jerk": 20_000}], ids=["move", "contour"])
+def test_an_smc_2000_pulses_where_promised(limits: dict[str, float]) -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client, true = await run_press(virtual, 30)
+        for triggers, to, count in (
+            (f"{{{PRESS}, every: 60 ms}}", "press.x: 100", 30),
+            (f"{{{PRESS}, every: 5 mm, of: press.x, level: true}}", "press.x: 0", 20),
+            (f"{{{PRESS}, every: 5 mm, of: gantry.x, pulse: 10 ms}}", "gantry.x: 40", 8),
+        ):
+            report, rows = await run_job(client, moved(triggers, to, more="speed: 0.25,"))
+            (step,) = report.steps
+            assert report.state == "done" and not step.deviations, (report.reason, step.deviations)
+            edges = true.rises() if "level" not in triggers else [at_ns for at_ns, _ in true.edges[:count]]
+            assert len(rows) >= count
+            check_rows(rows, edges)
+            assert not true.edges[-1][1]
+            for row, place in zip(rows, true.places[:: 1 if "level" in triggers else 2], strict=False):
+                if "press.x" in row.positions:
+                    x = row.positions["press.x"]
+                    assert x.least <= place["press.x"] <= x.most
+            true.forget()
+
+    run_fleet(main, with_press(**limits))
+
+
+@pytest.mark.parametrize("way", ["stop", "estop", "limit", "link", "coordinator"])
+def test_nothing_pulses_after_an_end_of_a_step_of_an_smc_2000(way: str) -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client, true = await run_press(virtual)
+        asked = moved(f"{{{PRESS}, every: 60 ms, pulse: 30 ms}}", "press.x: 200", more="speed: 0.1,")
+        running = asyncio.ensure_future(run_job(client, asked))
+        while len(true.rises()) < 10:
+            await sleep_ns(virtual.clock, NS_PER_MS)
+        if way == "limit":
+            virtual.act_on_controller("press", lambda unit: unit.set_limit("X", "forward"))
+        elif way == "link":
+            wire = virtual.wires["press"]
+            wire.cut = wire.refuse = True
+        else:
+            await _break_off(virtual, client, way)
+        await sleep_ns(virtual.clock, 3000 * NS_PER_MS)
+        count = len(true.edges)
+        assert not true.edges[-1][1] and count < 120
+        await sleep_ns(virtual.clock, 5000 * NS_PER_MS)
+        assert len(true.edges) == count and not virtual.controllers["press"].is_moving("X")
+        running.cancel()
+
+    run_fleet(main, with_press())
+
+
+def test_an_smc_2000_on_a_chain_has_no_triggers() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client, _ = await run_press(virtual)
+        with pytest.raises((JobFailed, Refusal)) as failed:
+            await client.run(moved(f"{{{PRESS}, every: 60 ms}}", "press.x: 10"))
+        assert "daisy chain has no triggers" in str(failed.value)
+
+    run_fleet(main, with_press(address=0))

@@ -277,8 +277,8 @@ class SampleStart:
         if not isinstance(load, RegisterLoad) or isinstance(present.lowered.load, ContourLoad):
             raise Refusal("no-room", "the program holds one contour at a time", "")
         first_thread, second_thread = self._device.STEP_THREADS
-        if second_thread == EDGE_THREAD and present.lowered.drives is not None:
-            raise Refusal("no-room", "the program still drives the trigger line of the present step", "")
+        if second_thread == EDGE_THREAD and (present.lowered.drives or present.lowered.switches):
+            raise Refusal("no-room", "the program still drives an output of the present step", "")
         first, _ = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
         ticks = round(mapping.to_ticks(t0_ns)) - first
         if ticks > TICKS_MAX:

@@ -9,7 +9,7 @@ from adapters.contract import ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
-from adapters.yaskawa.common.program import OUTPUT_PASSIVE
+from adapters.yaskawa.common.program import OUTPUT_PASSIVE, TABLE
 from adapters.yaskawa.common.program_turns import SINGLE_CONDITIONS
 from adapters.yaskawa.common.record import (
     MOTOR_OFF,
@@ -152,7 +152,7 @@ class SerialDevice(SmcDevice):
         if chained:
             await session.send_command(f"{ADDRESS}={self._unit}")
             session.verify_address()
-        await arrays.free_arrays(session, smc2000_program.contour_arrays(self._axes))
+        await arrays.free_arrays(session, (*smc2000_program.contour_arrays(self._axes), TABLE))
 
     async def _unload_own_program(self) -> None:
         """Unload the adapter's own program: it may still wait for a start that will never be released. Its first line

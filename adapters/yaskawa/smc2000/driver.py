@@ -25,6 +25,7 @@ from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import (
+    LOOP_COMMANDS,
     START_CLASSES,
     STOP_EXCHANGES,
     ContourLoad,
@@ -33,6 +34,7 @@ from adapters.yaskawa.common.lowering import (
     lower_moves,
 )
 from adapters.yaskawa.common.model import SMC2000
+from adapters.yaskawa.common.program import PULSE_LABEL
 from adapters.yaskawa.common.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.settings import configure_controller
@@ -45,7 +47,9 @@ from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
 from adapters.yaskawa.smc2000.program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
 from adapters.yaskawa.smc2000.replies import parse_serial_reply
 from adapters.yaskawa.smc2000.start import SerialStart
+from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, add_triggers, find_needs
 from adapters.yaskawa.triggers.table import TriggerPlayer
+from adapters.yaskawa.triggers.traits import TriggerTraits
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -82,6 +86,22 @@ def _word_count(points: Mapping[str, DigitalInput] | Mapping[str, DigitalOutput]
     return max((-(-point.number // size) for point in points.values()), default=0)
 
 
+def _make_trigger_traits(axes: int, char_ns: int) -> TriggerTraits:
+    """Return how a controller of `axes` axes plays triggers: a poll takes a command for each of them, and two more."""
+    others = smc2000_program.WATCHDOG_COMMANDS + smc2000_program.HOST_COMMANDS + axes + 2
+    return TriggerTraits(
+        level_label=PULSE_LABEL,
+        pulse_commands=smc2000_program.PULSE_COMMANDS,
+        level_commands=smc2000_program.LEVEL_COMMANDS,
+        other_commands=others,
+        beside=smc2000_program.TRIGGER_BESIDE,
+        contour_commands=LOOP_COMMANDS,
+        packet=ARRAY_CHARACTERS,
+        back=ARRAY_BACK,
+        char_ns=char_ns,
+    )
+
+
 class SMC2000Driver(YaskawaDriver[SerialDevice]):
     """One SMC-2000, alone on its port or in a daisy chain."""
 
@@ -110,7 +130,8 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             PolledPoints(sorted(motors.values()), inputs, outputs),
         )
         watch = SettingsWatch(device, motors, SMC2000_WATCHED, slow=True)
-        start = SerialStart(device, setup.clock, options, TriggerPlayer(device, options))
+        self._triggers = _make_trigger_traits(len(motors), self._char_ns)
+        start = SerialStart(device, setup.clock, options, TriggerPlayer(device, options, self._triggers))
         super().__init__(setup, motors, device, start, watch)
         channels = SAMPLED_AXES[max(motors.values()) >= SAMPLED_AXES[0]]
         limits = SamplingLimits.of_link(channels, ARRAY_BACK, options.exchange_ns, self._char_ns)
@@ -200,12 +221,29 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             self._char_ns,
             self._options.contour_upload_s,
         )
-        context = LoweringContext(self._config, self._motors, self._slow_exchange_ns, costs, self._model, upload)
+        if start.triggers and self._device.is_chained:
+            raise Refusal(
+                "trigger-chain",
+                f"output {start.triggers[0].output}: a controller on a daisy chain has no triggers, because "
+                "loading them would take the line from the watchdogs of the controllers that move",
+                "use an output of another controller, or connect this one to a port of its own",
+            )
+        needs = find_needs(start, self._triggers) if start.triggers else NO_TRIGGERS
+        context = LoweringContext(
+            self._config,
+            self._motors,
+            self._slow_exchange_ns,
+            costs,
+            self._model,
+            upload,
+            beside_commands=needs.commands,
+            beside_elements=needs.elements,
+        )
         axes = sorted(self._motors.values())
         if smc2000_program.holds_following_steps(axes, chained=self._device.is_chained):
             release_ns = RELEASE_EXCHANGES * self._exchange_ns
             context = replace(context, gate=self._device.gate, axes=len(axes), release_ns=release_ns)
-        return lower_moves(context, profiles, start, mapping)
+        return add_triggers(lower_moves(context, profiles, start, mapping), context, self._triggers, start, mapping)
 
     async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         stages = await super().load_next(lowered, t0_ns, mapping)
@@ -217,7 +255,8 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
         self._jogging.drop_jogs(move.axis for move in lowered.moves)
         # In one turn, or the other controllers' polls would come in between; but not for the duration of an upload.
-        async with nullcontext() if isinstance(lowered.load, ContourLoad) else self._device.exclusive_turn():
+        long = isinstance(lowered.load, ContourLoad) or lowered.switches is not None
+        async with nullcontext() if long else self._device.exclusive_turn():
             with log_refusals(self._log, "arming"):
                 stages = await self._start.arm_move(lowered, t0_ns, mapping)
         self._device.session.suspend_polls(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)

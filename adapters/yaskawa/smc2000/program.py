@@ -20,8 +20,12 @@ from adapters.yaskawa.common.program import (
     EDGE_THREAD,
     FOLLOWING_VARIABLES,
     LINE_VARIABLES,
+    OUTPUT_PASSIVE,
+    PULSE_LABEL,
     REGISTER_VARIABLES,
     STEP_THREAD,
+    TABLE,
+    TABLE_VARIABLES,
     TAIL,
     WATCHDOG_STEP_TICKS,
     WATCHDOG_THREAD,
@@ -47,6 +51,13 @@ AXES_MOST = 6  # the sets of more axes would need more than 254 labels (L3347)
 CONTOUR_AXES_MOST = 4
 # The entry of a step that follows another one takes four labels, and nine lines.
 FOLLOWING_AXES_MOST = 3
+# Before an element of the table of triggers: a wait is computed and begun within this many samples, with a command of
+# each other thread and of the host in between.
+NEAR_TICKS = 8
+PULSE_COMMANDS, LEVEL_COMMANDS = 13, 12  # of one round of its triggers, the wait and the sum counted twice
+WATCHDOG_COMMANDS = 6  # of one look
+HOST_COMMANDS = 3  # in one round of its triggers
+TRIGGER_BESIDE = 4  # threads alternate command by command: one of each other thread, and one of the host
 AXIS_VALUES = 4  # RP, TE, TS, SC
 INPUTS_OF_WORD = 8  # L11879
 OUTPUTS_OF_WORD = 16  # L13420
@@ -67,6 +78,8 @@ def program_variables(axes: Sequence[int], *, chained: bool) -> tuple[str, ...]:
         "XDL",
         "XDOG",
         *LINE_VARIABLES,
+        *TABLE_VARIABLES,
+        "XRA",
         *CONTOUR_VARIABLES,
         *(_following_variables(axes) if holds_following_steps(axes, chained=chained) else ()),
     )
@@ -132,6 +145,7 @@ def _start_lines(axes: Sequence[int], gate: GateTiming, *, follows: bool) -> Ite
         yield f"AM{LETTERS[index]};XE{index + 1}=TIME"
     yield "XDONE=1;EN"
     yield from edge_lines()
+    yield from _trigger_lines()
     yield from take_lines(axes) if follows else ()
     yield "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0"
     yield f"#HOLD;WT {STEP_TICKS};JP#PASS,XGO=1;XR=XT0-TIME;JP#HOLD,XR>{gate.decided_before}"
@@ -143,7 +157,27 @@ def _start_lines(axes: Sequence[int], gate: GateTiming, *, follows: bool) -> Ite
     yield "JP#SHUT,XDONE=1"
     halts = ";".join(f"HX{thread}" for thread in STEP_THREADS)
     letters = "".join(LETTERS[index] for index in axes)
-    yield f"#BITE;{halts};ST{letters};XDOG=1;{';'.join(LEAVE_CONTOUR)};EN"
+    yield f"#BITE;{halts};ST{letters};XDOG=1"
+    yield f"JP#LEAVE,XLO=0;{OUTPUT_PASSIVE}"
+    yield f"#LEAVE;{';'.join(LEAVE_CONTOUR)};EN"
+
+
+def _trigger_lines() -> Iterable[str]:
+    """Return the lines that switch an output at the samples of a table, like the SMC-4000's `trigger_lines`: pulses, or
+    changes of its level where XLH is 0.
+
+    Conditions are no terms of expressions here (L9594), and WT of a negative time would end the program: an element
+    that is near is waited for by the counter. XRA: the sample before which it is far.
+    """
+    yield f"{PULSE_LABEL};WT {STEP_TICKS};JP#SHUT,XLATE=1;JP{PULSE_LABEL},XOK=0"
+    yield f"#NEXT;XRA=XT0+{TABLE}[XRI]-{NEAR_TICKS};JP#SOON,TIME>=XRA;WT XRA-TIME+{NEAR_TICKS}"
+    yield f"#PLAY;{TABLE}[XRI]=TIME;OB XLO,XRV;JP#TURN,XLH=0"
+    yield "WT XLH;OB XLO,1-XLV;JP#MORE"
+    yield "#TURN;XRV=1-XRV"
+    yield "#MORE;XRI=XRI+1;JP#NEXT,XRI<XRN"
+    yield "OB XLO,1-XLV;XLO=0;EN"
+    yield f"#SOON;XRA=XRA+{NEAR_TICKS}"
+    yield "#SPIN;JP#SPIN,TIME<XRA;JP#PLAY"
 
 
 def _following_lines(chosen: Sequence[int], axes: Sequence[int]) -> Iterable[str]:

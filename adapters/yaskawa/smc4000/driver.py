@@ -50,6 +50,7 @@ from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.triggers.latch import PositionLatch
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_needs
 from adapters.yaskawa.triggers.table import TriggerPlayer
+from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -95,7 +96,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
         device = self.DEVICE(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
         serial = isinstance(setup.config.link, SerialLink)
         watch = SettingsWatch(device, motors, SMC4000_WATCHED, slow=serial)
-        start = SampleStart(device, setup.clock, options, TriggerPlayer(device, options))
+        start = SampleStart(device, setup.clock, options, TriggerPlayer(device, options, SMC4000_TRIGGERS))
         super().__init__(setup, motors, device, start, watch)
         char_ns = 10 * NS_PER_S // setup.config.link.baud if isinstance(setup.config.link, SerialLink) else NS_PER_US
         limits = SamplingLimits.of_link(SAMPLED_AXES, UPLOAD_ELEMENTS, options.exchange_ns, char_ns)
@@ -199,8 +200,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Lowered:
-        context = self._context(self._capabilities.costs, find_needs(start))
-        return add_triggers(lower_moves(context, profiles, start, mapping), context, start, mapping)
+        context = self._context(self._capabilities.costs, find_needs(start, SMC4000_TRIGGERS))
+        return add_triggers(lower_moves(context, profiles, start, mapping), context, SMC4000_TRIGGERS, start, mapping)
 
     def _context(self, costs: StepCosts, needs: TriggerNeeds = NO_TRIGGERS) -> LoweringContext:
         return LoweringContext(

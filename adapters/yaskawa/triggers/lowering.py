@@ -5,23 +5,19 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from adapters.yaskawa.common import lines
-from adapters.yaskawa.common.arrays import count_exchanges
 from adapters.yaskawa.common.lowering import LOOP_COMMANDS, ContourLoad, LoweringContext, YaskawaLowered
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.program import LEVEL_LABEL, PULSE_LABEL, TABLE
-from adapters.yaskawa.triggers.table import UPLOAD_ELEMENTS
+from adapters.yaskawa.common.program import TABLE
+from adapters.yaskawa.triggers.table import STAMP_DIGITS
+from adapters.yaskawa.triggers.traits import TriggerTraits
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import BudgetTerm, OutputTrigger, StartOptions, TriggerDrive
 
-# Of one round of its thread, the wait with its expression counted twice.
-PULSE_COMMANDS, LEVEL_COMMANDS = 8, 7
-# A command of the host before each of its lines, and those of the watchdog.
-OTHER_COMMANDS = 5
 CONTOUR_COMMANDS = LOOP_COMMANDS + 1  # of one record, CD with its arrays counted twice
-LINE_COMMANDS = 2  # that its longest line takes after its wait
 LOAD_EXCHANGES = 10  # allocation, variables, formats
+SEPARATORS = 2  # characters of an element besides its digits
 ROUNDS = 50  # of the search for the time of a round
 
 
@@ -37,16 +33,19 @@ class TriggerNeeds:
 NO_TRIGGERS = TriggerNeeds()
 
 
-def find_needs(start: StartOptions) -> TriggerNeeds:
+def find_needs(start: StartOptions, traits: TriggerTraits) -> TriggerNeeds:
     """What the triggers of a step take from a contour."""
     if not start.triggers:
         return NO_TRIGGERS
-    # The contour's own commands are counted at twice their time; these contain no expression.
-    return TriggerNeeds(LINE_COMMANDS / 2, sum(len(trigger.instants_ns) for trigger in start.triggers))
+    return TriggerNeeds(traits.contour_commands, sum(len(trigger.instants_ns) for trigger in start.triggers))
 
 
 def add_triggers(
-    lowered: YaskawaLowered, context: LoweringContext, start: StartOptions, mapping: TickMapping | None
+    lowered: YaskawaLowered,
+    context: LoweringContext,
+    traits: TriggerTraits,
+    start: StartOptions,
+    mapping: TickMapping | None,
 ) -> YaskawaLowered:
     """The lowered step with the triggers that are asked for. Raises `Refusal` with what would fit."""
     if not start.triggers or mapping is None:
@@ -66,18 +65,19 @@ def add_triggers(
         text = f"output {trigger.output} is number {output.number}; triggers switch outputs 1 to {lines.LOCAL_POINTS}"
         raise Refusal("trigger-output", text, "connect the device to one of these outputs")
     _require_room(trigger, options)
-    _require_rate(trigger, lowered, options, mapping.tick_ns)
-    loading_ns = _find_loading_ns(trigger, options)
+    pace = TriggerPace(options, traits, mapping.tick_ns, contour=find_contour(lowered))
+    _require_rate(trigger, pace)
+    loading_ns = _find_loading_ns(trigger, options, traits)
+    entry = traits.pulse_label if trigger.pulse_ns else traits.level_label
     return replace(
         lowered,
         switches=lines.ProgramTriggers(output, tuple(trigger.instants_ns), turns=trigger.pulse_ns == 0),
-        triggers={trigger.output: _make_terms(trigger, lowered, options, start, mapping)},
+        triggers={trigger.output: _make_terms(trigger, pace, start, mapping)},
         gap_ns=None,
         costs=lowered.costs.model_copy(update={"arm_ns": lowered.costs.arm_ns + loading_ns}),
         commands=(
             *lowered.commands,
-            f"QD {TABLE}: {len(trigger.instants_ns)} samples; XQ {PULSE_LABEL if trigger.pulse_ns else LEVEL_LABEL},3  "
-            f"(switches output {output.number} at them)",
+            f"QD {TABLE}: {len(trigger.instants_ns)} samples; XQ {entry},3  (switches output {output.number} at them)",
         ),
     )
 
@@ -92,12 +92,44 @@ def _require_room(trigger: OutputTrigger, options: YaskawaOptions) -> None:
         )
 
 
-def _require_rate(trigger: OutputTrigger, lowered: YaskawaLowered, options: YaskawaOptions, tick_ns: float) -> None:
+@dataclass(frozen=True, slots=True)
+class TriggerPace:
+    """How fast triggers can be played. contour: beside which they are, if any."""
+
+    options: YaskawaOptions
+    traits: TriggerTraits
+    tick_ns: float
+    contour: ContourLoad | None
+
+    def find_round_ns(self, trigger: OutputTrigger) -> int:
+        """The longest time from one instant to the next that is played in time: the commands of its own thread, and
+        those of the host, of the watchdog, of polls and of a contour meanwhile."""
+        command_ns, traits = self.options.decode_us * NS_PER_US, self.traits
+        own = (traits.pulse_commands if trigger.pulse_ns else traits.level_commands) + traits.other_commands
+        pulse_ns = math.ceil(trigger.pulse_ns / self.tick_ns) * self.tick_ns
+        alone_ns = needs_ns = own * command_ns + pulse_ns
+        if self.contour is not None:
+            record_ns = self.tick_ns * (1 << self.contour.contour.interval)
+            for _ in range(ROUNDS):
+                records = math.ceil(needs_ns / record_ns)
+                longer_ns = alone_ns + records * CONTOUR_COMMANDS * command_ns
+                if longer_ns == needs_ns:
+                    break
+                needs_ns = longer_ns
+        return math.ceil(needs_ns)
+
+
+def find_contour(lowered: YaskawaLowered) -> ContourLoad | None:
+    """The contour that a step loads, if it does."""
+    return lowered.load if isinstance(lowered.load, ContourLoad) else None
+
+
+def _require_rate(trigger: OutputTrigger, pace: TriggerPace) -> None:
     """Raise `Refusal` for instants that follow faster than the interpreter plays them."""
-    needs_ns = find_round_ns(trigger, lowered, options, tick_ns)
+    needs_ns = pace.find_round_ns(trigger)
     gap_ns = min((after - before for before, after in pairwise(trigger.instants_ns)), default=needs_ns)
     if gap_ns < needs_ns:
-        beside = " beside a contour" if isinstance(lowered.load, ContourLoad) else ""
+        beside = "" if pace.contour is None else " beside a contour"
         least_ms = math.ceil(needs_ns / NS_PER_MS * 10) / 10
         raise Refusal(
             "trigger-rate",
@@ -108,38 +140,18 @@ def _require_rate(trigger: OutputTrigger, lowered: YaskawaLowered, options: Yask
         )
 
 
-def find_round_ns(trigger: OutputTrigger, lowered: YaskawaLowered, options: YaskawaOptions, tick_ns: float) -> int:
-    """The longest time from one instant to the next that is played in time: the commands of its own thread, and those
-    of the host, of the watchdog and of a contour meanwhile."""
-    command_ns = options.decode_us * NS_PER_US
-    own = (PULSE_COMMANDS if trigger.pulse_ns else LEVEL_COMMANDS) + OTHER_COMMANDS
-    pulse_ns = math.ceil(trigger.pulse_ns / tick_ns) * tick_ns
-    alone_ns = needs_ns = own * command_ns + pulse_ns
-    if isinstance(lowered.load, ContourLoad):
-        record_ns = tick_ns * (1 << lowered.load.contour.interval)
-        for _ in range(ROUNDS):
-            records = math.ceil(needs_ns / record_ns)
-            longer_ns = alone_ns + records * CONTOUR_COMMANDS * command_ns
-            if longer_ns == needs_ns:
-                break
-            needs_ns = longer_ns
-    return math.ceil(needs_ns)
-
-
 def _make_terms(
-    trigger: OutputTrigger,
-    lowered: YaskawaLowered,
-    options: YaskawaOptions,
-    start: StartOptions,
-    mapping: TickMapping,
+    trigger: OutputTrigger, pace: TriggerPace, start: StartOptions, mapping: TickMapping
 ) -> tuple[BudgetTerm, ...]:
     """The interval of an edge relative to its instant: the sample nearest to it, the commands that may run when its
     wait ends, stamp and OB, and the output itself."""
-    tick_ns = mapping.tick_ns
+    tick_ns, options = mapping.tick_ns, pace.options
     half_ns, ahead_ns = math.ceil(tick_ns / 2), round(options.begin_ticks(tick_ns, interleaved=True)[0] * tick_ns)
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + start.lead_ns + trigger.instants_ns[-1])
-    latest_us = options.begin_max_us + options.interleaved_us + options.decode_us
-    if isinstance(lowered.load, ContourLoad):
+    # Before the stamp, and before OB.
+    beside_us = 2 * pace.traits.beside * options.decode_us
+    latest_us = options.begin_max_us + options.interleaved_us + options.decode_us + beside_us
+    if pace.contour is not None:
         latest_us += CONTOUR_COMMANDS * options.decode_us
     delays_us = (options.output_on_us, options.output_off_us)
     return (
@@ -154,9 +166,10 @@ def _make_terms(
     )
 
 
-def _find_loading_ns(trigger: OutputTrigger, options: YaskawaOptions) -> int:
+def _find_loading_ns(trigger: OutputTrigger, options: YaskawaOptions, traits: TriggerTraits) -> int:
     """How much longer arming takes with the table."""
     count = len(trigger.instants_ns)
     digits = len(str(round(trigger.instants_ns[-1] / options.tick_ns)))
-    exchanges = LOAD_EXCHANGES + count_exchanges(count, [digits]) + count // UPLOAD_ELEMENTS
-    return exchanges * options.exchange_ns
+    packets = -(-count // (traits.packet // (digits + SEPARATORS))) - (-count // traits.back)
+    characters = count * (digits + STAMP_DIGITS + 2 * SEPARATORS)
+    return (LOAD_EXCHANGES + packets) * options.exchange_ns + characters * traits.char_ns

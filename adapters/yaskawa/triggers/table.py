@@ -8,16 +8,15 @@ from adapters.yaskawa.common.arrays import ARRAY_SPACE_FULL, TOO_MANY_ARRAYS, fr
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.lines import LoadedStep, ProgramTriggers
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.program import EDGE_THREAD, LEVEL_LABEL, PULSE_LABEL, TABLE
-from adapters.yaskawa.common.session import MAX_PACKET, CommandSession, SmcCommandRefused
+from adapters.yaskawa.common.program import EDGE_THREAD, TABLE
+from adapters.yaskawa.common.session import CommandSession, SmcCommandRefused
+from adapters.yaskawa.triggers.traits import TriggerTraits
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 
-UPLOAD_ELEMENTS = 100  # at once
 SPAN_TICKS = 2048  # of stamps for which the clock is estimated once
 STAMP_DIGITS = 10  # of an element in an upload (PF)
-ELEMENT_CHARACTERS = MAX_PACKET - len(f"QD {TABLE}[],99999,99999\r\x1a")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +29,9 @@ class _PlayedTable:
 class TriggerPlayer:
     """The triggers of the step that is loaded, or was last."""
 
-    def __init__(self, device: SmcDevice, options: YaskawaOptions) -> None:
+    def __init__(self, device: SmcDevice, options: YaskawaOptions, traits: TriggerTraits) -> None:
         self._device = device
+        self._traits = traits
         self._options = options
         self._played: _PlayedTable | None = None
 
@@ -55,16 +55,16 @@ class TriggerPlayer:
                 f"the controller has no room for {len(table)} triggers beside its other arrays",
                 "write a longer `every`, or divide the step",
             ) from None
-        fitting = ELEMENT_CHARACTERS // (max(len(str(each)) for each in table) + 2)
+        fitting = self._traits.packet // (max(len(str(each)) for each in table) + 2)
         for at in range(0, len(table), fitting):
             await session.load_array(TABLE, at, table[at : at + fitting])
-        if await read_table(session, len(table)) != table:
+        if await read_table(session, len(table), self._traits.back) != table:
             raise Refusal("read-back", f"{TABLE} does not contain the samples that were loaded", "try again")
         self._played = _PlayedTable(switches, table, step)
         wanted = {"XLO": output.number, "XLV": output.level, "XLH": output.active_ticks}
         wanted |= {"XRN": len(table), "XRI": 0, "XRV": output.level}
         commands = [f"{name}={value}" for name, value in wanted.items()]
-        entry = LEVEL_LABEL if switches.turns else PULSE_LABEL
+        entry = self._traits.level_label if switches.turns else self._traits.pulse_label
         held = await session.set_and_read(commands, list(wanted), f"XQ {entry},{EDGE_THREAD}")
         for (name, value), found in zip(wanted.items(), held, strict=True):
             if found != value:
@@ -82,7 +82,7 @@ class TriggerPlayer:
             return {}
         try:
             (begun, index), _ = await session.read_numbers("XOK", "XRI")
-            held = await read_table(session, len(played.table)) if begun else played.table
+            held = await read_table(session, len(played.table), self._traits.back) if begun else played.table
         except SmcCommandRefused as refusal:
             raise Refusal("no-stamps", f"the stamps of the triggers cannot be read: {refusal}", "") from None
         count = int(index) if begun else 0
@@ -101,26 +101,27 @@ class TriggerPlayer:
         return [found[stamp // SPAN_TICKS] for stamp in stamps]
 
     def _find_edge(self, played: _PlayedTable, number: int, stamp: int, mapping: TickMapping) -> HostInterval:
-        """The interval of an edge: after its wait had ended the stamp was read, during its sample, and OB came next."""
+        """The interval of an edge: after its wait had ended the stamp was read, during its sample, and OB came next,
+        where threads alternate command by command after one of each other thread."""
         options, due = self._options, played.step.ticks + played.table[number]
         least_ns, most_ns = options.decode_min_us * NS_PER_US, options.decode_us * NS_PER_US
         earliest_ns = max(mapping.to_host_ns(stamp), mapping.to_host_ns(due) + least_ns) + least_ns
-        latest_ns = mapping.to_host_ns(stamp + 1) + most_ns
+        latest_ns = mapping.to_host_ns(stamp + 1) + (1 + self._traits.beside) * most_ns
         bound_ns, late_ns = mapping.bound_at_ns(latest_ns), mapping.late_bound_at_ns(latest_ns)
         rises = played.switches.level_of(number)
         delay_ns = (options.output_on_us if rises else options.output_off_us) * NS_PER_US
         return HostInterval(earliest_ns - bound_ns, latest_ns + late_ns + delay_ns)
 
 
-async def read_table(session: CommandSession, count: int) -> Sequence[int]:
-    """Read the elements of the table; they arrive in the position format (L9105), which a user may have set to
-    anything."""
+async def read_table(session: CommandSession, count: int, back: int) -> Sequence[int]:
+    """Read the elements of the table, `back` at once; they arrive in the position format (L9105), which a user may have
+    set to anything."""
     (before,), _ = await session.read_numbers("_PF")
     await session.send_command(f"PF {STAMP_DIGITS}.0")
     found: list[int] = []
     try:
-        for first in range(0, count, UPLOAD_ELEMENTS):
-            found += await session.read_array(TABLE, first, min(first + UPLOAD_ELEMENTS, count) - 1)
+        for first in range(0, count, back):
+            found += await session.read_array(TABLE, first, min(first + back, count) - 1)
     finally:
         await session.send_command(f"PF {before:.1f}")
     return found
