@@ -527,9 +527,9 @@ def test_a_touch_probe_that_is_broken_off_reports_nothing(way: str) -> None:
 # The SMC-2000, on a serial line
 
 
-def with_press(address: int | None = None, **limits: float) -> Fleet:
+def with_press(address: int | None = None, limits: dict[str, float] | None = None) -> Fleet:
     press = make_smc2000(0, address)
-    axis = {**press["axes"]["x"], "limits": {"velocity": 200, "acceleration": 1000, **limits}}
+    axis = {**press["axes"]["x"], "limits": {"velocity": 200, "acceleration": 1000, **(limits or {})}}
     press = {**press, "axes": {"x": axis}, "outputs": {"lamp": {"number": 1}}}
     gantry = make_smc4000(0)
     controllers = {"press": press, "gantry": gantry}
@@ -570,7 +570,7 @@ def test_an_smc_2000_pulses_where_promised(limits: dict[str, float]) -> None:
                     assert x.least <= place["press.x"] <= x.most
             true.forget()
 
-    run_fleet(main, with_press(**limits))
+    run_fleet(main, with_press(limits=limits))
 
 
 @pytest.mark.parametrize("way", ["stop", "estop", "limit", "link", "coordinator"])
