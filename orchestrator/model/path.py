@@ -57,6 +57,9 @@ class PieceBase(Model):
     corner: Corner | None = Field(
         default=None, description="What happens at its end; without it, what the path says. Smooth joints need nothing."
     )
+    speed: Quantity | None = Field(
+        default=None, description="The highest speed along it, beside that of the path; of two in a corner the lower."
+    )
 
 
 class LinePiece(PieceBase):
@@ -126,6 +129,8 @@ class TablePiece(PieceBase):
             raise ValueError(f"has {len(self.t)} instants and {len(self.positions)} positions; give as many of both")
         if self.corner is not None and self.corner != "stop":
             raise ValueError("a table ends at rest; its corner can only be `stop`")
+        if self.speed is not None:
+            raise ValueError("a table has the speeds of its instants; remove `speed`")
         for k in range(1, len(self.t)):
             if not self.t[k] > self.t[k - 1]:
                 raise ValueError(

@@ -16,9 +16,9 @@ from orchestrator.model.names import controller_of
 from orchestrator.model.path import FrameSpec, LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.units import Unit, UnitError, parse_quantity
-from orchestrator.plan.path.axes import PathAxis
+from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
-from orchestrator.plan.path.resolve import parse_along
+from orchestrator.plan.path.resolve import parse_along, parse_speed
 from orchestrator.plan.path_course import PathCourse
 from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
@@ -106,7 +106,7 @@ def plan_path_step(
     slow = next((start for start in starts if start.order < 3), None)
     stretches, course = _list_stretches(plan), None
     if slow is not None and len(step.pieces) == 1 and isinstance(step.pieces[0], LinePiece):
-        fitted = fit_line(axes, plan.length, parse_along(step, unit))
+        fitted = fit_line(axes, plan.length, _find_line_limits(step, unit))
         times_s = np.linspace(0.0, fitted.duration_s, SAMPLES)
         speeds = sample_speeds(fitted, axes, times_s)
         stretches = [PathStretch(from_s=0.0, to_s=plan.duration_s, binds=f"a trapezoid, which {slow.name} needs")]
@@ -136,6 +136,12 @@ def plan_path_step(
         course,
     )
     return replace(path, report=path.make_report(fitted.duration_s, None))
+
+
+def _find_line_limits(step: FollowPath, unit: Unit) -> AlongLimits:
+    """The limits along a path of one line. Raises `PathRefusal`."""
+    along, speed = parse_along(step, unit), parse_speed(step.pieces[0], unit, 0)
+    return along if speed == inf else replace(along, speed=min(speed, along.speed or inf))
 
 
 def _describe_axis(start: PathStart) -> PathAxis:

@@ -63,8 +63,10 @@ def find_needed_for_jerk(parts: Array) -> Array:
     return np.cbrt(parts.max(axis=0))
 
 
-def find_parts(at: Derivatives, v: Array, a: Array, limits: PathLimits) -> LimitParts:
-    """Compare the motion of all axes with the limits. v, a: speed and acceleration along the path."""
+def find_parts(at: Derivatives, motion: tuple[Array, Array], limits: PathLimits, most: Array) -> LimitParts:
+    """Compare the motion of all axes with the limits. motion: speed and acceleration along the path. most: the highest
+    speed of each point's piece."""
+    v, a = motion
     first, second, third = (np.ascontiguousarray(part.T) for part in at[1:])
     axes, points = first.shape
     parts = LimitParts(*(np.zeros((axes + 1, points)) for _ in range(4)))
@@ -72,7 +74,10 @@ def find_parts(at: Derivatives, v: Array, a: Array, limits: PathLimits) -> Limit
     parts.acceleration[:axes] = np.abs(second * v**2 + first * a) / limits.acceleration[:, None]
     parts.bent[:axes] = (third * v**3 + second * (3 * v * a)) / limits.jerk[:, None]
     parts.straight[:axes] = first / limits.jerk[:, None]
-    parts.velocity[axes], parts.acceleration[axes] = v / limits.path_speed, np.abs(a) / limits.path_acceleration
+    parts.velocity[axes], parts.acceleration[axes] = (
+        v / np.minimum(most, limits.path_speed),
+        np.abs(a) / limits.path_acceleration,
+    )
     parts.straight[axes] = 1.0 / limits.path_jerk
     return parts
 
@@ -84,7 +89,7 @@ def _measure_junctions(track: Track, motion: PathMotion, limits: PathLimits, str
     segment = motion.find_segments(t)
     _, v, a, j = motion.evaluate(t)
     for span, local in ((before, track.length[before]), (before + 1, np.zeros(len(before)))):
-        parts = find_parts(track.evaluate_spans(span, local, QUICK), v, a, limits)
+        parts = find_parts(track.evaluate_spans(span, local, QUICK), (v, a), limits, track.speed[span])
         needed = np.maximum(parts.find_needed(), find_needed_for_jerk(parts.find_jerk(j)))
         np.maximum.at(stretch, segment, needed)
 
@@ -105,7 +110,8 @@ def _measure_block(
     a0, v0, j0 = motion.a[segment], motion.v[segment], motion.j[segment]
     s = motion.s[segment] + x * (v0 + x * (a0 / 2 + x * j0 / 6))
     v, a = v0 + x * (a0 + x * j0 / 2), a0 + x * j0
-    parts = find_parts(track.evaluate(s, QUICK, motion.section[segment]), v, a, limits)
+    span = track.find_spans_of(s, motion.section[segment])
+    parts = find_parts(track.evaluate_spans(span, s - track.start[span], QUICK), (v, a), limits, track.speed[span])
     ends = number + 1
     ends[rest] = 3 * n + np.arange(len(rest))
     needed = parts.find_needed()

@@ -100,6 +100,11 @@ def widen_valleys(ladder: Ladder, squares: Array) -> Ladder:
     return _lower_caps(ladder, low, high, level[short])
 
 
+def cap_pieces(ladder: Ladder, low: Array, high: Array, level: Array) -> Ladder:
+    """The ladder with caps of pieces: `level` (squared speed) from `low` to `high`."""
+    return _lower_caps(ladder, low, high, level) if len(low) else ladder
+
+
 def _lower_caps(ladder: Ladder, low: Array, high: Array, level: Array) -> Ladder:
     """Caps of `level` from `low` to `high`, with nodes there."""
     at = np.concatenate([low, high])

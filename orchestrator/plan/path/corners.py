@@ -173,7 +173,7 @@ def _join_spans(
 ) -> Track:
     """The track of spans shortened by `cut` (at the start, at the end), with blends behind spans `blends[0]`."""
     shapes, order = outline.shapes, np.arange(len(outline.kind), dtype=np.float64)
-    kind, row, piece = outline.kind, outline.row, outline.piece
+    kind, row, piece, speed = outline.kind, outline.row, outline.piece, outline.speed
     low, length = cut[0], outline.length - cut[0] - cut[1]
     if blends is not None:
         at, curves = blends
@@ -184,6 +184,7 @@ def _join_spans(
         kind = np.append(kind, np.full(len(at), POLY))
         row = np.append(row, len(known) + np.arange(len(at)))
         piece = np.append(piece, piece[at])
+        speed = np.append(speed, np.minimum(speed[at], speed[at + 1]))
         low = np.append(low, np.zeros(len(at)))
         length = np.append(length, lengths.lengths[:, -1])
         stop = np.append(stop, np.zeros(len(at), dtype=bool))
@@ -205,5 +206,6 @@ def _join_spans(
         source[keep],
         blend[keep],
         stop[keep],
+        speed[keep],
         start,
     )

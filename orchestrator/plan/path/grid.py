@@ -85,7 +85,7 @@ def make_grid(track: Track, limits: PathLimits, span: Index, local: Array) -> Gr
         find_slopes(track.evaluate_spans(span[k : k + BLOCK], local[k : k + BLOCK], QUICK))
         for k in range(0, len(span), BLOCK)
     ]
-    caps = np.concatenate([find_speed_caps(limits, part) for part in parts])
+    caps = np.minimum(np.concatenate([find_speed_caps(limits, part) for part in parts]), track.speed[span])
     at = Slopes(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))
     first = local == 0.0
     last = local == track.length[span]

@@ -9,7 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from orchestrator.plan.path.arc_length import Array, Index
-from orchestrator.plan.path.coarse import Ladder, flatten_peaks, insert_peaks, integrate_ladder, widen_valleys
+from orchestrator.plan.path.coarse import (
+    Ladder,
+    cap_pieces,
+    flatten_peaks,
+    insert_peaks,
+    integrate_ladder,
+    widen_valleys,
+)
 from orchestrator.plan.path.grid import Grid, make_grid, place_nodes, refine_grid
 from orchestrator.plan.path.limits import PathLimits
 from orchestrator.plan.path.smooth import PathMotion, smooth_motion
@@ -97,6 +104,7 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
     times = np.concatenate([[0.0], np.cumsum(np.where(within, np.minimum(dt, 1e3), 2 * width[:-1] + 2 * width[1:]))])
     _, cells = sweep(np.sqrt(fast), times)
     ladder = Ladder(grid.s, squares, cells, _find_cell_caps(grid) ** 2, width, grid.section)
+    ladder = cap_pieces(ladder, *_find_capped(track, smoothing_s))
     for _ in range(ROUNDS):  # what one changes on a flank the other one has to look at again
         wide = widen_valleys(ladder, ladder.sweep())
         flat = flatten_peaks(wide, wide.sweep())
@@ -104,6 +112,19 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
             break
         ladder = flat
     return smooth_motion(*integrate_ladder(ladder, *insert_peaks(ladder, ladder.sweep())))
+
+
+def _find_capped(track: Track, smoothing_s: Array) -> tuple[Array, Array, Array]:
+    """(begin, end, squared speed) of spans with a highest speed, wider by half of the smoothing time at that speed: so
+    that the smoothed motion has it on the whole span."""
+    capped = np.flatnonzero(np.isfinite(track.speed))
+    stops = np.flatnonzero(track.stop)
+    section = np.searchsorted(stops, capped)
+    ends, begins = track.start[stops + 1], np.concatenate([[0.0], track.start[stops[:-1] + 1]])
+    wide = track.speed[capped] * smoothing_s[section] / 2
+    low = np.maximum(track.start[capped] - wide, begins[section])
+    high = np.minimum(track.start[capped + 1] + wide, ends[section])
+    return low, high, track.speed[capped] ** 2
 
 
 def _add_nodes(grid: Grid, track: Track, limits: PathLimits, width: Array) -> Grid:

@@ -34,7 +34,8 @@ class _Rows(list[Array]):
 class Outline:
     """Spans in order: `kind` and `row` of each curve in `shapes`, its length, the number of its piece from 0.
 
-    tolerance: of the corner at the end of each span: a length, `STOP`, or `SMOOTH` inside a piece.
+    tolerance: of the corner at the end of each span: a length, `STOP`, or `SMOOTH` inside a piece. speed: the highest
+    one along each span (inf: none).
     """
 
     shapes: Shapes
@@ -43,14 +44,17 @@ class Outline:
     length: Array
     piece: Index
     tolerance: Array
+    speed: Array
 
 
 @dataclass(frozen=True, slots=True)
 class PieceEnd:
-    """The number of a piece, from 0, and the tolerance of the corner at its end (`STOP` or a length)."""
+    """The number of a piece, from 0, the tolerance of the corner at its end (`STOP` or a length), and the highest speed
+    along it."""
 
     piece: int
     tolerance: float = STOP
+    speed: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +73,7 @@ class OutlineBuilder:
     """Collects pieces from `position` on. Raises `PathRefusal` naming the piece."""
 
     position: Array
-    _spans: list[tuple[int, int, float, int, float]] = field(default_factory=list)
+    _spans: list[tuple[int, int, float, int, float, float]] = field(default_factory=list)
     _lines: tuple[_Rows, _Rows] = field(default_factory=lambda: (_Rows(), _Rows()))
     _arcs: tuple[_Rows, ...] = field(default_factory=lambda: tuple(_Rows() for _ in range(5)))
     _polys: _Rows = field(default_factory=_Rows)
@@ -79,7 +83,7 @@ class OutlineBuilder:
         way = to - self.position
         length = float(np.sqrt(way @ way))
         self._check_length(end, "line", length)
-        self._spans.append((LINE, len(self._lines[0]), length, end.piece, end.tolerance))
+        self._spans.append((LINE, len(self._lines[0]), length, end.piece, end.tolerance, end.speed))
         self._lines[0].append(self.position)
         self._lines[1].append(way / length)
         self.position = to
@@ -151,7 +155,7 @@ class OutlineBuilder:
         centre, first, second = circle
         length = float(np.hypot(angle * np.linalg.norm(first), np.linalg.norm(rise)))
         self._check_length(end, "arc", length)
-        self._spans.append((ARC, len(self._arcs[0]), length, end.piece, end.tolerance))
+        self._spans.append((ARC, len(self._arcs[0]), length, end.piece, end.tolerance, end.speed))
         for rows, value in zip(
             self._arcs, (centre, first, second, rise / length, np.array(angle / length)), strict=True
         ):
@@ -177,7 +181,7 @@ class OutlineBuilder:
         last = len(lengths) - 1
         for k, length in enumerate(lengths):
             tolerance = end.tolerance if k == last else SMOOTH
-            self._spans.append((POLY, len(self._polys), length, end.piece, tolerance))
+            self._spans.append((POLY, len(self._polys), length, end.piece, tolerance, end.speed))
             self._polys.append(curves[k])
 
     def build(self) -> Outline:
@@ -189,9 +193,9 @@ class OutlineBuilder:
             Arcs(*(rows.stack(shape) for rows, shape in zip(self._arcs, (*[width] * 4, ()), strict=True))),
             Polys(polys, measure_curves(polys)),
         )
-        table = np.array(self._spans, dtype=np.float64).reshape(-1, 5)
+        table = np.array(self._spans, dtype=np.float64).reshape(-1, 6)
         kind, row, piece = (table[:, k].astype(np.int64) for k in (0, 1, 3))
-        return Outline(shapes, kind, row, table[:, 2], piece, table[:, 4])
+        return Outline(shapes, kind, row, table[:, 2], piece, table[:, 4], table[:, 5])
 
     def _scale(self, *points: Array) -> float:
         return max(1e-3, float(np.abs(self.position).max()), *(float(np.abs(each).max()) for each in points))

@@ -80,21 +80,27 @@ def resolve_path(spec: PathSpec, axes: Sequence[PathAxis], frame: FrameSpec | No
 
 def parse_along(spec: PathSpec, unit: Unit) -> AlongLimits:
     """The limits along a path whose first coordinate has this unit. Raises `PathRefusal`."""
-    rates = [_parse_limit(value, unit, k + 1) for k, value in enumerate((spec.speed, spec.acceleration, spec.jerk))]
-    return AlongLimits(*rates)
+    values = (spec.speed, spec.acceleration, spec.jerk)
+    return AlongLimits(*(_parse_limit(value, unit, k + 1, "the path") for k, value in enumerate(values)))
 
 
-def _parse_limit(value: float | str | None, unit: Unit, order: int) -> float | None:
-    """A limit along the path."""
+def parse_speed(piece: Piece, unit: Unit, number: int) -> float:
+    """The highest speed along a piece; inf: it has none of its own. Raises `PathRefusal`."""
+    speed = _parse_limit(piece.speed, unit, 1, f"piece {number + 1}")
+    return np.inf if speed is None else speed
+
+
+def _parse_limit(value: float | str | None, unit: Unit, order: int, place: str) -> float | None:
+    """A limit along the path, or a piece of it."""
     if value is None:
         return None
     name = ("speed", "acceleration", "jerk")[order - 1]
     try:
         number = parse_rate(value, unit, order) if isinstance(value, str) else float(value)
     except UnitError as error:
-        raise PathRefusal("bad-unit", f"`{name}` of the path: {error}", "correct its unit") from None
+        raise PathRefusal("bad-unit", f"`{name}` of {place}: {error}", "correct its unit") from None
     if not number > 0.0:
-        raise PathRefusal("bad-limit", f"`{name}` of the path is {number:g}", "choose a value above 0")
+        raise PathRefusal("bad-limit", f"`{name}` of {place} is {number:g}", "choose a value above 0")
     return number
 
 
@@ -113,7 +119,8 @@ class _Collector:
             if isinstance(piece, TablePiece):
                 self._add_table(number, piece)
             else:
-                self._add_piece(PieceEnd(number, self._find_tolerance(piece)), piece)
+                speed = parse_speed(piece, self._coordinates.units[0], number)
+                self._add_piece(PieceEnd(number, self._find_tolerance(piece), speed), piece)
         self._end_outline(self._builder.position)
         return self._parts
 

@@ -26,8 +26,8 @@ class Track:
     """Spans of curves, one entry each: `kind` and `row` in `shapes`; `low`: where on its curve it begins; its length.
 
     piece: its number from 0, and source: its span of the outline (of a blend, those before it); blend: whether it
-    rounds a corner; stop: whether the motion rests at its end (the last one does). start: lengths from the track's
-    start, one more entry.
+    rounds a corner; stop: whether the motion rests at its end (the last one does). speed: the highest one along it,
+    beside that of the path (inf: none). start: lengths from the track's start, one more entry.
     """
 
     shapes: Shapes
@@ -40,6 +40,7 @@ class Track:
     source: Index
     blend: Flags
     stop: Flags
+    speed: Array
     start: Array
 
     @property
@@ -54,11 +55,16 @@ class Track:
     def evaluate(self, s: Array, rounds: int = NEWTON_ROUNDS, section: Index | None = None) -> Derivatives:
         """Positions of the axes and their derivatives at lengths `s`. section: the number of the stretch from rest to
         rest that each point belongs to, because where it rests the path may turn."""
-        span = self.find_spans(s)
-        if section is not None:
-            last = np.flatnonzero(self.stop)
-            span = np.clip(span, np.concatenate([[0], last[:-1] + 1])[section], last[section])
+        span = self.find_spans_of(s, section)
         return self.evaluate_spans(span, s - self.start[span], rounds)
+
+    def find_spans_of(self, s: Array, section: Index | None) -> Index:
+        """The span at each length, in the section of each point."""
+        span = self.find_spans(s)
+        if section is None:
+            return span
+        last = np.flatnonzero(self.stop)
+        return np.clip(span, np.concatenate([[0], last[:-1] + 1])[section], last[section])
 
     def evaluate_spans(self, span: Index, local: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
         """The same, at `local` lengths from the starts of spans."""

@@ -55,10 +55,11 @@ def test_inches_and_increments() -> None:
     assert step["speed"] == "4.233333333 mm/s"
 
 
-def test_the_axes_rest_where_the_feed_changes() -> None:
-    steps = read_gcode("G64 P0.1 F600 G1 X1\nX2\nF300 X3\nG0 X4\n")
-    assert [(step.get("speed"), len(step["pieces"])) for step in steps] == [("10 mm/s", 2), ("5 mm/s", 1), (None, 1)]
-    assert [step["start"][0] for step in steps] == ["0 mm", "2 mm", "3 mm"]
+def test_a_feed_is_the_speed_of_its_pieces() -> None:
+    (step,) = read_gcode("G64 P0.1 F600 G1 X1\nX2\nF300 X3\nG0 X4\n")
+    assert [piece.get("speed") for piece in step["pieces"]] == ["10 mm/s", "10 mm/s", "5 mm/s", None]
+    assert [piece["corner"] == "stop" for piece in step["pieces"]] == [False, False, True, True]
+    assert "speed" not in step
 
 
 @pytest.mark.parametrize(

@@ -47,10 +47,9 @@ class _Modes:
 
 @dataclass(slots=True)
 class _Path:
-    """A path that is being made. speed: along it; None for G0: as fast as the axes may."""
+    """A path that is being made. Its pieces have the speed of their feed; those of G0 none: as fast as the axes may."""
 
     start: list[str]
-    speed: str | None
     pieces: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
 
 
@@ -193,12 +192,14 @@ class GcodeReader:
         piece = self._make_line() if modes.motion < 2 else self._make_arc(values, before)
         if piece is None or (modes.motion < 2 and self._at == before):
             return  # a mistake, or a move to where it stands
-        speed = f"{format_number(modes.feed / 60)} mm/s" if modes.motion and modes.feed is not None else None
-        if self._path is not None and self._path.speed != speed:
-            self._end_path()  # a path has one speed; the axes rest where it changes
         if self._path is None:
-            self._path = _Path([self._write(before[letter]) for letter in self._letters], speed)
-        piece["corner"] = modes.corner if modes.motion else "stop"
+            self._path = _Path([self._write(before[letter]) for letter in self._letters])
+        rapid = not modes.motion
+        if rapid and self._path.pieces:
+            self._path.pieces[-1]["corner"] = "stop"  # no rounding from a feed into a rapid
+        piece["corner"] = "stop" if rapid else modes.corner
+        if not rapid and modes.feed is not None:
+            piece["speed"] = f"{format_number(modes.feed / 60)} mm/s"
         self._path.pieces.append(piece)
 
     def _make_line(self) -> dict[str, Any]:
@@ -268,8 +269,13 @@ class GcodeReader:
     def _end_path(self) -> None:
         path, self._path = self._path, None
         if path is not None:
-            step = {"do": "path", "axes": self._axes, "start": path.start, "pieces": path.pieces}
-            self._steps.append(step if path.speed is None else {**step, "speed": path.speed})
+            step: dict[str, Any] = {"do": "path", "axes": self._axes, "start": path.start, "pieces": path.pieces}
+            speeds = {piece.get("speed") for piece in path.pieces}
+            if len(speeds) == 1 and speeds != {None}:
+                step["speed"] = speeds.pop()
+                for piece in path.pieces:
+                    del piece["speed"]
+            self._steps.append(step)
 
     def _write_point(self) -> list[str]:
         return [self._write(self._at[letter]) for letter in self._letters]

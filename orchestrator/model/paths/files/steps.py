@@ -1,6 +1,6 @@
 """Paths of jobs that are in files of other programs, read in the place of their steps.
 
-A file that stops on its way, or changes its speed, becomes several steps; they are a repeat of one pass, so that what
+A file that stops on its way becomes several steps; they are a repeat of one pass, so that what
 is said about a step of the job still names the step that was written.
 """
 
@@ -58,7 +58,7 @@ def _read_step(step: Step, folder: Path | None) -> Step:
             raise FileError([FileProblem(str(path), 1, "", text)])
         made += job.steps
     if len(made) > MAX_REPEATED:
-        text = f"stops, or changes its feed, {len(made)} times; at most {MAX_REPEATED} times are possible"
+        text = f"stops {len(made)} times; at most {MAX_REPEATED} times are possible"
         raise FileError([FileProblem(str(path), 1, "", f"{text}: split the program")])
     return made[0] if len(made) == 1 else Repeat(times=1, steps=made, name=step.name)
 

@@ -13,9 +13,12 @@ from orchestrator.bench.paths.random_paths import (
     stop_everywhere,
     uneven_limits,
 )
+from orchestrator.model.units import Unit
+from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.limits import PathLimits
 from orchestrator.plan.path.outline import Outline, OutlineBuilder, PieceEnd
+from orchestrator.plan.path.plan import plan_path
 from orchestrator.plan.path.run import Run, plan_run
 from orchestrator.plan.shape import ShapeBounds, solve_shapes
 
@@ -208,3 +211,19 @@ def test_planning_takes_300_us_a_piece_and_does_not_grow() -> None:
             times.append(time.process_time() - begin)
         spent[pieces] = min(times) / pieces
     assert spent[1000] <= 300e-6 and spent[10_000] <= 1.2 * spent[1000], spent
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.5])
+def test_a_piece_with_a_speed_of_its_own_is_nowhere_faster(tolerance: float) -> None:
+    """Also where the motion slows down to it, and speeds up behind it; the others are as fast as ever."""
+    axes = [PathAxis(name, Unit.MM, 200, 2000, 20_000) for name in "xy"]
+    builder = OutlineBuilder(np.zeros(2))
+    places = ([50.0, 0.0], [100.0, 0.0], [100.0, 50.0])
+    for number, (to, speed) in enumerate(zip(places, (100.0, 20.0, np.inf), strict=True)):
+        builder.add_line(PieceEnd(number, tolerance, speed), np.array(to))
+    (run,) = plan_path(builder.build(), axes).parts
+    assert isinstance(run, Run)
+    s, v, *_ = run.motion.evaluate(np.linspace(0.0, run.duration_s, 4001))
+    span = run.track.find_spans(s)
+    for number, most in enumerate(run.track.speed.tolist()):
+        assert v[span == number].max() == pytest.approx(min(most, 200.0), rel=1e-3)
