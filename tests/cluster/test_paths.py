@@ -401,8 +401,13 @@ def test_an_override_changes_the_speed_along_the_path(percent: int, turns: int) 
         watched = asyncio.get_running_loop().create_task(watch_truth(fleet, TWO))
         job_id = await begin(fleet, planned, TWO, 2.0)
         await client.override_job(job_id, percent)
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
+        run = fleet.coordinators["first"][1].scheduler._running[job_id]  # pyright: ignore[reportPrivateUsage]
+        stated, at_ns = run.make_progress().remaining_s, fleet.clock.now_ns()
         report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason
+        took_s = (fleet.clock.now_ns() - at_ns) / NS_PER_S
+        assert percent > 100 or stated == pytest.approx(took_s, abs=0.7)
         seen = np.array(await watched)
         path = report.steps[0].path
         assert circle_errors(seen).max() < require_sound(path) and path is not None and not path.stops

@@ -513,7 +513,7 @@ class JobRun:
         """The progress of the job: steps done, and the fraction of the current one."""
         within, remaining_s = self._step_fraction(), None
         if self._step_t0_ns and self._step_s > 0:
-            remaining_s = max(0.0, self._step_s - self._elapsed_s())
+            remaining_s = self._find_times()[1]
         place, reason = self._steps.locate(self._step), self._reason
         within_scan = place.point is not None
         rate = None if self._motion_step is None else self._motion_step.rate
@@ -539,14 +539,20 @@ class JobRun:
             utc=self._services.clock.utc(),
         )
 
-    def _elapsed_s(self) -> float:
-        return (self._services.leadership.fleet_now_ns() - self._step_t0_ns) / NS_PER_S
+    def _find_times(self) -> tuple[float, float]:
+        """How long the current step has moved, and how long it will, s; on a path, at its present speed."""
+        times_s = None if self._motion_step is None else self._motion_step.path_times_s
+        if times_s is not None:
+            return times_s
+        elapsed_s = (self._services.leadership.fleet_now_ns() - self._step_t0_ns) / NS_PER_S
+        return elapsed_s, max(0.0, self._step_s - elapsed_s)
 
     def _step_fraction(self) -> float:
         """The fraction of the current step that is done: of the rest after `_part`, by time."""
         if not self._step_t0_ns or self._step_s <= 0:
             return self._part
-        return self._part + (1 - self._part) * min(1.0, max(0.0, self._elapsed_s() / self._step_s))
+        elapsed_s, remaining_s = self._find_times()
+        return self._part + (1 - self._part) * min(1.0, max(0.0, elapsed_s) / max(elapsed_s + remaining_s, 1e-9))
 
     # Motors
 

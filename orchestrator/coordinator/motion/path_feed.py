@@ -95,6 +95,14 @@ class PathFeed:
         """The feed override, 1.0 as planned."""
         return self._wanted
 
+    @property
+    def times_s(self) -> tuple[float, float] | None:
+        """How long it has moved, and how long it will, s; None while it is braked, or has not begun."""
+        now_s, ends_s = self._now_s(), self._clock.find_instant(self._first.course.duration_s)
+        if self.held_by is not None or not self._state.t0_fleet_ns or not now_s >= 0.0 or ends_s == float("inf"):
+            return None
+        return now_s, max(0.0, ends_s - now_s)
+
     def _now_s(self) -> float:
         return (self._services.leadership.fleet_now_ns() - self._state.t0_fleet_ns) / NS_PER_S
 

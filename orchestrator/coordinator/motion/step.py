@@ -194,6 +194,13 @@ class MotionStep:
         await feed.override(rate)
 
     @property
+    def path_times_s(self) -> tuple[float, float] | None:
+        """How long it has moved on its path, and how long it will at its present speed, s; None if it is on none, or is
+        being braked on it."""
+        feed = self._motion.feed if self._motion is not None else None
+        return None if feed is None else feed.times_s
+
+    @property
     def rate(self) -> float | None:
         """The feed override, 1.0 as planned; None where the speed cannot be changed."""
         feed = self._motion.feed if self._motion is not None else None
