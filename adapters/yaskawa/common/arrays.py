@@ -31,11 +31,13 @@ class ArrayTransfer:
 
     names: names of the arrays that the adapter may own.
     elements: characters of elements, with separators, per download.
-    upload_elements: number of elements per upload."""
+    upload_elements: number of elements per upload.
+    digits: of an element in an upload."""
 
     names: tuple[str, ...] = ARRAY_NAMES
     elements: int = PACKET_ELEMENT_CHARACTERS
     upload_elements: int = UPLOAD_ELEMENTS
+    digits: int = UPLOAD_DIGITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,24 +111,29 @@ async def fill_arrays(
     for name, begin, values in parts:
         for first, part in _split_into_packets(values, packets.elements):
             await session.load_array(name, begin + first, part)
-    await _verify_arrays(session, parts, packets.upload_elements)
+    held = await read_elements(session, [(name, begin, len(values)) for name, begin, values in parts], packets)
+    for (name, begin, values), found in zip(parts, held, strict=True):
+        if found != list(values):
+            at = next((k for k, (a, b) in enumerate(zip(found, values, strict=False)) if a != b), 0)
+            raise Refusal("read-back", f"{name}[{begin + at}] does not contain the value that was loaded", "try again")
 
 
-async def _verify_arrays(session: CommandSession, parts: Sequence[tuple[str, int, Sequence[int]]], back: int) -> None:
-    """Compare the uploaded elements. They arrive in the position format (L9105), which a user may have set to
-    anything."""
+async def read_elements(
+    session: CommandSession, parts: Sequence[tuple[str, int, int]], packets: ArrayTransfer = DEFAULT_TRANSFER
+) -> list[list[int]]:
+    """Return elements of arrays. parts: array, first element, number of them. They arrive in the position format
+    (L9105), which a user may have set to anything."""
     (before,), _ = await session.read_numbers("_PF")
-    await session.send_command(f"PF {UPLOAD_DIGITS}.0")
-    for name, begin, values in parts:
-        for first in range(0, len(values), back):
-            wanted = list(values[first : first + back])
-            held = await session.read_array(name, begin + first, begin + first + len(wanted) - 1)
-            if held != wanted:
-                at = next((k for k, (a, b) in enumerate(zip(held, wanted, strict=False)) if a != b), 0)
-                raise Refusal(
-                    "read-back", f"{name}[{begin + first + at}] does not contain the value that was loaded", "try again"
-                )
-    await session.send_command(f"PF {before:.1f}")
+    await session.send_command(f"PF {packets.digits}.0")
+    found: list[list[int]] = [[] for _ in parts]
+    try:
+        for (name, begin, count), values in zip(parts, found, strict=True):
+            for first in range(begin, begin + count, packets.upload_elements):
+                last = min(first + packets.upload_elements, begin + count) - 1
+                values += await session.read_array(name, first, last)
+    finally:
+        await session.send_command(f"PF {before:.1f}")
+    return found
 
 
 def count_exchanges(count: int, lengths: Sequence[int]) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import ceil, floor, log2
 
 from adapters.contract import SampledPositions, SamplingPlan
-from adapters.yaskawa.common.arrays import free_arrays
+from adapters.yaskawa.common.arrays import ArrayTransfer, free_arrays, read_elements
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.record import AXIS_LETTERS
 from adapters.yaskawa.common.session import SmcCommandRefused
@@ -141,16 +141,8 @@ class DeviceSampling:
         return earliest, latest
 
     async def _upload(self, name: str, count: int) -> list[int]:
-        session = self._device.session
-        (before,), _ = await session.read_numbers("_PF")
-        await session.send_command(f"PF {POSITION_DIGITS}.0")
-        found: list[int] = []
-        try:
-            for first in range(0, count, self._limits.upload_elements):
-                last = min(first + self._limits.upload_elements, count) - 1
-                found += await session.read_array(name, first, last)
-        finally:
-            await session.send_command(f"PF {before:.1f}")
+        packets = ArrayTransfer(upload_elements=self._limits.upload_elements, digits=POSITION_DIGITS)
+        (found,) = await read_elements(self._device.session, [(name, 0, count)], packets)
         return found
 
     async def _free(self) -> None:

@@ -217,9 +217,9 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             smc2000_program.contour_arrays(sorted(self._motors.values())),
             ARRAY_CHARACTERS,
             ARRAY_BACK,
-            self._exchange_ns,
-            self._char_ns,
-            self._options.contour_upload_s,
+            exchange_ns=self._exchange_ns,
+            char_ns=self._char_ns,
+            most_s=self._options.contour_upload_s,
         )
         if start.triggers and self._device.is_chained:
             raise Refusal(

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from adapters.contract import HostInterval, SwitchedOutput
-from adapters.yaskawa.common.arrays import ARRAY_SPACE_FULL, TOO_MANY_ARRAYS, free_arrays
+from adapters.yaskawa.common.arrays import ArrayTransfer, allocate_arrays, fill_arrays, read_elements
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.lines import LoadedStep, ProgramTriggers
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import EDGE_THREAD, TABLE
-from adapters.yaskawa.common.session import CommandSession, SmcCommandRefused
+from adapters.yaskawa.common.session import SmcCommandRefused
 from adapters.yaskawa.triggers.traits import TriggerTraits
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
@@ -32,6 +32,7 @@ class TriggerPlayer:
     def __init__(self, device: SmcDevice, options: YaskawaOptions, traits: TriggerTraits) -> None:
         self._device = device
         self._traits = traits
+        self._transfer = ArrayTransfer((TABLE,), traits.packet, traits.back, STAMP_DIGITS)
         self._options = options
         self._played: _PlayedTable | None = None
 
@@ -44,22 +45,12 @@ class TriggerPlayer:
         first, _ = self._options.begin_ticks(step.mapping.tick_ns, interleaved=True)
         table = switches.make_table(step.ticks, first, step.t0_ns, step.mapping)
         session, output = self._device.session, switches.output
-        await free_arrays(session, (TABLE,))
         try:
-            await session.send_command(f"DM {TABLE}[{len(table)}]")
-        except SmcCommandRefused as refusal:
-            if refusal.number not in (ARRAY_SPACE_FULL, TOO_MANY_ARRAYS):
-                raise
-            raise Refusal(
-                "array-space",
-                f"the controller has no room for {len(table)} triggers beside its other arrays",
-                "write a longer `every`, or divide the step",
-            ) from None
-        fitting = self._traits.packet // (max(len(str(each)) for each in table) + 2)
-        for at in range(0, len(table), fitting):
-            await session.load_array(TABLE, at, table[at : at + fitting])
-        if await read_table(session, len(table), self._traits.back) != table:
-            raise Refusal("read-back", f"{TABLE} does not contain the samples that were loaded", "try again")
+            await allocate_arrays(session, {TABLE: len(table)}, self._transfer)
+        except Refusal as refusal:
+            text = f"the controller has no room for {len(table)} triggers beside its other arrays"
+            raise Refusal(refusal.code, text, "write a longer `every`, or divide the step") from None
+        await fill_arrays(session, [(TABLE, 0, table)], self._transfer)
         self._played = _PlayedTable(switches, table, step)
         wanted = {"XLO": output.number, "XLV": output.level, "XLH": output.active_ticks}
         wanted |= {"XRN": len(table), "XRI": 0, "XRV": output.level}
@@ -82,7 +73,9 @@ class TriggerPlayer:
             return {}
         try:
             (begun, index), _ = await session.read_numbers("XOK", "XRI")
-            held = await read_table(session, len(played.table), self._traits.back) if begun else played.table
+            held = played.table
+            if begun:
+                (held,) = await read_elements(session, [(TABLE, 0, len(held))], self._transfer)
         except SmcCommandRefused as refusal:
             raise Refusal("no-stamps", f"the stamps of the triggers cannot be read: {refusal}", "") from None
         count = int(index) if begun else 0
@@ -111,17 +104,3 @@ class TriggerPlayer:
         rises = played.switches.level_of(number)
         delay_ns = (options.output_on_us if rises else options.output_off_us) * NS_PER_US
         return HostInterval(earliest_ns - bound_ns, latest_ns + late_ns + delay_ns)
-
-
-async def read_table(session: CommandSession, count: int, back: int) -> Sequence[int]:
-    """Read the elements of the table, `back` at once; they arrive in the position format (L9105), which a user may have
-    set to anything."""
-    (before,), _ = await session.read_numbers("_PF")
-    await session.send_command(f"PF {STAMP_DIGITS}.0")
-    found: list[int] = []
-    try:
-        for first in range(0, count, back):
-            found += await session.read_array(TABLE, first, min(first + back, count) - 1)
-    finally:
-        await session.send_command(f"PF {before:.1f}")
-    return found
