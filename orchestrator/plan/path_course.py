@@ -19,7 +19,6 @@ from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_profiles import Array, FittedAxis, FittedMotion, PathStates, fit_stretch
 
 SWITCH_S = 0.1  # in which a chunk and the one after it are the same
-LEAST_CHUNK_S = 1.0  # between two ends: loading takes a good part of that
 END_STEP_S = 0.1  # between two ends that are tried
 RAMPS_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 1.6, 2.4, 3.2)
 RAMP_SAMPLES = 33
@@ -70,21 +69,14 @@ class PathCourse:
 
     def find_peaks(self) -> tuple[dict[str, float], dict[str, float]]:
         """The largest acceleration and jerk of each axis on the whole path, counts/s², counts/s³."""
-        motion = self.motion
-        ends = motion.accelerations + motion.jerks * np.diff(motion.times_s)[:, None]
-        steepest = np.maximum(np.abs(motion.accelerations), np.abs(ends)).max(axis=0)
-        hardest = np.abs(motion.jerks).max(axis=0)
-        scales = {axis.name: abs(axis.counts_per_unit) for axis in self.axes}
-        names = list(scales)
-        return (
-            {name: float(value) * scales[name] for name, value in zip(names, steepest, strict=True)},
-            {name: float(value) * scales[name] for name, value in zip(names, hardest, strict=True)},
+        steepest, hardest = (
+            {
+                axis.name: float(peak) * abs(axis.counts_per_unit)
+                for axis, peak in zip(self.axes, peaks.max(axis=0), strict=True)
+            }
+            for peaks in (self.motion.peak_accelerations, np.abs(self.motion.jerks))
         )
-
-    def find_counts(self, path_s: float) -> dict[str, int]:
-        """Where the axes are at an instant of the path, counts."""
-        positions = self.motion.evaluate(np.array([path_s]))[0][0]
-        return {self.axes[column].name: self._round(column, positions[column]) for column in self.columns}
+        return steepest, hardest
 
     def find_speed(self, member: str) -> float:
         """The highest speed of a member's axes together, in their units/s."""
@@ -109,10 +101,6 @@ class PathCourse:
                 return clock
         raise Refusal("path-ramp", "from this place of the path no start along it keeps the limits", "run it again")
 
-    def change_rate(self, clock: PathClock, from_s: float, rate: float) -> PathClock:
-        """The clock with another rate as soon as possible after `from_s`. Raises `Refusal`."""
-        return self._find_ramp(clock, from_s, rate)
-
     def require_rate(self, path_s: float, rate: float) -> None:
         """Raise `Refusal` for a rate that no second of the rest of the path allows: the axis, and the highest one."""
         most, _ = self._find_rates()
@@ -125,20 +113,18 @@ class PathCourse:
         raise Refusal("override", text, f"choose at most {int(100 * highest)} %")
 
     def adapt_rate(self, clock: PathClock, from_s: float, rate: float, within_s: float) -> PathClock:
-        """The clock from `from_s` on for `within_s`: at `rate`, and where the axes do not allow that, at 1.
-
-        Only above 1: a slower motion keeps every limit.
-        """
+        """The clock from `from_s` on for `within_s`: at `rate`, or at 1 where the axes do not allow that. They allow 1
+        everywhere. Raises `Refusal`."""
         if rate <= 1.0:
-            return clock
+            return self._reach_rate(clock, from_s, rate)
         slow_s = self._find_slow(float(clock.evaluate(np.array([from_s])).path_s[0]), rate)
         if clock.rate < rate:
             try:
-                faster = self._find_ramp(clock, from_s, rate)
+                faster = self.change_rate(clock, from_s, rate)
             except Refusal:
-                return clock
+                return self._reach_rate(clock, from_s, 1.0)
             if slow_s - faster.ramps[-1].end_path_s < rate * LEAST_FAST_S:
-                return clock
+                return self._reach_rate(clock, from_s, 1.0)
             clock = faster
         arrives_s = clock.find_instant(slow_s)
         if arrives_s > from_s + within_s + LEAST_FAST_S:
@@ -150,7 +136,10 @@ class PathCourse:
                 slower = clock.change_rate(begin_s, 1.0, ramp_s)
                 if self._fits(slower, begin_s, ramp_s):
                     return slower
-        return self._find_ramp(clock, from_s, 1.0)
+        return self.change_rate(clock, from_s, 1.0)
+
+    def _reach_rate(self, clock: PathClock, from_s: float, rate: float) -> PathClock:
+        return clock if clock.rate == rate else self.change_rate(clock, from_s, rate)
 
     def _find_slow(self, path_s: float, rate: float) -> float:
         """The first instant of the path from `path_s` on at which an axis does not allow `rate`."""
@@ -161,10 +150,9 @@ class PathCourse:
     def _find_rates(self) -> tuple[Array, Array]:
         """(the highest rate that each cubic allows, the instants between them)."""
         motion = self.motion
-        ends = np.abs(motion.accelerations + motion.jerks * np.diff(motion.times_s)[:, None])
         peaks = (
             np.maximum(np.abs(motion.velocities[:-1]), np.abs(motion.velocities[1:])),
-            np.maximum(np.abs(motion.accelerations), ends) / MOST_USE,
+            motion.peak_accelerations / MOST_USE,
             np.abs(motion.jerks),
         )
         rates = [
@@ -175,9 +163,10 @@ class PathCourse:
 
     def brake(self, clock: PathClock, from_s: float) -> PathClock:
         """The clock that brakes along the path as soon as possible after `from_s`. Raises `Refusal`."""
-        return self._find_ramp(clock, from_s, 0.0)
+        return self.change_rate(clock, from_s, 0.0)
 
-    def _find_ramp(self, clock: PathClock, from_s: float, rate: float) -> PathClock:
+    def change_rate(self, clock: PathClock, from_s: float, rate: float) -> PathClock:
+        """The clock with another rate as soon as possible after `from_s`. Raises `Refusal`."""
         at_s = max(from_s, clock.ramps[-1].end_s)
         for begin_s in np.arange(at_s, at_s + BRAKE_SEARCH_S, END_STEP_S / 2).tolist():
             for ramp_s in RAMPS_S:

@@ -76,6 +76,12 @@ class FittedMotion(NamedTuple):
             j * moving,
         )
 
+    @property
+    def peak_accelerations(self) -> Array:
+        """The largest acceleration of each axis in each cubic, without its sign: at one of its ends."""
+        ends = self.accelerations + self.jerks * np.diff(self.times_s)[:, None]
+        return np.maximum(np.abs(self.accelerations), np.abs(ends))
+
     def stretch_time(self, factor: float) -> "FittedMotion":
         """The same motion in `factor` times the time."""
         times_s, v, a, j = self.times_s * factor, self.velocities / factor, self.accelerations, self.jerks

@@ -337,7 +337,9 @@ class StartNegotiation:
             ).model_copy(
                 update={
                     **common,
-                    "chunk": None if first is None else first.options(member),
+                    "chunk": first.make_options(member, first.chunk)
+                    if first is not None and member in first.members
+                    else None,
                     "triggers": outputs.get(member, []),
                 }
             )

@@ -36,11 +36,9 @@ class FirstChunk:
     peaks: tuple[Mapping[str, float], Mapping[str, float]]
     rate: float
 
-    def options(self, member: str, chunk: ChunkPlan | None = None) -> ChunkOptions | None:
-        """The options of a chunk, this one without another, for a member; None for one that has the whole path."""
-        if member not in self.members:
-            return None
-        chunk, own = chunk or self.chunk, [axis for axis in self.peaks[0] if controller_of(axis) == member]
+    def make_options(self, member: str, chunk: ChunkPlan) -> ChunkOptions:
+        """The options of a chunk for one of `members`."""
+        own = [axis for axis in self.peaks[0] if controller_of(axis) == member]
         accelerations, jerks = ({split_name(axis)[1]: peaks[axis] for axis in own} for peaks in self.peaks)
         return ChunkOptions(end_s=chunk.end_s, last=chunk.last, peak_accelerations=accelerations, peak_jerks=jerks)
 

@@ -7,6 +7,7 @@ chunk that not all members have taken over, although all had loaded it, ends the
 import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -41,8 +42,8 @@ REACTIONS_S = (0.3, 0.6, 1.2)  # from now to the place where a path is changed: 
 class PathFeed:
     """The chunks of one path.
 
-    chunk: the one that is released. released: how many have been, after the first. failure: why the path is not
-    continued beyond it. held_by: the originator of a feed hold, which brakes along the path.
+    chunk: the one that is released. failure: why the path is not continued beyond it. held_by: the originator of a feed
+    hold, which brakes along the path.
     """
 
     def __init__(
@@ -59,7 +60,6 @@ class PathFeed:
         self._changed = asyncio.Event()
         self._clock: PathClock = self._first.clock
         self.chunk: ChunkPlan = self._first.chunk
-        self.released = 0
         self._numbers = 1
         self._revision = 0
         self._wanted = self._first.rate
@@ -127,12 +127,10 @@ class PathFeed:
         # After a short chunk there is less time to load the next one.
         most_s = min(first.most_s, max(SHORT_CHUNK_S, first.most_s * (latest_s - self._now_s()) / first.load_s))
         try:
-            if self._clock.rate != self._wanted <= 1.0:
-                self._clock = first.course.change_rate(self._clock, begin_s + SWITCH_S, self._wanted)
-            self._clock = first.course.adapt_rate(self._clock, begin_s + SWITCH_S, self._wanted, most_s)
-            following = first.course.plan_chunk(self._clock, begin_s, most_s)
+            clock = first.course.adapt_rate(self._clock, begin_s + SWITCH_S, self._wanted, most_s)
+            following = first.course.plan_chunk(clock, begin_s, most_s)
         except (Refusal, PlanError) as error:
-            self._give_up(error if isinstance(error, Refusal) else Refusal("plan", str(error)))
+            self.failure = error if isinstance(error, Refusal) else Refusal("plan", str(error))
             return
         cause: Refusal | None = None
         while True:
@@ -148,7 +146,7 @@ class PathFeed:
                 # The last attempt may have had no time for any member.
                 cause = cause or refusal
                 if self._now_s() + RETRY_S >= latest_s:
-                    self._give_up(cause)
+                    self.failure = cause
                     return
             await asyncio.sleep(RETRY_S)
         async with self._lock:
@@ -157,30 +155,23 @@ class PathFeed:
             try:
                 await self._release(following, number)
             except Refusal as refusal:
-                self._give_up(refusal)
-
-    def _give_up(self, refusal: Refusal) -> None:
-        self.failure = refusal
+                self.failure = refusal
+            else:
+                self._clock = clock
 
     async def _load(self, chunk: ChunkPlan, latest_s: float) -> int:
         """Have all members load a chunk, in the place of one that they are loading; return its number. Raises
         `Refusal`."""
         requests, number = self._services.fleet.requests, self._numbers
         self._numbers += 1
-        shares = self._share(chunk.profiles)
         asked = {
             member: LoadChunkRequest(
-                **requests.request_fields(self._request.job.actor),
-                job=self._request.job_id,
-                step=self._request.index,
-                t0_fleet_ns=self._state.t0_fleet_ns,
-                number=number,
+                **self._reference(number),
                 begin_s=chunk.begin_s,
-                chunk=options,
-                profiles=shares[member],
+                chunk=self._first.make_options(member, chunk),
+                profiles=profiles,
             )
-            for member in shares
-            if (options := self._first.options(member, chunk)) is not None
+            for member, profiles in self._share(chunk.profiles).items()
         }
         replies = await requests.request_all("load-chunk", asked, ChunkReply, max(0.1, latest_s - self._now_s()))
         raise_first_refusal(replies)
@@ -206,27 +197,24 @@ class PathFeed:
     async def _release(self, chunk: ChunkPlan, number: int) -> None:
         """Have all members change over to a loaded chunk. Raises `Refusal`: some of them may have."""
         requests = self._services.fleet.requests
-        asked = {
-            member: ReleaseChunkRequest(
-                **requests.request_fields(self._request.job.actor),
-                job=self._request.job_id,
-                step=self._request.index,
-                t0_fleet_ns=self._state.t0_fleet_ns,
-                number=number,
-            )
-            for member in self._share(chunk.profiles)
-        }
+        asked = {member: ReleaseChunkRequest(**self._reference(number)) for member in self._share(chunk.profiles)}
         replies = await requests.request_all("release-chunk", asked, Reply, RELEASE_S)
         refused = [member for member, reply in replies.items() if reply.refused is not None]
         if refused and len(refused) == len(replies) and all(_is_late(reply) for reply in replies.values()):
             raise_first_refusal(replies)  # none has changed over
-        self.released += 1
         self.chunk, self.ends_s = chunk, self._stated_s
         if refused:
             await self._services.fleet.stop_members(
                 list(asked), "decelerate", self._request.job.actor, f"{refused[0]} has not continued the path"
             )
             raise_first_refusal(replies)
+
+    def _reference(self, number: int) -> dict[str, Any]:
+        """The fields of every request about a chunk."""
+        request = self._request
+        fields = self._services.fleet.requests.request_fields(request.job.actor)
+        t0_ns = self._state.t0_fleet_ns
+        return {**fields, "job": request.job_id, "step": request.index, "t0_fleet_ns": t0_ns, "number": number}
 
     def _share(self, profiles: Mapping[str, Profile]) -> dict[str, dict[str, Profile]]:
         """The profiles by member and its own axis names."""
@@ -254,15 +242,13 @@ class PathFeed:
                     self._services.fleet.log.info(f"not held yet: {error}", job=self._request.job_id)
             self._changed.set()
 
-    async def _cut(self, clock: PathClock) -> bool:
-        """Brake by `clock` before the end of what is released; False if that ends before."""
+    async def _cut(self, clock: PathClock) -> None:
+        """Brake by `clock` before the end of what is released, unless that ends before."""
         brake = clock.ramps[-1]
         if brake.begin_s >= self.chunk.end_s:
-            return False
+            return
         chunk = self._first.course.plan_stop(clock, brake.begin_s - SWITCH_S)
-        number = await self._load(chunk, brake.begin_s - SWITCH_S / 2)
-        await self._release(chunk, number)
-        return True
+        await self._release(chunk, await self._load(chunk, brake.begin_s - SWITCH_S / 2))
 
     async def override(self, rate: float) -> None:
         """Play the path at another rate, from where all members can. Raises `Refusal`."""
@@ -282,34 +268,32 @@ class PathFeed:
         async with self._lock:
             for reaction_s in OVERRIDE_REACTIONS_S:
                 try:
-                    if await self._change_rate(self._now_s() + reaction_s, rate):
-                        break
+                    await self._change_rate(self._now_s() + reaction_s, rate)
+                    break
                 except (Refusal, PlanError) as error:
                     self._services.fleet.log.info(f"not changed yet: {error}", job=self._request.job_id)
                 if self.failure is not None:
                     break
             self._changed.set()
 
-    async def _change_rate(self, from_s: float, rate: float) -> bool:
-        """Cut what is released short, and continue it from there at another rate; False: the next chunk takes it on."""
+    async def _change_rate(self, from_s: float, rate: float) -> None:
+        """Cut what is released short, and continue it from there at another rate. Where it ends before, the next chunk
+        takes the rate on."""
         course = self._first.course
         cut = course.brake(self._clock, from_s)
         begin_s = cut.ramps[-1].begin_s
         if begin_s >= self.chunk.end_s:
-            return True
+            return
         changed = course.adapt_rate(self._clock, begin_s, rate, SHORT_CHUNK_S)
-        if rate <= 1.0:
-            changed = course.change_rate(self._clock, begin_s, rate)
         # Where it is braked if the next chunk does not come in time.
         await self._cut(cut)
         following = course.plan_chunk(changed, self.chunk.end_s - SWITCH_S, SHORT_CHUNK_S)
         try:
             await self._release(following, await self._load(following, self.chunk.end_s - SWITCH_S / 2))
         except Refusal as refusal:
-            self._give_up(refusal)
+            self.failure = refusal
             raise
         self._clock = changed
-        return True
 
 
 def _find_clock_promises(agreement: StartAgreement) -> dict[str, int]:

@@ -106,7 +106,11 @@ def test_holds_and_overrides_stay_on_the_path(seed: int) -> None:
     assert np.abs(radii - RADIUS).max() < 0.006
     assert all(p.peak_acceleration <= ACCELERATION * COUNTS * (1 + 1e-9) for p in chunk.profiles.values())
     # From there it goes on: the rest of the path, from rest.
-    counts = course.find_counts(chunk.stop_path_s)
+    there = course.motion.evaluate(np.array([chunk.stop_path_s]))[0][0] - course.origin
+    counts = {
+        axis.name: axis.start_counts + round(axis.counts_per_unit * float(way))
+        for axis, way in zip(course.axes, there, strict=True)
+    }
     assert {name: profile.end_counts for name, profile in chunk.profiles.items()} == counts
     rest = course.restart(chunk.stop_path_s, counts)
     again = list_chunks(rest, rest.begin_at(chunk.stop_path_s), 7.5)
@@ -126,6 +130,14 @@ def test_a_rate_above_one_ends_before_the_place_that_does_not_allow_it() -> None
     with pytest.raises(Refusal, match="too fast for the rest of the path") as caught:
         course.require_rate(0.0, 5.0)
     assert caught.value.code == "override" and "at most" in caught.value.remedy
+
+
+def test_a_rate_that_a_place_does_not_allow_is_1_there_from_a_lower_one_too() -> None:
+    course = make_course(8.0)
+    slow = course.change_rate(course.begin_at(0.0), 2.0, 0.5)
+    ends_s = slow.find_instant(course.duration_s)
+    clock = course.adapt_rate(slow, ends_s - 1.5, 1.2, 7.5)
+    assert [ramp.after for ramp in clock.ramps] == [1.0, 0.5, 1.0]
 
 
 def test_a_ramp_that_no_place_allows_is_refused() -> None:
