@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from adapters.contract import Driver, Lowered, MoveOutcome, SettingDifference, require_triggers
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
+from adapters.controller.fleet_durations import state_move, to_host_profiles, to_host_start
 from adapters.controller.next_step import FollowingStep, NextStepSlot, PreparedMove
 from adapters.controller.settling import SettlingResult
 from adapters.controller.step_end import MotionEnd, MotionStart
@@ -34,6 +35,7 @@ from orchestrator.model.messages import (
     Proposal,
     ProposeRequest,
     Reply,
+    StartOptions,
     StepRequest,
 )
 from orchestrator.model.state import AxisEvidence, EventKind
@@ -104,7 +106,7 @@ class StepParticipant:
         self._clock = clock
         self._check = services.check
         self._check_following = services.check_following
-        self._scale = services.scale
+        self.require_scale = services.scale
         self._emit = services.emit
         self._settle = services.settle
         self._must_settle = services.must_settle
@@ -141,23 +143,23 @@ class StepParticipant:
             check(request)
             if not request.rehearsal:
                 self._requested_ns = self._clock.now_ns()
-            mapping = self._driver.clock_mapping()
-            lowered = self._driver.lower_profiles(request.profiles, request.start, mapping)
-            require_triggers(lowered, request.start)
+            scale, mapping = self.require_scale(), self._driver.clock_mapping()
+            start = to_host_start(request.start, scale)
+            lowered = self._driver.lower_profiles(to_host_profiles(request.profiles, scale), start, mapping)
+            require_triggers(lowered, start)
         at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
+        stated = state_move(lowered, scale, self._clock.now_ns() + start.lead_ns, _find_last_instants(start))
         return Proposal(
-            tick_at_fleet_ns=self._scale().to_fleet_ns(mapping.host_at_ns)
-            if at_ticks and mapping is not None
-            else None,
-            durations_s=dict(lowered.durations_s),
+            tick_at_fleet_ns=scale.to_fleet_ns(mapping.host_at_ns) if at_ticks and mapping is not None else None,
+            durations_s=stated.durations_s,
             path_error_counts=dict(lowered.path_error_counts),
             costs=lowered.costs,
             start_class=lowered.start_class,
-            tick_ns=lowered.tick_ns,
-            terms=list(lowered.terms),
-            edge=list(lowered.edge),
-            triggers={output: list(terms) for output, terms in lowered.triggers.items()},
-            clock_ppm=lowered.clock_ppm,
+            tick_ns=stated.tick_ns,
+            terms=stated.terms,
+            edge=stated.edge,
+            triggers=stated.triggers,
+            clock_ppm=stated.clock_ppm,
             can_advance=lowered.can_advance,
             gap_ns=lowered.gap_ns if request.start.follows else None,
             commands=list(lowered.commands),
@@ -192,11 +194,11 @@ class StepParticipant:
             check = self._check_following if follows else self._check
             check(request)
             self._requested_ns = self._clock.now_ns()
-            scale, mapping = self._scale(), self._driver.clock_mapping()
+            scale, mapping = self.require_scale(), self._driver.clock_mapping()
             t0_ns = scale.to_host_ns(request.t0_fleet_ns)
             lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
-            start = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
-            lowered = self._driver.lower_profiles(request.profiles, start, mapping)
+            start = to_host_start(request.start, scale).model_copy(update={"lead_ns": lead_ns, "exact": True})
+            lowered = self._driver.lower_profiles(to_host_profiles(request.profiles, scale), start, mapping)
             require_triggers(lowered, start)
         if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
             raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
@@ -244,14 +246,16 @@ class StepParticipant:
         return stages
 
     def _make_armed_reply(self, move: PreparedMove, stages: Mapping[str, int]) -> ArmedReply:
-        lowered, mapping = move.lowered, move.mapping
+        mapping, armed_step = move.mapping, move.armed_step
+        last_instants = _find_last_instants(move.request.start)
+        stated = state_move(move.lowered, armed_step.scale, armed_step.t0_host_ns, last_instants)
         return ArmedReply(
-            durations_s=dict(lowered.durations_s),
-            terms=list(lowered.terms),
-            edge=list(lowered.edge),
-            triggers={output: list(terms) for output, terms in lowered.triggers.items()},
+            durations_s=stated.durations_s,
+            terms=stated.terms,
+            edge=stated.edge,
+            triggers=stated.triggers,
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, move.began_ns),
-            began_fleet_ns=move.armed_step.scale.to_fleet_ns(move.began_ns),
+            began_fleet_ns=armed_step.scale.to_fleet_ns(move.began_ns),
             took_ns=self._clock.now_ns() - move.began_ns,
             stages_ns=dict(stages),
         )
@@ -371,7 +375,8 @@ class StepParticipant:
                 raise Refusal(
                     "not-sooner", "the step can only begin at the T0 for which it was armed", "arm it for another T0"
                 )
-            t0_ns = armed_step.t0_host_ns - advance_ns
+            t0_ns = armed_step.scale.to_host_ns(request.t0_fleet_ns) if advance_ns else armed_step.t0_host_ns
+            advance_ns = armed_step.t0_host_ns - t0_ns
             if self._clock.now_ns() >= t0_ns:
                 raise Refusal("late", "T0 has passed", "increase the lead time")
             released = replace(armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns)
@@ -587,7 +592,7 @@ class StepParticipant:
 
     def _require_phase(self, request: StepRequest, t0_fleet_ns: int, phase: StepPhase) -> ArmedStep:
         armed_step = self._find_step(request)
-        if armed_step is None and self._clock.now_ns() >= self._scale().to_host_ns(t0_fleet_ns):
+        if armed_step is None and self._clock.now_ns() >= self.require_scale().to_host_ns(t0_fleet_ns):
             raise Refusal("late", "T0 has passed, and the step was unloaded", "increase the lead time")
         if armed_step is None or armed_step.t0_fleet_ns != t0_fleet_ns:
             raise Refusal(
@@ -683,3 +688,8 @@ class StepParticipant:
                 if self.armed_step is None:
                     # A move that did not start as planned must not block the next one.
                     await self._driver.disarm_move()
+
+
+def _find_last_instants(start: StartOptions) -> dict[str, int]:
+    """By output with triggers, the last of its instants, ns after T0."""
+    return {each.output: each.instants_ns[-1] for each in start.triggers}

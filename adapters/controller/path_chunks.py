@@ -5,10 +5,13 @@ import asyncio
 from adapters.contract import Driver, PathChunk
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.fencing import EpochFence
+from adapters.controller.fleet_durations import to_host_profiles
 from adapters.controller.leases import MotionLeases
 from adapters.controller.limits import check_path_limits
 from adapters.controller.participant import StepParticipant
 from adapters.controller.status import ControllerStatus
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ChunkReply, LoadChunkRequest, ReleaseChunkRequest, Reply
 
@@ -41,16 +44,22 @@ class PathChunks:
             raise Refusal("other-axes", "a chunk moves the axes of its path", "")
         self._leases.require_lease(request.job, request.profiles)
         check_path_limits(self._status, request.profiles)
-        options = request.chunk
-        chunk = PathChunk(request.number, request.begin_s, options.end_s, options.last, request.profiles)
+        options, scale = request.chunk, self._participant.require_scale()
+        chunk = PathChunk(
+            request.number,
+            _to_host_s(request.begin_s, step, scale),
+            _to_host_s(options.end_s, step, scale),
+            options.last,
+            to_host_profiles(request.profiles, scale),
+        )
         fit = await self._driver.load_chunk(chunk, self._driver.clock_mapping())
         self._require_step(request)
         self._loaded = chunk, fit.stop_s
         return ChunkReply(
-            stop_s=fit.stop_s,
+            stop_s=_to_fleet_s(fit.stop_s, step, scale),
             drift_ns=fit.drift_ns,
             left_ns=fit.left_ns,
-            bound_ns=fit.bound_ns,
+            bound_ns=fit.bound_ns + scale.bound_at_ns(step.t0_host_ns + round(fit.stop_s * NS_PER_S)),
             path_error_counts=dict(fit.path_error_counts),
         )
 
@@ -75,3 +84,18 @@ class PathChunks:
         if step.phase not in (StepPhase.RELEASED, StepPhase.MOVING):
             raise Refusal("wrong-phase", f"the path is {step.phase.value}, not moving", "")
         return step
+
+
+def _to_host_s(after_s: float, step: ArmedStep, scale: FleetScale) -> float:
+    """An instant of a path, s of fleet time after its T0, by the clock of this computer: what that has drifted from
+    fleet time since is in it. Nothing changes beside the coordinator."""
+    if scale.is_exact:
+        return after_s
+    return (scale.to_host_ns(step.t0_fleet_ns + round(after_s * NS_PER_S)) - step.t0_host_ns) / NS_PER_S
+
+
+def _to_fleet_s(after_s: float, step: ArmedStep, scale: FleetScale) -> float:
+    """The reverse of `_to_host_s`."""
+    if scale.is_exact:
+        return after_s
+    return (scale.to_fleet_ns(step.t0_host_ns + round(after_s * NS_PER_S)) - step.t0_fleet_ns) / NS_PER_S

@@ -42,7 +42,8 @@ class SampleCollection:
         found, scale = await self._driver.take_samples(), self._scale()
         return SamplesTaken(
             fleet_ns=[scale.to_fleet_ns(at_ns) for at_ns in found.at_ns],
-            bound_ns=found.bound_ns,
+            bound_ns=found.bound_ns
+            + max((scale.bound_at_ns(each) for each in (*found.at_ns[:1], *found.at_ns[-1:])), default=0),
             counts={axis: list(counts) for axis, counts in found.counts.items()},
         )
 

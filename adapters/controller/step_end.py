@@ -86,8 +86,6 @@ def _start_evidence(span: HostInterval, scale: FleetScale) -> AxisEvidence:
 
 
 def _fleet_interval(span: HostInterval, scale: FleetScale) -> TimeInterval:
-    """Convert an interval of host time to fleet time, widened by the uncertainty of the scale."""
-    return TimeInterval(
-        earliest_ns=scale.to_fleet_ns(span.earliest_ns) - scale.bound_ns,
-        latest_ns=scale.to_fleet_ns(span.latest_ns) + scale.bound_ns,
-    )
+    """Convert an interval of host time to fleet time."""
+    earliest_ns, latest_ns = scale.to_fleet_span(span.earliest_ns, span.latest_ns)
+    return TimeInterval(earliest_ns=earliest_ns, latest_ns=latest_ns)

@@ -76,16 +76,14 @@ class LatchControl:
             known = ", ".join(self._config.inputs) or "none"
             raise Refusal("unknown-input", f"no input {request.input}; inputs: {known}", "correct the name")
         found, scale = await self._driver.latch_position(request.axes[0], point, request.within_ns), self._scale()
-        return LatchReply(
-            counts=found.counts,
-            earliest_ns=scale.to_fleet_ns(found.span.earliest_ns) - scale.bound_ns,
-            latest_ns=scale.to_fleet_ns(found.span.latest_ns) + scale.bound_ns,
-        )
+        earliest_ns, latest_ns = scale.to_fleet_span(found.span.earliest_ns, found.span.latest_ns)
+        return LatchReply(counts=found.counts, earliest_ns=earliest_ns, latest_ns=latest_ns)
 
 
 def _to_fleet(switched: SwitchedOutput, scale: FleetScale) -> TriggerEdges:
+    spans = [scale.to_fleet_span(each.earliest_ns, each.latest_ns) for each in switched.edges]
     return TriggerEdges(
-        earliest_ns=[scale.to_fleet_ns(each.earliest_ns) - scale.bound_ns for each in switched.edges],
-        latest_ns=[scale.to_fleet_ns(each.latest_ns) + scale.bound_ns for each in switched.edges],
+        earliest_ns=[earliest_ns for earliest_ns, _ in spans],
+        latest_ns=[latest_ns for _, latest_ns in spans],
         unknown=switched.unknown,
     )

@@ -14,26 +14,24 @@ from adapters.controller.log import ControllerLog
 from adapters.controller.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
+from adapters.host.fleet_time import FleetTime
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from adapters.host.makes import find_make_or_substitute
 from adapters.toolkit.firing import apply_writer_delay
-from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, RequestHandler, find_only_server
+from orchestrator.bus.base import Bus, BusDeclaration, BusSample, RequestHandler
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import read_estop
 from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.bus.session_signs import SessionSigns
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
-from orchestrator.clock.fleet import FleetScale, TimeExchange, estimate_scale, exact_scale
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
 from orchestrator.model.fleet import Controller, Fleet
-from orchestrator.model.messages import KeptEstop, LeaderHeartbeat, TimeReply
+from orchestrator.model.messages import KeptEstop, LeaderHeartbeat
 from orchestrator.model.state import EstopLatch
 
-TIME_EXCHANGES = 8
-TIME_ANSWER_S = 1.0
 REPLY_SEND_NS = 20 * NS_PER_MS  # for the reply to `configure` to be sent before its supervisor is closed
 BACKLOG_LIMIT = 200  # samples; some seconds of states and events
 
@@ -69,8 +67,14 @@ class AdapterHost:
         self._name = name
         self._environment = environment
         self._log = ProcessLog("host", name, environment.clock, environment.sink, (environment.bus, environment.keys))
-        self._scale: FleetScale | None = None
         self._leaders = LeaderWatch(environment.clock)
+        self._time = FleetTime(
+            environment.bus,
+            environment.keys,
+            self._leaders,
+            self._spawn_task,
+            self._stop_for_jump,
+        )
         self._congested = False
         self._fetching_estop = False
         self._declared: list[BusDeclaration] = []
@@ -128,7 +132,7 @@ class AdapterHost:
             trace=line.trace,
             log=log,
             instance=f"{around.instance}-{self._starts}",
-            scale=lambda: self._scale,
+            scale=lambda: self._time.scale,
             follow_leader=self._follow_leader,
             replace_supervisor=lambda controller, config: self._spawn_task(
                 self._replace_supervisor(controller, config)
@@ -139,7 +143,8 @@ class AdapterHost:
         return ControllerSupervisor(seat, PersistentMemory(around.store(controller), around.runs))
 
     def _fleet_ns(self) -> int | None:
-        return None if self._scale is None else self._scale.to_fleet_ns(self._environment.clock.now_ns())
+        scale = self._time.scale
+        return None if scale is None else scale.to_fleet_ns(self._environment.clock.now_ns())
 
     async def start(self) -> None:
         """Subscribe, announce the host, and start all supervisors."""
@@ -225,32 +230,14 @@ class AdapterHost:
         self._leaders.follow(controller, leader)
         if newest is not None and leader.epoch < newest:
             return
-        if self._scale is not None and self._scale.scale_id == leader.scale_id:
-            return
-        self._scale = exact_scale(leader, self._environment.clock)
-        if self._scale is None:
-            self._spawn_task(self._estimate_scale(leader))
+        self._time.follow(leader)
 
-    async def _estimate_scale(self, heartbeat: LeaderHeartbeat) -> None:
-        """Estimate the fleet time of a coordinator on another machine."""
-        exchanges: list[TimeExchange] = []
-        clock, bus, keys = self._environment.clock, self._environment.bus, self._environment.keys
-        leads = keys.leader_answer(heartbeat.coordinator)
-        server = ""
-        while len(exchanges) < TIME_EXCHANGES:
-            try:
-                server = server or await find_only_server(bus, leads, TIME_ANSWER_S)
-                sent_ns = clock.now_ns()
-                reply = await bus.request(keys.time, b"", TIME_ANSWER_S, server)
-            except BusError:
-                server = ""
-                await sleep_ns(clock, 100 * NS_PER_MS)
-                continue
-            answer = TimeReply.model_validate_json(reply)
-            if answer.scale_id != heartbeat.scale_id:
-                return
-            exchanges.append(TimeExchange(sent_ns, clock.now_ns(), answer.fleet_ns))
-        self._scale = estimate_scale(heartbeat.scale_id, exchanges)
+    def _stop_for_jump(self) -> None:
+        """A clock has jumped: what was timed by the scale before would run at other instants than promised."""
+        reason = "the clock of this computer or of the coordinator's has jumped"
+        self._log.warning(f"{reason}; moving axes are stopped")
+        for unit in self.supervisors.values():
+            self._spawn_task(unit.handle_coordinator_loss(reason))
 
     async def _watch_coordinator(self) -> None:
         clock = self._environment.clock

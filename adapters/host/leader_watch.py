@@ -58,6 +58,12 @@ class LeaderWatch:
         known.seq, known.seen_ns, known.lost = heartbeat.seq, now_ns, False
         return True
 
+    def restart_pace(self, heartbeat: LeaderHeartbeat) -> None:
+        """A clock has jumped: the pace of an adopter counts from this heartbeat, which is its own answer."""
+        known = self._leaders.get((heartbeat.epoch, heartbeat.coordinator))
+        if known is not None:
+            known.seq, known.seen_ns, known.lost = heartbeat.seq, self.clock.now_ns(), False
+
     def find_lost(self) -> dict[str, int]:
         """Controllers whose adopter has become silent since the last call, with the time of its silence, ns."""
         now_ns = self.clock.now_ns()

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 
 from orchestrator.campaign.faults import FAULTS
@@ -77,17 +78,22 @@ class CampaignResult:
         return min(self.cells[cell] for cell in CELLS)
 
 
-def run_seed(seed: int) -> SeedRun:
-    """Run a seed as the campaign does."""
-    return run_scenario(seed, cells_of_seed(seed))
+def run_seed(seed: int, *, apart: bool = False) -> SeedRun:
+    """Run a seed as the campaign does. apart: each adapter host on a computer of its own."""
+    return run_scenario(seed, cells_of_seed(seed), apart=apart)
 
 
 def run_campaign(
-    seeds: Iterable[int], on_run: Callable[[SeedRun], None] = lambda _: None, processes: int = 1
+    seeds: Iterable[int],
+    on_run: Callable[[SeedRun], None] = lambda _: None,
+    processes: int = 1,
+    *,
+    apart: bool = False,
 ) -> CampaignResult:
-    """Run seeds in parallel `processes`; `on_run` receives each run, in the order of the seeds."""
+    """Run seeds in parallel `processes`; `on_run` receives each run, in the order of the seeds. apart: as for
+    `run_seed`."""
     found = CampaignResult()
-    for story in map_in_processes(run_seed, seeds, processes):
+    for story in map_in_processes(partial(run_seed, apart=apart), seeds, processes):
         found.seeds += 1
         found.cells.update(story.affected)
         found.controllers.append(len(story.fleet.controllers))

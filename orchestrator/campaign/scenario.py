@@ -7,7 +7,7 @@ remaining jobs run to their end. The true motions are checked against the invari
 """
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from contextvars import Context
 from dataclasses import dataclass, field, replace
@@ -16,6 +16,7 @@ from random import Random
 from typing import NamedTuple
 
 from orchestrator.bus.base import BusSample
+from orchestrator.campaign.computers import connect_computers, make_computers
 from orchestrator.campaign.faults import FAULTS, FaultInjector
 from orchestrator.campaign.fleets import PERMIT_MAKE, find_traits, make_campaign_fleet
 from orchestrator.campaign.invariants import InvariantChecker
@@ -38,6 +39,7 @@ from orchestrator.campaign.rest import find_at_rest
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
@@ -117,8 +119,9 @@ class SeedRun:
         return "\n".join([f"seed {self.seed}: {controllers}", *self.events, *self.violations])
 
 
-def run_scenario(seed: int, cells: Sequence[FaultCell]) -> SeedRun:
-    """Run one seed: a phase for each of `cells`. The run is deterministic."""
+def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) -> SeedRun:
+    """Run one seed: a phase for each of `cells`. The run is deterministic. apart: each adapter host runs on a computer
+    of its own."""
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(PERMIT_MAKE)
@@ -126,7 +129,7 @@ def run_scenario(seed: int, cells: Sequence[FaultCell]) -> SeedRun:
     seed_run = SeedRun(seed, tuple(cells), make_campaign_fleet(seed, makes, paths=paths))
 
     async def run_in_clock(clock: VirtualClock) -> None:
-        scenario = _Scenario(seed_run, clock)
+        scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
         try:
             await scenario.run_phases()
         finally:
@@ -145,7 +148,7 @@ def run_scenario(seed: int, cells: Sequence[FaultCell]) -> SeedRun:
 class _Scenario:
     """The fleet of one seed."""
 
-    def __init__(self, seed_run: SeedRun, clock: VirtualClock) -> None:
+    def __init__(self, seed_run: SeedRun, clock: VirtualClock, computers: Mapping[str, ComputerClock]) -> None:
         self._seed_run = seed_run
         self._clock = clock
         self._draw = Random(seed_run.seed)
@@ -158,6 +161,8 @@ class _Scenario:
         self._witnesses = 0
         self.recorder = BusRecorder(clock, self._on_request)
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
+        self.virtual.computers.update(computers)
+        connect_computers(self.virtual, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus
         self.checker = InvariantChecker(self.virtual, self.recorder)
         self._paths = PathChecker(self.virtual, self.checker.add_violation)

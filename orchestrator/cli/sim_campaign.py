@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 @click.option("--from", "first", default=0, show_default=True, type=click.IntRange(0), help="First seed.")
 @click.option("--seed", type=click.IntRange(0), help="Run only this seed, and print its summary.")
 @click.option("--trace", is_flag=True, help="With --seed: also print the complete log.")
+@click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")
 @processes_option
 @json_option
-def campaign(seeds: int, first: int, seed: int | None, processes: int, *, trace: bool, as_json: bool) -> None:
+def campaign(
+    seeds: int, first: int, seed: int | None, processes: int, *, trace: bool, apart: bool, as_json: bool
+) -> None:
     """Run simulated fleets of random makes, inject a fault at three stages of their steps, repair it, and check the
     true motions against the invariants of the design. A seed is fully deterministic. Exit 1 when an invariant is
     violated.
@@ -29,7 +32,7 @@ def campaign(seeds: int, first: int, seed: int | None, processes: int, *, trace:
     from orchestrator.campaign.runs import run_campaign, run_seed
 
     if seed is not None:
-        story = run_seed(seed)
+        story = run_seed(seed, apart=apart)
         if as_json:
             lines = {"log": story.lines} if trace else {}
             print_json({"seed": seed, "violations": [str(each) for each in story.violations], **lines})
@@ -37,13 +40,15 @@ def campaign(seeds: int, first: int, seed: int | None, processes: int, *, trace:
             _print_plain("\n".join([*(story.lines if trace else []), story.summarize()]))
         raise SystemExit(FAILED if story.violations else 0)
 
+    again = " --apart" if apart else ""
+
     def print_run(story: "SeedRun") -> None:
         if story.violations and not as_json:
             _print_plain(story.summarize())
-            console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed} --trace")
+            console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed}{again} --trace")
 
     began_s = _cpu_s()
-    found = run_campaign(range(first, first + seeds), print_run, processes)
+    found = run_campaign(range(first, first + seeds), print_run, processes, apart=apart)
     figures = _make_figures(found, _cpu_s() - began_s)
     if as_json:
         coverage = {f"{cell.stage} {cell.fault} {cell.make}": count for cell, count in sorted(found.cells.items())}

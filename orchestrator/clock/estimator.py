@@ -84,6 +84,18 @@ class TickMapping:
         return self.bound_at_ns(host_ns) - 2 * self.moved_ns
 
 
+@dataclass(frozen=True, slots=True)
+class PossibleMappings:
+    """All mappings that the samples allow: the counter became `ticks_at` between the two host instants, and a tick is
+    longer than its nominal length by a rate between `slowest` and `fastest` (1e-6 is 1 ppm)."""
+
+    ticks_at: int
+    earliest_ns: int
+    latest_ns: int
+    slowest: float
+    fastest: float
+
+
 class TickEstimator:
     """Estimates a controller's clock from samples of its counter.
 
@@ -128,14 +140,7 @@ class TickEstimator:
             return None
         nominal, samples = self._nominal_tick_ns, self._samples[: self._count]
         origin = samples[-1] if near_ticks is None else samples[int(np.abs(samples[:, 2] - near_ticks).argmin())]
-        gates = _GateSet(samples, origin, nominal)
-        lines = gates.find_lines()
-        consistent = lines is not None
-        if lines is None:
-            # Outside the model (a delay beyond every allowance, a crystal beyond MAX_PPM): use one sample only.
-            gates = _GateSet(origin[None], origin, nominal)
-            lines = gates.find_lines()
-            assert lines is not None
+        gates, lines, consistent = _find_lines(samples, origin, nominal)
         # Move by half the usual delay, but never out of the feasible range nor out of the bound.
         offset_ns = lines.offset_ns + min(self._usual_delay_ns / 2, lines.half_ns)
         tick_ns = nominal * (1.0 + lines.rate)
@@ -151,6 +156,19 @@ class TickEstimator:
             min_rtt_ns=int((samples[:, 1] - samples[:, 0]).min()),
             consistent=consistent,
             moved_ns=math.floor(abs(offset_ns - lines.offset_ns)),
+        )
+
+    def find_possible(self) -> PossibleMappings | None:
+        """Return what the samples allow, as seen from the last one; None without any."""
+        if self._last is None:
+            return None
+        samples = self._samples[: self._count]
+        origin = samples[-1]
+        gates, lines, _ = _find_lines(samples, origin, self._nominal_tick_ns)
+        sent_ns, slowest, fastest = int(origin[0]), lines.rate - lines.rate_bound, lines.rate + lines.rate_bound
+        lowest_ns, highest_ns = gates.find_offset_limits(slowest, fastest)
+        return PossibleMappings(
+            int(origin[2]), sent_ns + math.floor(lowest_ns), sent_ns + math.ceil(highest_ns), slowest, fastest
         )
 
     def _append_sample(self, sample: CounterSample) -> None:
@@ -222,6 +240,21 @@ class _GateSet:
         bound = max(float(highs.max()) - middle, middle - float(lows.min())) + between
         return _FeasibleLines(middle, half, bound, rate, (fastest - slowest) / 2)
 
+    def find_offset_limits(self, slowest: float, fastest: float) -> tuple[float, float]:
+        """Return the least and the greatest offset of a line through all gates at any rate between the two: the lower
+        limit is convex in the rate and the upper one concave, so that each is near the best rate of a grid."""
+        limits: list[float] = []
+        for side in (0, 1):
+            rates, limit = np.linspace(slowest, fastest, _GRID), 0.0
+            for _ in range(_ZOOMS):
+                offsets = self._find_offset_range(rates)[side]
+                best, step = int(offsets.argmax() if side else offsets.argmin()), float(rates[1] - rates[0])
+                between = step * float(np.abs(self._ages).max())
+                limit, middle = float(offsets[best]) + (between if side else -between), float(rates[best])
+                rates = np.linspace(max(slowest, middle - step), min(fastest, middle + step), _GRID)
+            limits.append(limit)
+        return limits[0], limits[1]
+
     def residual_ns(self, offset_ns: float, rate: float) -> float:
         """Return the mean distance of the samples' middles from a line."""
         middles = (self._low + self._high) / 2 - self._ages * rate
@@ -243,6 +276,19 @@ class _GateSet:
                 return outside
             inside, outside = float(rates[last]), float(rates[last + 1])
         return outside
+
+
+def _find_lines(samples: _Ints, origin: _Ints, nominal_tick_ns: float) -> tuple[_GateSet, _FeasibleLines, bool]:
+    """Find the gates and the lines through them, and whether they are consistent: samples outside the model (a delay
+    beyond every allowance, a crystal beyond MAX_PPM) leave `origin` alone."""
+    gates = _GateSet(samples, origin, nominal_tick_ns)
+    lines = gates.find_lines()
+    if lines is not None:
+        return gates, lines, True
+    gates = _GateSet(origin[None], origin, nominal_tick_ns)
+    lines = gates.find_lines()
+    assert lines is not None
+    return gates, lines, False
 
 
 def upper_hull(ages: _Floats, values: _Floats) -> _Ints:

@@ -13,7 +13,7 @@ from functools import partial
 from random import Random
 from typing import Protocol
 
-from orchestrator.clock.base import sleep_until_ns
+from orchestrator.clock.base import Clock, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import LinkClosed, LinkRefused, ReceivedBytes
 from orchestrator.link.supply import NEVER_NS, PowerSupply
@@ -107,14 +107,15 @@ class MemoryWire:
     def __post_init__(self) -> None:
         self.draw = Random(self.seed)
 
-    async def open_link(self) -> "MemoryLink":
-        """Open a link from the calling process. Raises `LinkRefused`."""
+    async def open_link(self, clock: Clock | None = None) -> "MemoryLink":
+        """Open a link from the calling process. Raises `LinkRefused`. clock: that of its computer, for time stamps;
+        None: virtual time."""
         if self.refuse:
             raise LinkRefused(f"{self.endpoint}: connection refused; is the controller switched on?")
         if self.closed_ns > self.clock.now_ns():
             # A port can be opened again at once; the last bytes of one connection arrive before the next one begins.
             await sleep_until_ns(self.clock, self.closed_ns)
-        link = MemoryLink(self)
+        link = MemoryLink(self, clock or self.clock)
         opened: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
 
         def connect_far() -> None:
@@ -156,13 +157,14 @@ class MemoryWire:
 
 
 class MemoryLink:
-    """One open connection over a `MemoryWire`."""
+    """One open connection over a `MemoryWire`. clock: of its time stamps."""
 
-    def __init__(self, wire: MemoryWire) -> None:
+    def __init__(self, wire: MemoryWire, clock: Clock) -> None:
         self._wire = wire
+        self._clock = clock
         self._far: FarConnection | None = None
         self._open = True
-        self._received: deque[ReceivedBytes] = deque()
+        self._received: deque[bytes] = deque()
         self._waiting: asyncio.Future[None] | None = None
         self._out_free_ns = 0
         self._in_free_ns = 0
@@ -203,7 +205,7 @@ class MemoryLink:
             arrival_ns = max(self._out_free_ns + delay_ns, self._last_far_ns)
             self._last_far_ns = arrival_ns
             wire.schedule_call(arrival_ns, lambda line=line: self._arrive_far(line))
-        return now_ns
+        return self._clock.now_ns()
 
     def _arrive_far(self, data: bytes) -> None:
         far = self._far
@@ -239,8 +241,7 @@ class MemoryLink:
             data = self._far.supply.cut_sent(data, sent_ns, ends_ns, self._wire.model.char_ns)
             if not data:
                 return
-        at_ns = self._wire.clock.now_ns()
-        self._received.append(ReceivedBytes(data, at_ns))
+        self._received.append(data)
         self._wake_reader()
 
     def _far_closed(self) -> None:
@@ -266,8 +267,7 @@ class MemoryLink:
             finally:
                 self._waiting = None
         # A process that was frozen meanwhile gets the bytes when it runs again, as from a socket.
-        received = self._received.popleft()
-        return ReceivedBytes(received.data, max(received.at_ns, self._wire.clock.now_ns()))
+        return ReceivedBytes(self._received.popleft(), self._clock.now_ns())
 
     async def close(self) -> None:
         self.hang_up()

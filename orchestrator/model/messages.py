@@ -259,6 +259,7 @@ class BudgetTerm(Model):
         "input",
         "output",
         "learned-starts",
+        "fleet-time",
     ]
     earliest_ns: Int53
     latest_ns: Int53

@@ -23,6 +23,7 @@ from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.bus.memory.medium import BusLatency
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
@@ -109,6 +110,9 @@ class VirtualFleet:
         guardian: bool = True,
     ) -> None:
         self.fleet = fleet
+        self.computers: dict[str, ComputerClock] = {}
+        """Clocks of adapter hosts that run on computers of their own, to be set before the start; the others, the
+        coordinator, clients and the router are on one computer, whose clock is `computers[""]`, or virtual time."""
         self.clock = clock
         self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
         self.keys = FleetKeys(fleet.fleet)
@@ -234,11 +238,13 @@ class VirtualFleet:
         label = self._make_name(f"host-{name}")
         process = VirtualProcess(self.clock.loop, label)
         host = self.hosts[name] = _RunningHost(name, process)
-        bus = self.net.join_process(label, MAX_HOST_MESSAGE_BYTES)
+        computer = name if name in self.computers else ""
+        clock = self.computers.get(computer, self.clock)
+        bus = self.net.join_process(label, MAX_HOST_MESSAGE_BYTES, computer)
 
         def open_link(controller: str, config: Controller) -> OpenLink:
             async def open_memory_link() -> MemoryLink:
-                link = await self.wires[controller].open_link()
+                link = await self.wires[controller].open_link(clock)
                 host.links.append(link)
                 return link
 
@@ -249,8 +255,8 @@ class VirtualFleet:
         environment = HostEnvironment(
             bus=bus,
             keys=self.keys,
-            clock=self.clock,
-            timed_writer=LoopTimedWriter(self.clock, lambda: draw.randrange(MAX_WAKE_DELAY_NS)),
+            clock=clock,
+            timed_writer=LoopTimedWriter(clock, lambda: draw.randrange(MAX_WAKE_DELAY_NS)),
             open_link=open_link,
             store=lambda controller: FileStore(Path(f"{controller}.json"), disk.access_files()),
             runs=disk.make_executor(),
@@ -329,7 +335,7 @@ class VirtualFleet:
         return CoordinatorEnvironment(
             bus=self.wrap_bus(bus),
             keys=self.keys,
-            clock=self.clock,
+            clock=self.computers.get("", self.clock),
             journal=self.journal,
             execute=self._make_journal_executor(),
             new_id=self.draw_id,

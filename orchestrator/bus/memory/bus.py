@@ -18,6 +18,7 @@ from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority
 from orchestrator.bus.expression import check_expression, check_key, check_put, expressions_intersect
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
+from orchestrator.bus.memory.network import Network
 from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken, PresenceWatch
 from orchestrator.bus.memory.requests import RequestBoard, ServedExpression
 from orchestrator.bus.outcome import RequestOutcome
@@ -82,19 +83,39 @@ class MemoryNet:
         self._blocked_ways: set[tuple[str | None, str]] = set()
         self._joined = 0
         self._lossy: dict[str, float] = {}
+        self.network = Network(seed)
         self.presence = PresenceBoard(self)
         self.requests = RequestBoard(self)
 
     # Faults
 
-    def join_process(self, name: str, max_message_bytes: int = MAX_MESSAGE_BYTES) -> "MemoryBus":
+    def cut_computer(self, computer: str, *, receives: bool = False, sends: bool = False) -> None:
+        """Cut a computer off the others, or only one direction of that; presence is lost after the lease."""
+        self.network.cut_computer(computer, receives=receives, sends=sends)
+        self._follow_cut(computer, self.clock.now_ns() + LEASE_NS)
+
+    def mend_computer(self, computer: str) -> None:
+        """End what `cut_computer` began. Messages pass at once; presence returns when all have reconnected."""
+        self.network.mend_computer(computer)
+        self.presence.refresh_watches()
+        self._follow_cut(computer, self.clock.now_ns() + RECONNECT_NS)
+
+    def _follow_cut(self, computer: str, at_ns: int) -> None:
+        def follow() -> None:
+            self.network.set_lost(computer, lost=self.network.is_cut_off(computer))
+            self.presence.refresh_watches()
+
+        self.schedule_call(at_ns, follow)
+
+    def join_process(self, name: str, max_message_bytes: int = MAX_MESSAGE_BYTES, computer: str = "") -> "MemoryBus":
         """Connect the process `name`, which may be a new start of one that left or was killed.
 
-        max_message_bytes: larger messages are left out before they are read; an e-stop counts all the same.
+        max_message_bytes: larger messages are left out before they are read; an e-stop counts all the same. computer:
+        where it runs, see `network`.
         """
         if name in self._buses:
             raise ValueError(f"{name!r} is on the bus already")
-        bus = MemoryBus(self, name, self._queue_limit, max_message_bytes)
+        bus = MemoryBus(self, name, self._queue_limit, max_message_bytes, computer)
         self._buses[name] = bus
         return bus
 
@@ -205,10 +226,11 @@ class MemoryNet:
         """Schedule a call of the medium in its own context, whatever the caller's context."""
         self.clock.call_at_ns(at_ns, call, context=self._context)
 
-    def arrival_ns(self, priority: Priority = Priority.EVENT) -> int:
+    def arrival_ns(self, sender: BusProcess, receiver: BusProcess, priority: Priority = Priority.EVENT) -> int:
         """The arrival time of something that is sent now."""
         least_ns = self._latency.least_ns
-        return self.clock.now_ns() + (least_ns if priority is Priority.ESTOP else self._latency.draw_ns(self._rng))
+        latency_ns = least_ns if priority is Priority.ESTOP else self._latency.draw_ns(self._rng)
+        return self.clock.now_ns() + latency_ns + self.network.delay_ns(sender, receiver)
 
     def is_cut(self, sender: BusProcess, receiver: BusProcess) -> bool:
         """Whether nothing passes from one process to the other now."""
@@ -216,6 +238,7 @@ class MemoryNet:
             sender.given_up
             or receiver.given_up
             or _are_apart(self._sides, sender, receiver)
+            or self.network.is_cut(sender, receiver)
             or (bool(self._blocked_ways) and self._is_way_blocked(sender, receiver))
         )
 
@@ -225,7 +248,8 @@ class MemoryNet:
 
     def is_lost(self, one: BusProcess, other: BusProcess) -> bool:
         """Whether two processes count each other as gone."""
-        return one.given_up or other.given_up or _are_apart(self._lost_sides, one, other)
+        lost = _are_apart(self._lost_sides, one, other) or self.network.is_lost(one, other)
+        return one.given_up or other.given_up or lost
 
     def deliver_call(self, bus: BusProcess, priority: Priority, call: Callable[[], None]) -> None:
         """Deliver something to a process: now, or when the process runs again."""
@@ -242,7 +266,7 @@ class MemoryNet:
             del self._buses[bus.name]
         self.drop_declarations(bus)
         self.requests.cancel_answers(bus)
-        self.schedule_call(self.arrival_ns(), partial(self.requests.fail_requests, bus))
+        self.schedule_call(self.arrival_ns(bus, bus), partial(self.requests.fail_requests, bus))
         self.presence.remove_process(bus)
 
     # Samples
@@ -269,7 +293,7 @@ class MemoryNet:
         for receiver, subscriptions in self._find_receivers(sample.key):
             if self.is_cut(sender, receiver) or (share and self._rng.random() < share):
                 continue
-            at_ns = max(self.arrival_ns(priority), receiver.last_arrivals_ns.get(lane, 0))
+            at_ns = max(self.arrival_ns(sender, receiver, priority), receiver.last_arrivals_ns.get(lane, 0))
             receiver.last_arrivals_ns[lane] = at_ns
             self.schedule_call(at_ns, partial(self._deliver_sample, sender, receiver, subscriptions, sample, priority))
 
@@ -318,10 +342,11 @@ def _call_subscriptions(subscriptions: list[_Subscription], sample: BusSample) -
 class MemoryBus(RequestingBus):
     """One process's connection to a `MemoryNet`."""
 
-    def __init__(self, net: MemoryNet, name: str, queue_limit: int, max_message_bytes: int) -> None:
+    def __init__(self, net: MemoryNet, name: str, queue_limit: int, max_message_bytes: int, computer: str = "") -> None:
         super().__init__()
         self.net = net
         self.name = name
+        self.computer = computer
         self.server = net.draw_server()
         self.max_message_bytes = max_message_bytes
         self.alive = True

@@ -76,10 +76,11 @@ class BusProcess(Protocol):
 
     given_up: the other processes count it as gone, because it has been silent for a lease.
     incoming: what waits for it while it is hung. max_message_bytes: it leaves out larger messages. server: its name in
-    replies.
+    replies. computer: where it runs; "": beside the router.
     """
 
     name: str
+    computer: str
     server: str
     max_message_bytes: int
     alive: bool
@@ -97,7 +98,7 @@ class Medium(Protocol):
 
     def schedule_call(self, at_ns: int, call: Callable[[], None]) -> None: ...
 
-    def arrival_ns(self, priority: Priority = Priority.EVENT) -> int: ...
+    def arrival_ns(self, sender: BusProcess, receiver: BusProcess, priority: Priority = Priority.EVENT) -> int: ...
 
     def is_cut(self, sender: BusProcess, receiver: BusProcess) -> bool: ...
 

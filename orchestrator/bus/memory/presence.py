@@ -94,14 +94,14 @@ class PresenceBoard:
             # Changes on the other side of a partition are unknown here until the lease has expired.
             if net.is_lost(watch.bus, bus) or (key not in present and not net.is_cut(bus, watch.bus)):
                 del watch.believed[key]
-                self._notify_watch(watch, key, present=False)
+                self._notify_watch(watch, key, bus, present=False)
         for key, bus in present.items():
             if key not in watch.believed and not net.is_cut(bus, watch.bus) and not net.is_lost(watch.bus, bus):
                 watch.believed[key] = bus
-                self._notify_watch(watch, key, present=True)
+                self._notify_watch(watch, key, bus, present=True)
 
-    def _notify_watch(self, watch: PresenceWatch, key: str, *, present: bool) -> None:
-        watch.last_arrival_ns = max(self._net.arrival_ns(), watch.last_arrival_ns)
+    def _notify_watch(self, watch: PresenceWatch, key: str, bus: BusProcess, *, present: bool) -> None:
+        watch.last_arrival_ns = max(self._net.arrival_ns(bus, watch.bus), watch.last_arrival_ns)
         notify = partial(watch.notify_process, key, present=present)
         call = partial(self._net.deliver_call, watch.bus, Priority.EVENT, notify)
         self._net.schedule_call(watch.last_arrival_ns, call)

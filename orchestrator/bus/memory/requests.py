@@ -100,10 +100,11 @@ class RequestBoard:
         self._questions[outcome] = question
         outcome.settled.add_done_callback(lambda _: self._questions.pop(outcome, None))
         if not asked:
-            self._net.schedule_call(self._net.arrival_ns(), outcome.end_replies)
+            self._net.schedule_call(self._net.arrival_ns(sender, sender), outcome.end_replies)
         for served in asked:
             if not self._net.is_cut(sender, served.bus):
-                self._net.schedule_call(self._net.arrival_ns(), partial(self._receive_request, served, question))
+                at_ns = self._net.arrival_ns(sender, served.bus)
+                self._net.schedule_call(at_ns, partial(self._receive_request, served, question))
 
     def _receive_request(self, served: ServedExpression, question: _PendingRequest) -> None:
         if question.outcome.is_over or self._net.is_cut(question.asker, served.bus):
@@ -165,4 +166,4 @@ class RequestBoard:
                 answer()
             question.remove_server(served)
 
-        self._net.schedule_call(self._net.arrival_ns(), deliver_reply)
+        self._net.schedule_call(self._net.arrival_ns(served.bus, question.asker), deliver_reply)
