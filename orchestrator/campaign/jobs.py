@@ -122,7 +122,7 @@ def _group_inseparable(fleet: Fleet) -> list[list[str]]:
     def start_together(line: list[str]) -> bool:
         return find_traits(fleet.controllers[line[0]].adapter).starts_link_together
 
-    lines = [line for line in group_by_link(fleet) if start_together(line)]
+    lines = [line for line in group_by_link(fleet.controllers) if start_together(line)]
     drives = {name for line in lines for name in line}
     return lines + [[name] for name in fleet.controllers if name not in drives]
 
@@ -248,4 +248,4 @@ def _draw_start_options(fleet: Fleet, controllers: list[str], draw: Random) -> d
 
 def find_link_members(fleet: Fleet, member: str) -> list[str]:
     """Return the controllers on the link of `member`, the first one included."""
-    return next(names for names in group_by_link(fleet) if member in names)
+    return next(names for names in group_by_link(fleet.controllers) if member in names)

@@ -10,6 +10,7 @@ import click
 # command: (module, one line of help); grouped as the help shows them.
 _COMMANDS: dict[str, tuple[str, str]] = {
     "up": ("up", "Start everything for a fleet on this machine."),
+    "host": ("host", "Run the adapter host of this computer for a fleet."),
     "down": ("down", "End a fleet that runs on this machine."),
     "status": ("fleet", "Show every controller and axis."),
     "watch": ("watching.command", "Watch the fleet and the running job live."),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from orchestrator.cli.base.codes import FAILED, INTERRUPTED
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED, INTERRUPTED
 from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_result
 from orchestrator.cli.base.errors import errors, exit_interrupted, exit_with_error, run_main
 from orchestrator.cli.base.sizes import SizeType
@@ -20,6 +20,7 @@ from orchestrator.cli.job_terms import DurationType
 from orchestrator.cli.records.folder import metrics_option
 
 if TYPE_CHECKING:
+    from orchestrator.model.fleet import Fleet
     from orchestrator.runtime.live import LiveFleet, WebOptions
 
 REACH_S = 3.0  # for controllers to be reached before `up` says which are not
@@ -60,6 +61,13 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
     help="Port of the router that is started, on 127.0.0.1.",
 )
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
+@click.option(
+    "--host",
+    "hosts",
+    multiple=True,
+    metavar="NAME",
+    help="Run only this adapter host here (repeatable); others run with `tutti host`. Default: all.",
+)
 @click.option("--take-over", is_flag=True, help="Lead the fleet although another coordinator does.")
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
 @click.option("--new-journal", is_flag=True, help="Begin a journal although the one of this fleet is missing.")
@@ -112,6 +120,7 @@ def up(
     port: int,
     state: Path | None,
     limit_s: float,
+    hosts: tuple[str, ...],
     *,
     simulated: bool,
     take_over: bool,
@@ -135,7 +144,6 @@ def up(
     Ctrl-C stops the running job first; a process that dies is restarted. Controllers that are not reached yet are
     named; they are taken in whenever they answer.
     """
-    from orchestrator.runtime.checked import load_checked_fleet
     from orchestrator.runtime.live import LiveFleet, WebOptions
     from orchestrator.runtime.own_address import require_own_address
     from orchestrator.runtime.state_folder import default_state
@@ -148,9 +156,10 @@ def up(
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
 
     async def run_fleet() -> None:
-        fleet = load_checked_fleet(file, tolerant=True)
+        fleet = _load_fleet(file, hosts)
         folder = state or default_state(fleet.fleet)
         live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
+        live.hosts = frozenset(hosts) if hosts else None
         live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
         live.metrics_port = metrics_port
         live.web = _choose_web(web, print_line)
@@ -159,15 +168,28 @@ def up(
     if not detach:
         run_main(run_fleet())
         return
-    fleet = load_checked_fleet(file, tolerant=True)
+    fleet = _load_fleet(file, hosts)
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
     options += ["--record-quota", f"{record_quota}B"]
     options += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
+    options += [part for each in hosts for part in ("--host", each)]
     options += _list_web_options(web)
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
     flags |= {"--new-journal": new_journal, "--no-record": no_record}
     options += [name for name, given in flags.items() if given]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
+
+
+def _load_fleet(file: Path, hosts: Sequence[str]) -> "Fleet":
+    """The checked fleet. A host that it does not have ends the command. Raises `FileError`."""
+    from orchestrator.runtime.checked import load_checked_fleet
+
+    fleet = load_checked_fleet(file, tolerant=True)
+    unknown = [each for each in hosts if each not in fleet.hosts]
+    if unknown:
+        text = f"{file}: no controller has `host: {unknown[0]}`; its hosts: {', '.join(fleet.hosts)}"
+        exit_with_error(text, BAD_INPUT, "correct --host", code="no-host")
+    return fleet
 
 
 def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) -> int | None:

@@ -131,10 +131,14 @@ class FleetRequests(FleetConnection):
         """The fleet file as it runs, without `notify`. Raises `Refusal`."""
         loaded = await self.request_service("configuration", Request(**self.request_fields()), FleetLoaded)
         try:
-            return Fleet.model_validate(loaded.configuration)
+            fleet = Fleet.model_validate(loaded.configuration)
         except ValidationError as error:
             text = f"the configuration of the fleet cannot be read: {error.errors()[0]['msg']}"
             raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
+        if fleet.digest != loaded.digest:
+            text = f"the configuration has digest {fleet.digest} here, {loaded.digest or 'none'} in the coordinator"
+            raise Refusal("other-configuration", text, "use the same version of Tutti everywhere")
+        return fleet
 
     async def check_wiring(self) -> list[WireFinding]:
         """Check each wire of the fleet file; nothing moves. Raises `Refusal` while wired axes are in use."""

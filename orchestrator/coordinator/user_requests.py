@@ -298,7 +298,8 @@ class UserRequests:
 
     async def _show_configuration(self, _: Request) -> FleetLoaded:
         # What is run for alarms may contain addresses and passwords.
-        return FleetLoaded(configuration=self._services.view.fleet.model_copy(update={"notify": None}).to_plain())
+        fleet = self._services.view.fleet
+        return FleetLoaded(configuration=fleet.model_copy(update={"notify": None}).to_plain(), digest=fleet.digest)
 
     async def _check_wiring(self, request: Request) -> WiringChecked:
         return WiringChecked(wires=await self._wiring.check_wires(request.actor))

@@ -352,6 +352,12 @@ class Controller(Model):
         """The link to open: that of the controller, or of the simulator that replaces it."""
         return self.simulate.link or self.link
 
+    @property
+    def line(self) -> str:
+        """The port, bus or address that it is on. Each computer has ports of its own; an address is common to all."""
+        is_local = isinstance(self.link, SerialLink | CanBusLink) and self.host != "local"
+        return f"{self.link.endpoint} of {self.host}" if is_local else self.link.endpoint
+
     @cached_property
     def digest(self) -> str:
         """A digest of this configuration: equal digests mean equal configuration on both sides of the bus."""
@@ -533,6 +539,19 @@ class Fleet(Model):
         low, high = sorted(config.to_unit(limit) for limit in limits)
         return f"{value} is beyond the soft limits of {axis}, {low:g} to {high:g} {config.unit}; change one of them"
 
+    @cached_property
+    def digest(self) -> str:
+        """A digest of what all processes of a fleet must have alike: everything but `notify` and the simulation."""
+        plain = self.model_copy(update={"notify": None}).to_plain()
+        plain["controllers"] = {name: [config.host, config.digest] for name, config in self.controllers.items()}
+        text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def hosts(self) -> list[str]:
+        """The adapter hosts that controllers name, in their order."""
+        return list(dict.fromkeys(config.host for config in self.controllers.values()))
+
     @property
     def connections(self) -> list[WireConnection]:
         """All wires of the fleet, one entry per output and input."""
@@ -596,7 +615,7 @@ def _find_link_problems(controllers: dict[str, Controller]) -> list[Problem]:
     """Controllers on one port that cannot share it."""
     lines: dict[str, list[str]] = {}
     for name, controller in controllers.items():
-        lines.setdefault(controller.link.endpoint, []).append(name)
+        lines.setdefault(controller.line, []).append(name)
     problems: list[Problem] = []
     for place, names in lines.items():
         first = names[0]
@@ -620,21 +639,19 @@ def _explain_unshareable(place: str, first: str, one: Controller, second: str, o
                 f"{both}; a port can carry several controllers only if each has an address there, and {name} has none "
                 "(link.address)"
             )
-    for field in ("adapter", "host"):
-        found = getattr(one, field), getattr(other, field)
-        if found[0] != found[1]:
-            return f"{both}, but have different `{field}`: {found[0]} and {found[1]}"
+    if one.adapter != other.adapter:
+        return f"{both}, but have different `adapter`: {one.adapter} and {other.adapter}"
     alike = one.link.model_copy(update={"address": None}), other.link.model_copy(update={"address": None})
     if alike[0] != alike[1]:
         return f"{both}, but with different settings: {alike[0].to_plain()} and {alike[1].to_plain()}"
     return None
 
 
-def group_by_link(fleet: Fleet) -> list[list[str]]:
+def group_by_link(controllers: Mapping[str, Controller]) -> list[list[str]]:
     """The names of the controllers on each serial line or bus."""
     lines: dict[str, list[str]] = {}
-    for name, controller in fleet.controllers.items():
-        lines.setdefault(controller.link.endpoint, []).append(name)
+    for name, controller in controllers.items():
+        lines.setdefault(controller.line, []).append(name)
     return list(lines.values())
 
 

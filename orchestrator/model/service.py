@@ -283,9 +283,11 @@ class FleetReloaded(Reply):
 
 
 class FleetLoaded(Reply):
-    """The fleet file as it runs, in its JSON form, without the commands that are run for alarms."""
+    """The fleet file as it runs, in its JSON form, without the commands that are run for alarms. digest: `Fleet.digest`
+    of the file that runs."""
 
     configuration: dict[str, Any] = Field(default={})
+    digest: str = ""
 
 
 class EpochRepaired(Reply):

@@ -12,7 +12,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import chain
@@ -120,6 +120,7 @@ class LiveFleet:
     record_quota: bytes of recordings in `state`/recordings; None: nothing is recorded, and there are no metrics.
     metrics_port: of the metrics; None: the first free one; 0: none.
     web: how the operators' page is served; None: it is not.
+    hosts: the adapter hosts that run here, with their simulators; None: all of them.
     """
 
     fleet: Fleet
@@ -136,6 +137,7 @@ class LiveFleet:
     record_quota: int | None = None
     metrics_port: int | None = None
     web: WebOptions | None = None
+    hosts: frozenset[str] | None = None
     page: str = ""
     """The address of the operators' page; empty: it is not served."""
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
@@ -157,8 +159,9 @@ class LiveFleet:
             if self.simulated:
                 await self._start_simulators()
             replace_private_file(file, self.fleet.to_json())
-            for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
-                await self._start_child(f"host/{host}", self._make_host_command(host, file))
+            for host in self.fleet.hosts:
+                if self.hosts is None or host in self.hosts:
+                    await self._start_child(f"host/{host}", self._make_host_command(host, file))
             coordinator = await self._start_child("coordinator", self._make_coordinator_command(file))
             if EXISTING_JOURNAL not in coordinator.command:
                 coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
@@ -182,6 +185,36 @@ class LiveFleet:
         except BaseException:
             await self.close()
             raise
+
+    async def start_hosts(self) -> None:
+        """Start only adapter hosts, with their simulators, for a coordinator on another computer. Raises `UpFailed`;
+        then no process is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            assert self.hosts is not None
+            self._lock = StateLock(self.state)
+            self._rotation = asyncio.create_task(self._rotate_logs())
+            self._lock.describe_fleet(f"{self.fleet.fleet}@{'+'.join(sorted(self.hosts))}", self.connect)
+            if self.simulated:
+                await self._start_simulators()
+            self.save_fleet(self.fleet)
+            for host in self.fleet.hosts:
+                if host in self.hosts:
+                    await self._start_child(f"host/{host}", self._make_host_command(host, self.state / FLEET_FILE))
+        except BaseException:
+            await self.close()
+            raise
+
+    def save_fleet(self, fleet: Fleet) -> None:
+        """Use another fleet file for processes that are started from now on, with the simulators that run here."""
+        controllers = {
+            name: config.model_copy(update={"simulate": self.fleet.controllers[name].simulate})
+            if name in self.fleet.controllers
+            else config
+            for name, config in fleet.controllers.items()
+        }
+        self.fleet = fleet.model_copy(update={"controllers": controllers})
+        replace_private_file(self.state / FLEET_FILE, self.fleet.to_json())
 
     def change_simulation(self, controller: str, **change: object) -> None:
         """Change the physical environment of a simulated controller, e.g. `input=(1, True)`; see
@@ -210,9 +243,9 @@ class LiveFleet:
     # Parts
 
     async def _start_simulators(self) -> None:
-        """Replace every link by that of a simulated controller."""
+        """Replace every link of a controller here by that of a simulated controller."""
         controllers: dict[str, Controller] = {}
-        for lines in _group_links(self.fleet):
+        for lines in _group_links(self._own_controllers()):
             command = [sys.executable, "-m", "sim.link.process"]
             for names in lines:
                 command += [*([NEXT] if names is not lines[0] else []), *self._make_simulator_arguments(names)]
@@ -228,10 +261,17 @@ class LiveFleet:
                     controllers[name] = config.model_copy(update={"simulate": simulate})
                     self.say(f"{name}: simulated {config.adapter} on {link.endpoint}")
         for each in self.fleet.connections:
+            if each.target not in controllers:
+                continue
+            if each.source not in controllers:
+                self.say(f"{each.source}.{each.output} is on another computer: that wire is not simulated")
             self.change_simulation(each.target, input=(each.feeds.number, each.input_level(on=False)))
-        self.fleet = self.fleet.model_copy(
-            update={"controllers": {name: controllers[name] for name in self.fleet.controllers}}
-        )
+        self.fleet = self.fleet.model_copy(update={"controllers": {**self.fleet.controllers, **controllers}})
+
+    def _own_controllers(self) -> dict[str, Controller]:
+        """The controllers of the adapter hosts here."""
+        here = self.hosts
+        return {name: each for name, each in self.fleet.controllers.items() if here is None or each.host in here}
 
     async def _start_router(self) -> None:
         if self.connect:
@@ -350,7 +390,7 @@ class LiveFleet:
                     "delay_us": sum(each.delay_us) // 2,
                 }
                 for each in self.fleet.connections
-                if each.source == name
+                if each.source == name and each.target in self._own_controllers()
             ],
         }
 
@@ -463,14 +503,14 @@ class LiveFleet:
             child.keeper.cancel()
 
 
-def _group_links(fleet: Fleet) -> Iterator[list[list[str]]]:
+def _group_links(controllers: Mapping[str, Controller]) -> Iterator[list[list[str]]]:
     """Group the links whose controllers one process simulates.
 
     Controllers of one make on Ethernet share processes: a process that was asleep is woken for each exchange, finds
     its caches overwritten, and takes several times as long."""
     ethernet: dict[str, list[list[str]]] = {}
-    for names in group_by_link(fleet):
-        config = fleet.controllers[names[0]]
+    for names in group_by_link(controllers):
+        config = controllers[names[0]]
         if isinstance(config.link, SerialLink | CanBusLink):
             yield [names]
         else:

@@ -134,7 +134,7 @@ class VirtualFleet:
         """Wraps the bus of a coordinator that starts, e.g. to observe it."""
         self._draw = Random(seed)
         self._starts = 0
-        for names in group_by_link(fleet):
+        for names in group_by_link(fleet.controllers):
             self._start_simulator(names)
         for connection in (wired or fleet).connections:
             self._connect_wire(connection)

@@ -46,8 +46,8 @@ class FleetView:
         self._states: dict[str, ControllerState] = {}
         self._heard_ns: dict[str, int] = {}
         self._asked: dict[str, tuple[int, ControllerState]] = {}
-        on_line = Counter(config.link.endpoint for config in fleet.controllers.values())
-        self.neighbours = {name: on_line[config.link.endpoint] - 1 for name, config in fleet.controllers.items()}
+        on_line = Counter(config.line for config in fleet.controllers.values())
+        self.neighbours = {name: on_line[config.line] - 1 for name, config in fleet.controllers.items()}
         """Number of other controllers on the line of each controller."""
         self._silent_ns = {name: SILENT_NS + OTHER_NS * others for name, others in self.neighbours.items()}
         self.servers: dict[str, str] = {}

@@ -468,8 +468,8 @@ class StartNegotiation:
         lines: dict[str, list[tuple[StepCosts, float]]] = {}
         for member, proposal in proposals.items():
             if proposal.costs is not None:
-                endpoint = self._view.fleet.controllers[member].link.endpoint
-                lines.setdefault(endpoint, []).append((proposal.costs, shares[member]))
+                line = self._view.fleet.controllers[member].line
+                lines.setdefault(line, []).append((proposal.costs, shares[member]))
         return max(map(_line_arming_ns, lines.values()), default=0.0)
 
 

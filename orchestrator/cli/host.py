@@ -1,0 +1,156 @@
+"""`tutti host`: the adapter host of one computer, for a fleet whose coordinator is on another."""
+
+import asyncio
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED
+from orchestrator.cli.base.common import connect_option, console, fleet_option, json_option, print_result
+from orchestrator.cli.base.errors import errors, exit_with_error, run_main
+
+if TYPE_CHECKING:
+    from orchestrator.model.fleet import Fleet
+    from orchestrator.runtime.live import LiveFleet
+
+RETRY_S = 1.0
+FOLLOW_S = 10.0  # between two looks at whether the fleet runs with another file by now
+
+
+@click.command(
+    epilog="""\b
+Example, on the computer `lab2` whose controllers have `host: lab2`:
+  tutti host lab2 --fleet lab --connect tls/192.168.1.5:7447 --identity ~/lab2
+
+\b
+Exit codes: 0 ended by Ctrl-C or SIGTERM; 1 a part could not be started, or
+ended for good, or the host runs elsewhere; 2 bad input; 3 no router."""
+)
+@click.argument("name")
+@connect_option
+@fleet_option("The fleet.", required=True)
+@click.option("--sim", "simulated", is_flag=True, help="Replace every link of this host by a simulated controller.")
+@click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
+@click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for latches and logs.")
+@json_option
+def host(
+    name: str, connect: str, fleet: str, state: Path | None, *, simulated: bool, truth: bool, as_json: bool
+) -> None:
+    """Drive the controllers of adapter host NAME from this computer; Ctrl-C stops them and ends it.
+
+    The fleet file comes from the coordinator, and is stored: a host that starts while the coordinator is away uses the
+    last one. It follows a reload. On the coordinator's computer run `tutti up FILE --host local`, with the hosts that
+    are there.
+    """
+    from orchestrator.runtime.live import LiveFleet
+    from orchestrator.runtime.state_folder import default_state
+
+    def print_line(line: str) -> None:
+        (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
+
+    async def run_host() -> None:
+        folder = state or default_state(f"{fleet}@{name}")
+        found = await _find_fleet(connect, fleet, folder, print_line)
+        if name not in found.hosts:
+            hosts = ", ".join(found.hosts)
+            exit_with_error(
+                f"fleet {fleet} has no controller with `host: {name}`; its hosts: {hosts}", BAD_INPUT, code="no-host"
+            )
+        await _require_absence(connect, found, name)
+        live = LiveFleet(found, folder, print_line, connect, simulated=simulated, truth=truth)
+        live.hosts = frozenset((name,))
+        await _run_until_ended(live, name, as_json=as_json)
+
+    run_main(run_host())
+
+
+async def _find_fleet(connect: str, name: str, folder: Path, print_line: Callable[[str], None]) -> "Fleet":
+    """The fleet file of the coordinator; without one, that which was stored last. Without either it is waited for.
+    Raises `RouterUnreachable`, `Refusal`."""
+    from orchestrator.client import Tutti
+    from orchestrator.model.errors import Refusal
+    from orchestrator.model.files import FileError, parse_file, read_file
+    from orchestrator.model.fleet import Fleet
+    from orchestrator.runtime.state_folder import FLEET_FILE
+
+    has_said = False
+    async with Tutti(connect, name, actor="host") as tutti:
+        while True:
+            try:
+                return await tutti.load_fleet()
+            except Refusal as refusal:
+                if refusal.code != "no-coordinator":
+                    raise
+            stored = folder / FLEET_FILE
+            if stored.exists():
+                try:
+                    fleet = parse_file(read_file(stored), Fleet)
+                except FileError as error:
+                    print_line(f"the stored fleet file cannot be used: {error}")
+                else:
+                    print_line(
+                        f"no coordinator answers; with the fleet file that was stored last (digest {fleet.digest})"
+                    )
+                    return fleet
+            if not has_said:
+                print_line(f"waiting for a coordinator of fleet {name} on {connect}")
+                has_said = True
+            await asyncio.sleep(RETRY_S)
+
+
+async def _require_absence(connect: str, fleet: "Fleet", name: str) -> None:
+    """End the command if another process serves a controller of this host: two drivers would send it commands."""
+    from orchestrator.client import Tutti
+
+    async with Tutti(connect, fleet.fleet, actor="host") as tutti:
+        served = [each for each in await tutti.status(1.0) if fleet.controllers[each].host == name]
+    if served:
+        exit_with_error(
+            f"{', '.join(served)} is served already: adapter host {name} runs elsewhere, or `tutti up` runs all hosts",
+            FAILED,
+            f"end that one, or start `tutti up` with --host for the hosts of its own computer; this one runs {name}",
+            code="host-runs",
+        )
+
+
+async def _run_until_ended(live: "LiveFleet", name: str, *, as_json: bool) -> None:
+    """Run the host until it is to end, or a part of it has ended for good."""
+    end, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    await live.start_hosts()
+    mine = [each for each, config in live.fleet.controllers.items() if config.host == name]
+    value = {"host": name, "fleet": live.fleet.fleet, "controllers": mine, "digest": live.fleet.digest}
+    words = f"host {name} of fleet {live.fleet.fleet} drives {', '.join(mine)}; state in {live.state}; Ctrl-C ends it"
+    print_result({**value, "connect": live.connect, "state": str(live.state)}, words, as_json=as_json)
+    following = loop.create_task(_follow_file(live))
+    ended = loop.create_task(end.wait())
+    assert live.failed is not None
+    await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
+    live.say("stopping")
+    following.cancel()
+    await live.close()
+    if live.failed.done():
+        raise SystemExit(FAILED)
+
+
+async def _follow_file(live: "LiveFleet") -> None:
+    """Store the fleet file whenever the fleet runs with another one, so that a restarted adapter host uses that."""
+    from orchestrator.bus.zenoh.sessions import RouterUnreachable
+    from orchestrator.client import Tutti
+    from orchestrator.model.errors import Refusal
+
+    while True:
+        try:
+            async with Tutti(live.connect, live.fleet.fleet, actor="host") as tutti:
+                while True:
+                    await asyncio.sleep(FOLLOW_S)
+                    found = await tutti.load_fleet()
+                    if found.digest != live.fleet.digest:
+                        live.say(f"the fleet runs with another file: {found.digest} instead of {live.fleet.digest}")
+                        live.save_fleet(found)
+        except (Refusal, RouterUnreachable):
+            await asyncio.sleep(FOLLOW_S)
