@@ -15,6 +15,7 @@ from sim.shrc203.commands import answer_line
 from sim.shrc203.inputs import bit_mask
 from sim.shrc203.line import ReceivedLine, SerialLineReader
 from sim.shrc203.options import Shrc203Options
+from sim.shrc203.trigger import TRIGGER_LINE
 from sim.shrc203.unit import StageSystem
 
 _END = "\r\n"
@@ -254,10 +255,14 @@ class Shrc203Controller:
             self.unit.drive.rearm_run(axis.run)
 
     def output_level(self, number: int) -> bool:
+        if number == TRIGGER_LINE:
+            return self.unit.trigger.level
         return bool(self.unit.outputs.value & bit_mask(number))
 
     def on_output(self, listener: Callable[[int, bool], None]) -> None:
+        """OUT1 to OUT6, and the trigger output as number 7."""
         self.unit.outputs.listeners.append(listener)
+        self.unit.trigger.listeners.append(listener)
 
     # Ground truth
 

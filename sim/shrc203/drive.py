@@ -33,7 +33,8 @@ class PathGenerator:
         self.motions: list[CommandedMotion] = []
         self.wait_tenths = 0
         """W:, tenths of a second (L2566)."""
-        self.on_start: Callable[[PathRun], None] | None = None
+        self.on_path: Callable[[PathRun], None] | None = None
+        """Called with a run that begins, or whose paths have changed."""
 
     # Starting and stopping
 
@@ -61,8 +62,8 @@ class PathGenerator:
             axis.run, axis.phase = run, AxisPhase.MOVING
             axis.limit_stop, axis.soft_stop = False, 0
         self.rearm_run(run)
-        if self.on_start is not None:
-            self.on_start(run)
+        if self.on_path is not None:
+            self.on_path(run)
         return run
 
     def rearm_run(self, run: PathRun) -> None:
@@ -267,6 +268,8 @@ class PathGenerator:
             track.path = path(x, v)
         run.t0_ns = now_ns
         self.rearm_run(run)
+        if self.on_path is not None:
+            self.on_path(run)
 
 
 def _whole_pulses(x: float) -> int:

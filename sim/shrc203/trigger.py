@@ -12,7 +12,16 @@ from sim.shrc203.drive import PathGenerator
 PULSE, TIMER, SCALE_PLUS, SCALE_MINUS = range(4)
 """Trigger modes as ?:T and program lines number them (L2157)."""
 
+TRIGGER_LINE = 7
+"""The trigger output among the outputs of the environment, behind OUT1 to OUT6. Positive logic (TRG/LEV 0, L7549)."""
+
 _HUNDREDTH_NS = 10_000_000
+_WIDTH_NS = 10_000
+"""TRG WIDTH 0, the only width that the manual names (L7550, decision 54)."""
+_MOST_SPEED = 56_000
+"""Above this speed, pls/s, "trigger may not be output" (L5395): here it never is (decision 53)."""
+_REACHED = 1e-3
+"""Pulses: the instant of a trigger is rounded up to a nanosecond."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +39,9 @@ class TriggerSetting:
 
 
 class TriggerOutput:
-    """Trigger output, one setting at a time. Pulses are computed only while a listener is registered."""
+    """Trigger output, one setting at a time. Pulses are computed only while something is registered for them.
+
+    listeners: of the level, with the number of the output. report: called at every trigger, of programs."""
 
     def __init__(self, time: DeviceTime, drive: PathGenerator, scale_resolution_nm: int) -> None:
         self._resolution_nm = scale_resolution_nm
@@ -41,7 +52,10 @@ class TriggerOutput:
         """Position of the last trigger, pls."""
         self.setting: TriggerSetting | None = None
         self.report: Callable[[], None] | None = None
-        drive.on_start = self._follow_run
+        self.listeners: list[Callable[[int, bool], None]] = []
+        self.level = False
+        self._fall: ClockTimer | None = None
+        drive.on_path = self._follow_run
 
     def set_trigger(self, setting: TriggerSetting | None) -> None:
         """T:T, T:P, T:E; None: T:S."""
@@ -51,13 +65,34 @@ class TriggerOutput:
             return
         if setting.axis is not None:
             self._last = self._drive.exact_state(setting.axis, self._time.now_ns())[0]
-        elif self.report is not None:
+        elif self._is_observed:
             self._schedule_tick(self._time.now_ns(), setting.interval * _HUNDREDTH_NS)
 
     def fire_pulse(self) -> None:
         """One trigger pulse."""
         if self.report is not None:
             self.report()
+        if not self.listeners:
+            return
+        if self._fall is not None:
+            self._fall.cancel()
+        self._fall = self._time.call_after(_WIDTH_NS, self._end_pulse)
+        self._set_level(level=True)
+
+    def _end_pulse(self) -> None:
+        self._fall = None
+        self._set_level(level=False)
+
+    def _set_level(self, *, level: bool) -> None:
+        if level == self.level:
+            return
+        self.level = level
+        for listener in self.listeners:
+            listener(TRIGGER_LINE, level)
+
+    @property
+    def _is_observed(self) -> bool:
+        return self.report is not None or bool(self.listeners)
 
     def set_listener(self, report: Callable[[], None] | None) -> None:
         """Call `report` at every trigger from now on; None: stop."""
@@ -65,8 +100,12 @@ class TriggerOutput:
         self.set_trigger(self.setting)
 
     def clear_trigger(self) -> None:
+        """Power-down."""
         self.report = None
         self.set_trigger(None)
+        if self._fall is not None:
+            self._fall.cancel()
+            self._end_pulse()
 
     def _cancel_timers(self) -> None:
         if self._timer is not None:
@@ -83,8 +122,9 @@ class TriggerOutput:
         self._timer = self._time.call_at(at_ns, handle_tick)
 
     def _follow_run(self, run: PathRun) -> None:
+        """Find the next trigger on a path that begins, or has changed."""
         setting = self.setting
-        if self.report is None or setting is None or setting.axis is None or setting.axis.run is not run:
+        if not self._is_observed or setting is None or setting.axis is None or setting.axis.run is not run:
             return
         self._cancel_timers()
         self._arm_position(run, setting, run.t0_ns)
@@ -101,22 +141,28 @@ class TriggerOutput:
         after = (now_ns - run.t0_ns) * 1e-9
         signs = {PULSE: (1, -1), SCALE_PLUS: (1,), SCALE_MINUS: (-1,)}[setting.mode]
         step = self._pulse_interval(setting, track.axis)
-        due: tuple[float, float] | None = None
+        due: tuple[float, float, int] | None = None
         for sign in signs:
             place = self._last + sign * step
             t = track.path.first_at(place - track.start, sign, after)
             if t is not None and (due is None or t < due[0]):
-                due = (t, place)
+                due = (t, place, sign)
         if due is None:
             return
-        at_ns, place = run.t0_ns + math.ceil(due[0] * 1e9 - 1e-6), due[1]
+        at_ns, (_, place, sign) = run.t0_ns + math.ceil(due[0] * 1e9 - 1e-6), due
+        speed = abs(track.path.state_at(due[0] - 1e-9)[1])  # at the end of the path it is 0
 
         def handle_position() -> None:
             self._timer = None
-            if self.setting is setting and setting.axis is not None:
+            # Not if the axis was halted before it came there.
+            if self.setting is setting and self._is_at(track.axis, place, sign):
                 self._last = place
-                self.fire_pulse()
-                if setting.axis.run is run:
+                if speed <= _MOST_SPEED:
+                    self.fire_pulse()
+                if track.axis.run is run:
                     self._arm_position(run, setting, at_ns)
 
         self._timer = self._time.call_at(at_ns, handle_position)
+
+    def _is_at(self, axis: StageAxis, place: float, sign: int) -> bool:
+        return sign * (self._drive.exact_state(axis, self._time.now_ns())[0] - place) >= -_REACHED

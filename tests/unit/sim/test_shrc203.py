@@ -442,3 +442,48 @@ def test_wrong_options_and_ports_are_refused() -> None:
     bench = SHRC203.vector_bench(clock, {})
     with pytest.raises(ValueError, match="analog"):
         bench.apply_given({"analog": {"1": 2.0}})
+
+
+def test_trigger_output_follows_drive_pulses_and_stops_with_its_axis() -> None:
+    rig = Rig({"speed": [100, 1000, 100]})
+    edges: list[tuple[int, int, bool]] = []
+    rig.unit.on_output(lambda number, level: edges.append((rig.clock.now_ns(), number, level)))
+    # At constant speed: every ten pulses, the end included, each pulse 10 µs long.
+    rig.ok("T:P1P10", "MP:1+P35,S100F100R1", "G:1")
+    rig.wait(1)
+    assert edges == [
+        (at * S // 10 + extra, 7, level) for at in (1, 2, 3) for extra, level in ((0, True), (10_000, False))
+    ]
+    # Back: the interval counts from the last one, whichever way. While it brakes they come on.
+    edges.clear()
+    rig.ok("MP:1-P1000,S100F1000R1000", "G:1")
+    rig.wait(0.5)
+    rig.ok("L:1")
+    rig.wait(5)
+    displacement = 35 - rig.unit.position("1")
+    rises = [at_ns for at_ns, _, level in edges if level]
+    assert len(rises) == (displacement - 15) // 10 + 1 and rises[-1] > S + S // 2
+    # Halted at once: the next position is not reached, and no pulse comes where it would have been.
+    edges.clear()
+    rig.ok("MP:1+P1000,S100F100R1", "G:1")
+    rig.wait(0.35)
+    rig.ok("L:E")
+    count = len(edges)
+    rig.wait(5)
+    assert len(edges) == count > 0
+    rig.ok("BEC:W", "C:W1", "T:S", "MP:1+P100,S100F100R1", "G:1")
+    rig.wait(2)
+    assert len(edges) == count
+
+
+def test_trigger_output_misses_pulses_above_its_speed_and_runs_in_time_at_rest() -> None:
+    rig = Rig()
+    rises: list[int] = []
+    rig.unit.on_output(lambda number, level: rises.append(rig.clock.now_ns()) if level else None)
+    rig.ok("T:P1P100", "MP:1+P10000,S57000F57000R1", "G:1")
+    rig.wait(1)
+    assert not rises
+    rig.ok("T:T5")
+    begun_ns = rig.clock.now_ns()
+    rig.wait(0.12)
+    assert rises == [begun_ns + 50 * MS, begun_ns + 100 * MS]
