@@ -392,7 +392,7 @@ def require_triggers(lowered: Lowered, start: StartOptions) -> None:
             raise Refusal(
                 "no-triggers",
                 f"output {trigger.output}: this make has no triggers on the way",
-                "use an output of an SMC-4000, or of an SMC-2000 with a port of its own",
+                "use an output of an SMC-4000, of an SMC-2000 with a port of its own, or an SHRC-203's trigger output",
             )
 
 
@@ -479,7 +479,8 @@ class Driver(ABC):
         With `start.wait` the move starts when that input becomes active. With `start.drive` the controller makes that
         output active at T0 (with or without axes of its own) and passive again later. With `start.triggers` it switches
         outputs on the way, and the step ends only after the last of them. All happen only after `go`, like any start;
-        none after `stop` or `disarm_move`, or after the end, and the outputs are passive then.
+        none after `stop` or `disarm_move`, or after the end, and the outputs are passive then. An output that follows
+        the pulses of an axis may go on while that brakes, not longer.
 
         Raises `Refusal` that names the axis and what would fit; code `start-class` for a start that the controller
         cannot make.

@@ -14,8 +14,8 @@ from math import ceil
 
 from adapters.shrc203.fleetaxes import axis_bounds, motor_number
 from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcLine
+from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid
 from adapters.shrc203.status import ERRORS, stop_reason
-from adapters.shrc203.trapezoid import ShrcTrapezoid
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import (
     COMMAND,

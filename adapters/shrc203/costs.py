@@ -16,6 +16,7 @@ _CLEAR = (3 * (8 + 6), 3)  # MP:a+P0
 _STANDBY = (2 * (4 + 4) + 11 + 4 + 7 + 36 + 5 + 4, 4)  # I: twice, WI:, ?:WIW, G:
 _RELEASE = (3 * (8 + 6) + 7 + 36 + 3 * (8 + 4), 7)  # MP:a+P0, ?:MPW, WI:a,C
 _OUTPUT = (5 + 4 + 6 + 4, 2)  # ?:O, O:
+_TRIGGER = (3 + 2 + 4 + 12 + 4 + 5 + 11, 3)  # T:S where one is left, T:P, ?:T
 _LONGEST_LINE = 120
 _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, for each exchange
 _RAMP_MAX_NS = NS_PER_S  # R is 1000 ms at the most (L3157), and a stop uses the ramp of the move
@@ -28,6 +29,12 @@ def following_costs(options: ShrcOptions, char_ns: int, load: str, costs: StepCo
     arm_ns = characters * char_ns + (_ECHO[1] + _CHECK[1]) * _exchange_ns(options)
     lead_ns = options.decode_us * NS_PER_US + len("G:123\r\n") * char_ns
     return withdrawable_costs(costs.model_copy(update={"arm_ns": arm_ns}), lead_ns)
+
+
+def trigger_cost_ns(options: ShrcOptions, char_ns: int) -> int:
+    """Return the upper bound of setting the trigger output before a move is loaded."""
+    characters, exchanges = _TRIGGER
+    return characters * char_ns + exchanges * _exchange_ns(options)
 
 
 def _exchange_ns(options: ShrcOptions) -> int:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from adapters.contract import (
@@ -12,6 +13,7 @@ from adapters.contract import (
     JogMove,
     Lowered,
     SettingDifference,
+    SwitchedOutput,
 )
 from adapters.shrc203 import fleetaxes, startup
 from adapters.shrc203.chain import ChainMove, ChainReport, MoveChain
@@ -22,8 +24,10 @@ from adapters.shrc203.lowering import ConnectionTraits, ShrcLowered, lower_step
 from adapters.shrc203.moves import ShrcMover
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.polling import PositionKind, ShrcPoller, read_registered
+from adapters.shrc203.pulses import require_trigger
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.standby import can_wait_at_rest
+from adapters.shrc203.triggers import add_trigger
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.watch import ShrcWatch
 from adapters.shrc203.wire.replies import BITS, axis_argument, flag_list
@@ -96,6 +100,9 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
         await self._read_motors(unit)
         await unit.make_harmless()
+        if fleetaxes.TRIGGER_NUMBER in (each.number for each in self._config.outputs.values()):
+            # A step of an earlier connection may have left it set; one that is refused now is repeated.
+            unit.trigger_set = not await session.try_setting("T:S")
         self.log_identity(link.endpoint, identity)
         return identity
 
@@ -136,9 +143,11 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
 
     async def poll(self) -> ControllerReading:
         reading = await self.connection.poller.poll_state()
-        if self.connection.state.untidy_at_rest and not any(axis.moving for axis in reading.axes.values()):
-            self._log.info("emptying the prebuffers after a stop")
-            await self.connection.mover.empty_prebuffers()
+        state, mover = self.connection.state, self.connection.mover
+        if state.untidy_at_rest and not mover.is_busy and not any(axis.moving for axis in reading.axes.values()):
+            self._log.info("emptying the prebuffers, and ending triggers, after a stop")
+            with suppress(Refusal):  # of an axis that is still busy: the next poll repeats it
+                await mover.empty_prebuffers()
         restarted, self._restarted = self._restarted, False
         return replace(reading, restarted=restarted)
 
@@ -163,10 +172,14 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         loops = {} if self._connection is None else self._connection.state.closed_loop
         closed_loop = frozenset(motor for motor, closed in loops.items() if closed)
         known = self._crystal.estimate_at(self._clock.now_ns())
+        pulsed = require_trigger(self._config, self._options, profiles, start.triggers) if start.triggers else None
         wire = ConnectionTraits(
-            self._char_ns, self._supports_line_starts, self._costs, self._line_costs, known, closed_loop
+            self._char_ns, self._supports_line_starts, self._costs, self._line_costs, known, closed_loop, pulsed
         )
-        return lower_step(self._config, self._options, wire, profiles, start)
+        lowered = lower_step(self._config, self._options, wire, profiles, start)
+        if pulsed is None:
+            return lowered
+        return add_trigger(lowered, self._config, self._options, wire, (start.triggers[0], profiles[pulsed]))
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, ShrcLowered)
@@ -177,6 +190,10 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         assert isinstance(lowered, ShrcLowered)
         with log_refusals(self._log, "arming"):
             return await self.connection.mover.arm_behind(lowered, t0_ns)
+
+    async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
+        with log_refusals(self._log, "the fetching of triggers"):
+            return await self.connection.mover.triggers.take()
 
     async def stop(self, *, abort: bool) -> None:
         """Stop by `L:E`, which is never refused; or by `L:` to the axes whose motors are on, and then to each axis
@@ -212,6 +229,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
             await unit.make_harmless()
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
+        await self.connection.state.end_trigger()
         return await home_axes(self._config, self._clock, self.connection.state, axes, found)
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
@@ -242,6 +260,7 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         async with unit.loading:
             if self.connection.mover.is_busy:
                 raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
+            await unit.end_trigger()
             unit.chaining = True
         return await MoveChain(self._config, self._clock, unit, self._options.clock_ppm, report_underrun).run_moves(
             moves
@@ -249,6 +268,8 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
 
     async def set_output(self, number: int, *, on: bool) -> None:
         unit = self.connection.state
+        if number == fleetaxes.TRIGGER_NUMBER:
+            raise Refusal("trigger-output", "the trigger output gives pulses only", "name it in `triggers` of a step")
         if unit.session.expected_completions:
             raise Refusal("moving", "outputs cannot be read back while an axis moves", "wait for the end of the motion")
         if unit.driving:

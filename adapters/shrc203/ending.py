@@ -5,8 +5,8 @@ from math import ceil
 from adapters.contract import HostInterval
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.lowering import ShrcAxisMove
-from adapters.shrc203.pair import TwoPartMove
 from adapters.shrc203.session import EOL, ShrcSession
+from adapters.shrc203.shapes.pair import TwoPartMove
 from adapters.shrc203.status import ERRORS
 from adapters.shrc203.timing import ShrcTiming
 from orchestrator.clock.base import NS_PER_S, Clock

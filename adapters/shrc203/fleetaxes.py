@@ -4,12 +4,13 @@ from collections.abc import Iterator
 from math import ceil, floor
 from typing import Literal
 
-from adapters.shrc203.trapezoid import ShrcBounds
+from adapters.shrc203.shapes.trapezoid import ShrcBounds
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.units import Unit
 
 METHODS = {"default": "", "mark": "0", "mini": "1", "middle": "2", "orgs": "3", "normal": "4"}  # L2739-L2790
 INPUTS = OUTPUTS = range(1, 7)  # L1607-L1643
+TRIGGER_NUMBER = 7  # the trigger output (L5366) in the fleet file
 _MM_PER_UNIT = {Unit.M: 1e3, Unit.CM: 10.0, Unit.MM: 1.0, Unit.UM: 1e-3, Unit.NM: 1e-6, Unit.INCH: 25.4}
 # Without `start_rate` the motor starts at no more than this fraction of its speed limit.
 _SMALL_START = 0.01
@@ -86,9 +87,19 @@ def find_problems(config: Controller) -> Iterator[str]:
                 f"axes.{name}.start_rate: no whole number of pulses per second lies between its min and its max, "
                 f"and below limits.velocity; allowed: 1 to {floor(limits.speed)} pulses per second"
             )
-    for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
-        for name, point in points.items():
-            if point.number not in INPUTS:
-                yield f"{kind}.{name}.number: {point.number} does not exist; allowed: 1 to 6"
+    for name, point in config.inputs.items():
+        if point.number not in INPUTS:
+            yield f"inputs.{name}.number: {point.number} does not exist; allowed: 1 to 6"
+    yield from _find_output_problems(config)
     if config.link.kind == "serial" and config.link.data_bits != 8:
         yield f"link.data_bits: {config.link.data_bits} is not supported; allowed: 8"
+
+
+def _find_output_problems(config: Controller) -> Iterator[str]:
+    brakes = {axis.brake.output for axis in config.axes.values() if axis.brake is not None}
+    for name, point in config.outputs.items():
+        field = f"outputs.{name}.number"
+        if point.number == TRIGGER_NUMBER and (point.safe is not None or name in brakes):
+            yield f"{field}: {TRIGGER_NUMBER} is the trigger output, which gives pulses only; no brake, and no `safe`"
+        elif point.number not in (*OUTPUTS, TRIGGER_NUMBER):
+            yield f"{field}: {point.number} does not exist; allowed: 1 to 6, and {TRIGGER_NUMBER}, the trigger output"

@@ -12,7 +12,7 @@ from math import floor, hypot
 
 from adapters.shrc203.fleetaxes import axis_bounds, expected_nm, motor_number
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.trapezoid import SPEED_MAX, ShrcLeg
+from adapters.shrc203.shapes.trapezoid import SPEED_MAX, ShrcLeg
 from adapters.shrc203.wire.replies import axis_argument
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.profile import Profile

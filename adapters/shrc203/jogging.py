@@ -14,8 +14,8 @@ from math import ceil, floor
 from adapters.contract import JogMove
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.moves import ShrcMover
+from adapters.shrc203.shapes.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, SPEED_MAX, ShrcBounds
 from adapters.shrc203.status import ERRORS, stop_reason
-from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, SPEED_MAX, ShrcBounds
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import READY, STATUS, AxisStatus, parse_entries, parse_status, pulse_list, speed_list
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.shrc203.costs import following_costs
-from adapters.shrc203.fleetaxes import axis_bounds, motor_number
+from adapters.shrc203.fleetaxes import TRIGGER_NUMBER, axis_bounds, motor_number
 from adapters.shrc203.interpolation import SteadyAxis, StraightPath, fit_straight_path
 from adapters.shrc203.options import LOWEST_POINT, ShrcOptions, edge_terms
-from adapters.shrc203.pair import TwoPartMove, find_two_part_moves
-from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
+from adapters.shrc203.pulses import PulseTrigger
+from adapters.shrc203.shapes.pair import TwoPartMove, find_two_part_moves
+from adapters.shrc203.shapes.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
 from adapters.shrc203.wire.replies import axis_argument
 from adapters.toolkit.firing import learned_terms
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
@@ -50,7 +51,8 @@ class ConnectionTraits:
     line_starts: whether axes can wait for an input.
     line_costs: costs of steps with a trigger line.
     known: knowledge about the controller's clock.
-    closed_loop: motors that settle for a while at the end of a move."""
+    closed_loop: motors that settle for a while at the end of a move.
+    pulsed: the axis whose drive pulses triggers follow, if any."""
 
     char_ns: int
     line_starts: bool
@@ -58,6 +60,7 @@ class ConnectionTraits:
     line_costs: StepCosts
     known: ClockEstimate
     closed_loop: frozenset[int] = frozenset()
+    pulsed: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +86,17 @@ class ShrcAxisMove:
         if not isinstance(self.shape, TwoPartMove):
             return (self,)
         one, two = self.shape.first, self.shape.second
-        sign = 1 if self.distance > 0 else -1
-        first = replace(self, distance=sign * one.distance, shape=one)
-        return first, ShrcAxisMove(self.name, self.motor, first.end_counts, sign * two.distance, two)
+        first = replace(self, distance=self.sign * one.distance, shape=one)
+        return first, ShrcAxisMove(self.name, self.motor, first.end_counts, self.sign * two.distance, two)
 
     @property
     def end_counts(self) -> int:
         return self.start_counts + self.distance
+
+    @property
+    def sign(self) -> int:
+        """The direction of the move in counts."""
+        return 1 if self.distance > 0 else -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +107,8 @@ class ShrcLowered(Lowered):
     lead_ns: the end of the command that starts, or switches an output, reaches the controller this long before T0.
     first_moves: the moves loaded by `load`.
     followup_moves: the follow-up moves, which `load_followup` loads once the first ones run.
-    straight: the moves are parts of one interpolated path."""
+    straight: the moves are parts of one interpolated path.
+    trigger: of the trigger output, set before the move is loaded."""
 
     lead_ns: int = 0
     moves: tuple[ShrcAxisMove, ...] = ()
@@ -112,6 +120,7 @@ class ShrcLowered(Lowered):
     wait: WiredInput | None = None
     drive: WiredOutput | None = None
     straight: StraightPath | None = None
+    trigger: PulseTrigger | None = None
 
 
 def lower_step(
@@ -134,6 +143,10 @@ def lower_step(
         )
     wait = None if start_options.wait is None else resolve_wait_input(config, start_options.wait, LOWEST_POINT)
     drive = None if start_options.drive is None else resolve_driven_output(config, start_options.drive, LOWEST_POINT)
+    if drive is not None and drive.number == TRIGGER_NUMBER:
+        raise Refusal(
+            "start-class", f"output {drive.name} is the trigger output, which gives pulses only", "use OUT1 to 6"
+        )
     moves, straight = _make_moves(config, options, traits, profiles, start_options)
     running = tuple(each for each in moves if each.shape is not None)
     firsts = tuple(each.executed_moves[0] for each in running)
@@ -288,7 +301,7 @@ def _single_move(
     move: ShrcAxisMove,
     profile: Profile,
 ) -> ShrcAxisMove:
-    """Return the move of an axis by itself. Raises `Refusal`."""
+    """Return the move of an axis by itself; one without a pause, if triggers follow it. Raises `Refusal`."""
     factor, limits, way, name = traits.known.rate.clock_factor, axis_bounds(axis), abs(move.distance), move.name
     wanted_s = profile.duration_s * factor  # of the controller's own
     shape: ShrcTrapezoid | TwoPartMove | None = fit_trapezoid(way, wanted_s, profile.durations_s[0] * factor, limits)
@@ -298,7 +311,9 @@ def _single_move(
             f"axis {name}: no start speed from {limits.start_min} to {limits.start_max} pls/s is below its speed limit",
             "correct `start_rate`",
         )
-    if move.motor not in traits.closed_loop:  # where the end of the first move is known only when the scale has settled
+    # In closed loop the end of a first move is known only when the scale has settled; and triggers promise instants,
+    # which a pause of unknown length between two moves does not allow.
+    if move.motor not in traits.closed_loop and name != traits.pulsed:
         shape = _nearer_shape(shape, profile, limits, options, factor)
     return replace(move, shape=shape)
 

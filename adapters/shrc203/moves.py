@@ -2,6 +2,7 @@
 end."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 from adapters.contract import HostInterval, MoveOutcome, TimedWrite, WriteResult
 from adapters.shrc203 import checks
@@ -13,6 +14,7 @@ from adapters.shrc203.output import ShrcOutput
 from adapters.shrc203.session import EOL, ShrcSession
 from adapters.shrc203.standby import InputWait
 from adapters.shrc203.starting import ShrcStarts
+from adapters.shrc203.triggers import ShrcTriggers
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import axis_argument
 from adapters.toolkit.driven_output import DrivenOutput
@@ -35,6 +37,7 @@ class ShrcMover:
         self._starts = ShrcStarts(options, tools.clock, unit, self._clear_move)
         self._follower = ShrcFollower(tools, unit, settle_ns)
         self._input_wait = InputWait(unit, tools.clock)
+        self.triggers = ShrcTriggers(options, tools.clock, tools.crystal, unit)
         self._output: DrivenOutput[ShrcOutput] | None = None  # the last output that a step drove
         self.move: ArmedMove | None = None
         self._rests: dict[int, int] = {}
@@ -54,11 +57,14 @@ class ShrcMover:
     async def _load_and_verify(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         began_ns = self._clock.now_ns()
         self._rests = {}
-        if self._unit.untidy and self.move is None and not self._unit.chaining:
-            await self._overwrite_queued()
+        if self.move is None and not self._unit.chaining:
+            if self._unit.untidy:
+                await self._overwrite_queued()
+            await self._unit.end_trigger()
         if self.is_busy:
             raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
         move = ArmedMove(lowered, t0_ns)
+        self.triggers.forget()
         if lowered.drive is not None:
             move.output = self._output = DrivenOutput(self._clock, ShrcOutput(self._unit, lowered.drive))
             await move.output.port.read_and_check()
@@ -69,6 +75,8 @@ class ShrcMover:
         # A move in an execution buffer would run before the moves loaded here.
         await self._session.send_setting(f"GC:{axis_argument(move.motor_numbers)}")
         self.move = move
+        if lowered.trigger is not None:
+            await self.triggers.begin(lowered.trigger, move)
         if lowered.wait is not None:
             await checks.check_rest(self._unit, lowered.moves)
             await self._input_wait.begin_wait(lowered.wait, {each.motor: each.start_counts for each in lowered.moves})
@@ -94,9 +102,11 @@ class ShrcMover:
         and the last query has shown the axes at rest where this one starts. Raises `Refusal`."""
         starts = {each.motor: each.start_counts for each in lowered.moves}
         rests = starts.items() <= self._rests.items()
-        usual = lowered.wait is None and lowered.drive is None and rests and not self._unit.untidy
-        if not usual or self.is_busy:
+        plain = lowered.wait is None and lowered.drive is None and lowered.trigger is None
+        tidy = not self._unit.untidy and not self._unit.trigger_set
+        if not (plain and rests and tidy) or self.is_busy:
             return await self.arm_move(lowered, t0_ns)
+        self.triggers.forget()
         async with self._unit.loading:
             began_ns = self._clock.now_ns()
             move = self.move = ArmedMove(lowered, t0_ns)
@@ -171,12 +181,20 @@ class ShrcMover:
         async with self._unit.loading:
             if not self._unit.chaining:
                 await self._overwrite_queued()
+                await self._unit.end_trigger()
 
     async def empty_prebuffers(self) -> None:
         """Empty the prebuffers that a stop has left filled, once no move is loaded or in progress."""
         async with self._unit.loading:
             if self._unit.untidy and self.move is None and not self._unit.chaining:
                 await self._overwrite_queued()
+        await self._end_trigger()
+
+    async def _end_trigger(self) -> None:
+        """End the trigger output, unless a step is loaded that has set it. Raises `Refusal`."""
+        async with self._unit.loading:
+            if self.move is None:
+                await self._unit.end_trigger()
 
     async def _overwrite_queued(self) -> None:
         if self._output is not None:
@@ -279,6 +297,9 @@ class ShrcMover:
             return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=stopped)
         unloaded = await self._load_followup(move) if move.lowered.followup_moves else ""
         outcome = await self._follower.follow_to_end(move, unloaded, lambda: self._forget_move(move))
+        if move.lowered.trigger is not None:
+            with suppress(Refusal):  # of an axis that is still busy, or has failed: a poll repeats it
+                await self._end_trigger()
         if outcome.state == "done":
             self._rests = {motor: axis.counts for motor, axis in move.seen.items()}
         return outcome

@@ -59,6 +59,12 @@ class ShrcOptions(FiringOptions):
     handover_us: Microseconds = Field(
         default=1000, description="Pause of an axis between two moves of which the second was in its prebuffer."
     )
+    trigger_width_us: Microseconds = Field(
+        default=10, description="How long a pulse of the trigger output lasts: memory switch TRG WIDTH."
+    )
+    trigger_delay_us: Microseconds = Field(
+        default=100, description="Longest time from the drive pulse to its pulse of the trigger output."
+    )
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long configuring waits for the end of a motion in progress."
     )

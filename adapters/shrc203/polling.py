@@ -11,7 +11,7 @@ from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.status import ERRORS, is_position_lost, status_faults
-from adapters.shrc203.unitstate import ShrcState
+from adapters.shrc203.unitstate import CountsReading, ShrcState
 from adapters.shrc203.wire.replies import BITS, STATUS, AxisStatus, flag_list, parse_status, pulse_list
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.model.errors import Refusal
@@ -51,6 +51,9 @@ class ShrcPoller:
         if any(unit.closed_loop.values()):
             scales = parse_status(await session.send_query("Q:SPE", STATUS), unit.controllable)
             actual = {m: scales[m] if unit.closed_loop.get(m) else each for m, each in now.items()}
+        if unit.trigger_set:
+            counts = {motor: each.counts for motor, each in now.items()}
+            unit.readings.append(CountsReading(line.command_ns, line.at_ns, counts))
         busy = {motor for motor, each in now.items() if each.is_busy}
         self._drop_completions(busy, line.at_ns)
         waiting = {

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from adapters.contract import HostInterval
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
 from adapters.shrc203.session import EOL, ShrcLine, ShrcSession
-from adapters.shrc203.trapezoid import ShrcTrapezoid
+from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid
 from adapters.shrc203.wire.replies import READY, AxisStatus
 from orchestrator.clock.timed import TimedMove
 

@@ -1,14 +1,23 @@
 """The driver's knowledge of the controller between two commands."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from adapters.shrc203.buffers import PrebufferControl
 from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.timing import ShrcTiming
 from adapters.shrc203.wire.replies import speed_list
 from adapters.toolkit.stop_counter import StopCounter, send_or_brake
+
+
+class CountsReading(NamedTuple):
+    """Coordinates by motor, pls, as they were between the question and its answer."""
+
+    asked_ns: int
+    at_ns: int
+    counts: Mapping[int, int]
 
 
 @dataclass(slots=True)
@@ -27,6 +36,7 @@ class ShrcState:
     driving: a step switches an output.
     chaining: a chain of moves is loaded or in progress.
     timing: observations of the move in progress.
+    trigger_set: the trigger output may pulse when an axis moves. readings: of the polls since it was set.
     """
 
     session: ShrcSession
@@ -44,6 +54,8 @@ class ShrcState:
     driving: bool = False
     chaining: bool = False
     timing: ShrcTiming | None = None
+    trigger_set: bool = False
+    readings: list[CountsReading] = field(default_factory=list[CountsReading])
     stops: StopCounter = field(default_factory=StopCounter)
 
     @property
@@ -52,9 +64,9 @@ class ShrcState:
 
     @property
     def untidy_at_rest(self) -> bool:
-        """Whether the prebuffers must be emptied, and can be: in an error state no command is accepted, and nothing
-        starts."""
-        return self.untidy and self.sound
+        """Whether the prebuffers must be emptied, or the trigger output ended, and can be: in an error state no command
+        is accepted, and nothing starts."""
+        return (self.untidy or self.trigger_set) and self.sound
 
     async def is_restarted(self) -> bool:
         """Return whether the controller has lost its sentinel. Queried after another exchange, False also validates the
@@ -69,6 +81,12 @@ class ShrcState:
         if not await self.prebuffers.make_harmless(self.excited):
             self.untidy = True
             self.session.log.warning("a prebuffer could not be emptied; it is emptied once the controller accepts it")
+
+    async def end_trigger(self) -> None:
+        """End what the trigger output was set to, before anything else moves. Raises `Refusal`."""
+        if self.trigger_set:
+            await self.session.send_setting("T:S")
+            self.trigger_set = False
 
     # Starts and stops
 

@@ -12,7 +12,7 @@ from adapters.contract import DriverSetup
 from adapters.shrc203.chain import ChainMove
 from adapters.shrc203.driver import ShrcDriver
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.trapezoid import ShrcTrapezoid
+from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, DriverSetup
 from adapters.host.makes import find_make
 from adapters.shrc203.fleetaxes import axis_bounds
-from adapters.shrc203.trapezoid import fit_trapezoid
+from adapters.shrc203.shapes.trapezoid import fit_trapezoid
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns

@@ -191,10 +191,12 @@ class OutputTrigger(Model):
     """Switch an output on the way. output: the member's own, by name.
 
     instants_ns: from T0 on, growing. pulse_ns: how long it is active each time; 0: it changes its level each time,
-    first to active, and is passive after the end of the step.
+    first to active, and is passive after the end of the step. axis: the member's own axis of whose positions the
+    instants were made; None: they are times, or positions of an axis of another member.
     """
 
     output: Id
+    axis: Id | None = None
     instants_ns: list[Int53] = Field(min_length=1)
     pulse_ns: Int53 = Field(ge=0)
 

@@ -10,7 +10,7 @@ from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
 from adapters.shrc203.chain import ChainMove, ChainReport
 from adapters.shrc203.fleetaxes import axis_bounds
-from adapters.shrc203.trapezoid import ShrcTrapezoid, fit_trapezoid
+from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid, fit_trapezoid
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import ControllerFault, Refusal
 from sim.core.controller import CommandedMotion

@@ -10,7 +10,7 @@ from adapters.shrc203 import MAKE, fleetaxes
 from adapters.shrc203.costs import step_costs
 from adapters.shrc203.lowering import ConnectionTraits, ShrcLowered, lower_step
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.trapezoid import ShrcBounds, ShrcTrapezoid, fit_trapezoid
+from adapters.shrc203.shapes.trapezoid import ShrcBounds, ShrcTrapezoid, fit_trapezoid
 from adapters.shrc203.wire.replies import STATUS, parse_status
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller

@@ -16,8 +16,8 @@ from adapters.contract import HostInterval, MoveOutcome
 from adapters.shrc203 import MAKE
 from adapters.shrc203.lowering import ConnectionTraits, ShrcLowered, lower_step
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.pair import FIRST_S, TwoPartMove, find_two_part_moves
-from adapters.shrc203.trapezoid import ShrcBounds
+from adapters.shrc203.shapes.pair import FIRST_S, TwoPartMove, find_two_part_moves
+from adapters.shrc203.shapes.trapezoid import ShrcBounds
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal

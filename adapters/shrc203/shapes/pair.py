@@ -12,7 +12,7 @@ from itertools import product
 from math import ceil, floor
 from typing import NamedTuple
 
-from adapters.shrc203.trapezoid import RAMP_MAX_MS, ShrcBounds, ShrcLeg, ShrcTrapezoid, start_speeds
+from adapters.shrc203.shapes.trapezoid import RAMP_MAX_MS, ShrcBounds, ShrcLeg, ShrcTrapezoid, start_speeds
 
 FIRST_S = 1.0  # the follow-up move is loaded while the first one runs
 # Ramps that are tried: smallest R in ms, and the fraction of F above the lowest start speed that they cover.

@@ -1,0 +1,1 @@
+"""Shapes of a move in whole numbers of the controller."""
