@@ -35,7 +35,9 @@ class Trigger(Model):
     )
     of: str | None = Field(default=None, description="The axis of the step; without it, `every` and `at` are times.")
     pulse: Annotated[Duration, Field(gt=0)] | None = Field(
-        default=None, description="How long the output is active each time; 1 ms without it and without `level`."
+        default=None,
+        description="How long the output is active each time, at least; 1 ms without it and without `level`. "
+        "The trigger output of an SHRC-203 has 10 us.",
     )
     level: bool = Field(
         default=False, description="true: the output changes its level each time, first to active; no pulses."
