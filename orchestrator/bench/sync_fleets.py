@@ -121,6 +121,7 @@ FLEETS: dict[str, dict[str, Any]] = {
     "mixed": {"controllers": make_mixed(pp=False)},
     "mixed, lines": make_wired(make_mixed(pp=False)),
     "mixed with pp": {"controllers": make_mixed(pp=True)},
+    "32 SMC-4000": {"controllers": {f"a{k}": {**make_smc4000(k), "host": f"h{k // 8}"} for k in range(32)}},
     "64 SMC-4000": {"controllers": {f"a{k}": make_smc4000(k) for k in range(64)}},
 }
 """Fleets by the name of their row."""

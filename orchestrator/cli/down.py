@@ -24,13 +24,14 @@ POLL_S = 0.1
 @click.command(epilog="Example: tutti down --fleet demo")
 @state_option
 @fleet_option("The fleet, if several run.")
+@click.option("--host", default="", metavar="NAME", help="End the `tutti host NAME` of the fleet on this machine.")
 @json_option
-def down(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
+def down(state: Path | None, fleet: str | None, host: str, *, as_json: bool) -> None:
     """End a fleet that `tutti up` runs on this machine: first its axes come to rest, then its processes end in order.
 
     Only the processes of that `tutti up` are ended. Exit 1, and nothing is ended, while an axis does not come to rest.
     """
-    running = _choose_fleet(state, fleet)
+    running = _choose_fleet(state, fleet, host)
     # From here on it is this process, whatever takes its id later.
     try:
         process = os.pidfd_open(running.pid)
@@ -47,10 +48,11 @@ def down(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
         os.close(process)
     _wait_for_end(running)
     value = {"fleet": running.fleet, "state": str(running.folder)}
-    print_result(value, f"fleet {running.fleet} is down", as_json=as_json)
+    what = f"adapter host {running.adapter_host} of fleet" if running.adapter_host else "fleet"
+    print_result(value, f"{what} {running.fleet} is down", as_json=as_json)
 
 
-def _choose_fleet(state: Path | None, fleet: str | None) -> "RunningFleet":
+def _choose_fleet(state: Path | None, fleet: str | None, host: str) -> "RunningFleet":
     """The fleet to end; a choice that is not unique ends the command."""
     from orchestrator.runtime.state_folder import default_state, find_running_fleet, find_running_fleets
 
@@ -59,7 +61,7 @@ def _choose_fleet(state: Path | None, fleet: str | None) -> "RunningFleet":
         if found is None:
             exit_with_error(f"no fleet runs with the state folder {state}", UNREACHABLE)
         return found
-    running = find_running_fleets()
+    running = find_running_fleets(host)
     chosen = [each for each in running if fleet in (None, each.fleet)]
     names = ", ".join(each.fleet for each in running)
     if not chosen:

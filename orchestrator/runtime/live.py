@@ -24,6 +24,7 @@ from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, 
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import find_leader
+from orchestrator.runtime.router_watch import watch_live_router
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.state_folder import (
     ADAPTERS,
@@ -144,6 +145,7 @@ class LiveFleet:
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
     _rotation: "asyncio.Task[None] | None" = None
+    _router_watch: "asyncio.Task[None] | None" = None
     _beside: "asyncio.Future[tuple[None, None]] | None" = None
 
     async def start(self) -> None:
@@ -170,6 +172,9 @@ class LiveFleet:
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
             await self._beside
+            restart = self._restart_router if "router" in self.children else None
+            watch = watch_live_router(self.connect, self.fleet.fleet, restart, self.say)
+            self._router_watch = asyncio.create_task(watch)
         except BaseException:
             await self.close()
             raise
@@ -194,7 +199,7 @@ class LiveFleet:
             assert self.hosts is not None
             self._lock = StateLock(self.state)
             self._rotation = asyncio.create_task(self._rotate_logs())
-            self._lock.describe_fleet(f"{self.fleet.fleet}@{'+'.join(sorted(self.hosts))}", self.connect)
+            self._lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.hosts)))
             if self.simulated:
                 await self._start_simulators()
             self.save_fleet(self.fleet)
@@ -229,6 +234,9 @@ class LiveFleet:
             # Not while they start: they would come into being behind this.
             self._beside.cancel()
             await asyncio.wait([self._beside])
+        if self._router_watch is not None:
+            self._router_watch.cancel()
+            await asyncio.wait([self._router_watch])
         # Both coordinators at once: the standby must not take over from the other.
         both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end_child(child) for child in both))
@@ -298,6 +306,13 @@ class LiveFleet:
             ) from None
         self.connect = endpoint
         self.say(f"router on {endpoint}")
+
+    async def _restart_router(self) -> None:
+        """Kill the router; it is started again. One that hangs does not end by itself."""
+        process = self.children["router"].process
+        if process is not None and process.returncode is None:
+            process.kill()
+            await process.wait()
 
     async def _start_recorder(self, file: Path) -> None:
         """Start the recorder; a fleet runs without it as well."""

@@ -27,14 +27,15 @@ class UpFailed(TuttiError):
 
 @dataclass(frozen=True, slots=True)
 class RunningFleet:
-    """A `tutti up` at work. started: when its process began, in the kernel's ticks, which tells it from a later process
-    with the same id."""
+    """A `tutti up` at work, or a `tutti host` (adapter_host: its name). started: when its process began, in the
+    kernel's ticks, which tells it from a later process with the same id."""
 
     pid: int
     started: int
     fleet: str
     connect: str
     folder: Path
+    adapter_host: str = ""
 
 
 class StateLock:
@@ -60,10 +61,11 @@ class StateLock:
             raise UpFailed(f"another `tutti up` uses {folder}, or a `tutti sim serve`; {remedy}") from None
         self._file.truncate(0)
 
-    def describe_fleet(self, fleet: str, connect: str) -> None:
-        """Write which fleet runs, and in which process."""
+    def describe_fleet(self, fleet: str, connect: str, adapter_host: str = "") -> None:
+        """Write which fleet runs, and in which process; or which adapter host of it."""
         pid = os.getpid()
-        entry = {"pid": pid, "started": find_start_ticks(pid), "fleet": fleet, "connect": connect}
+        entry: dict[str, object] = {"pid": pid, "started": find_start_ticks(pid), "fleet": fleet, "connect": connect}
+        entry["adapter_host"] = adapter_host
         self._file.truncate(0)
         self._file.write(json.dumps({**entry, "host": socket.gethostname()}))
         self._file.flush()
@@ -90,7 +92,8 @@ def find_running_fleet(folder: Path) -> RunningFleet | None:
     """The fleet that runs with this state folder; None without one."""
     try:
         entry = json.loads((folder / LOCK).read_text(encoding="utf-8"))
-        found = RunningFleet(entry["pid"], entry["started"], entry["fleet"], entry["connect"], folder)
+        place = entry["fleet"], entry["connect"], folder, entry.get("adapter_host", "")
+        found = RunningFleet(entry["pid"], entry["started"], *place)
         here = entry["host"] == socket.gethostname()
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -98,10 +101,12 @@ def find_running_fleet(folder: Path) -> RunningFleet | None:
     return found if here and find_start_ticks(found.pid) == found.started else None
 
 
-def find_running_fleets() -> list[RunningFleet]:
-    """All fleets of this user that run with their default state folders, by name."""
+def find_running_fleets(adapter_host: str = "") -> list[RunningFleet]:
+    """All fleets of this user that run with their default state folders, by name; with a name, those of which this
+    adapter host runs by `tutti host`."""
     folders = sorted(path.parent for path in default_state("any").parent.glob(f"*/{LOCK}"))
-    return [found for folder in folders if (found := find_running_fleet(folder)) is not None]
+    running = [found for folder in folders if (found := find_running_fleet(folder)) is not None]
+    return [each for each in running if each.adapter_host == adapter_host]
 
 
 def default_state(fleet: str) -> Path:

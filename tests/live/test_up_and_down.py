@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 from pathlib import Path
 
@@ -101,3 +102,20 @@ def test_a_controller_that_is_not_reached_is_named(tmp_path: Path) -> None:
     assert refused.returncode == 1
     assert "not reached within 1 s: gantry: " in refused.stderr
     assert run_in(tmp_path, "down").returncode == 3
+
+
+@pytest.mark.nightly
+def test_a_router_that_accepts_and_never_answers_is_restarted(tmp_path: Path) -> None:
+    """It takes three failures of up to three seconds each to find out, and that at most ten seconds later."""
+    fleet = RunningFleet(tmp_path)
+    try:
+        fleet.started()
+        stopped = fleet.pid("zenoh.router")
+        os.kill(stopped, signal.SIGSTOP)
+        wait_until(lambda: "restarting the router" in fleet.output(), "the router is restarted")
+        assert "serves no new session" in fleet.output()
+        fleet.works()
+        assert fleet.pid("zenoh.router") != stopped
+        assert fleet.end(signal.SIGINT) == 0
+    finally:
+        fleet.close()

@@ -1,0 +1,130 @@
+"""The watch on the router in virtual time, with a router that does as it is set."""
+
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, field
+from typing import Any
+
+from orchestrator.bus.base import BusSample
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.operation.alarms import AlarmRequest
+from orchestrator.model.state import ControllerState, Mode
+from orchestrator.runtime.router_watch import FleetRest, RouterWatch
+
+
+@dataclass
+class World:
+    """A router, and a fleet beside it. deaf: it serves no new session."""
+
+    clock: VirtualClock
+    deaf: bool = False
+    moving: bool = False
+    restarts_ns: list[int] = field(default_factory=list[int])
+    alarms: list[bool] = field(default_factory=list[bool])
+    said: list[str] = field(default_factory=list[str])
+
+    async def probe(self) -> str:
+        return "no answer" if self.deaf else ""
+
+    async def restart(self) -> None:
+        self.restarts_ns.append(self.clock.now_ns())
+        self.deaf = False
+
+    def raise_alarm(self, request: AlarmRequest) -> None:
+        self.alarms.append(request.active)
+
+
+def watch(main: Callable[[World], Coroutine[Any, Any, None]], *, own: bool = True) -> World:
+    async def run(clock: VirtualClock) -> World:
+        world = World(clock)
+        restart = world.restart if own else None
+        router = RouterWatch(
+            "tcp/r", clock, world.probe, lambda: world.moving, world.raise_alarm, restart, world.said.append
+        )
+        clock.loop.create_task(router.run())
+        await main(world)
+        return world
+
+    return run_virtual(run)
+
+
+async def seconds(world: World, count: float) -> None:
+    await sleep_ns(world.clock, round(count * NS_PER_S))
+
+
+def test_a_deaf_router_is_restarted_at_once_if_nothing_moves() -> None:
+    async def main(world: World) -> None:
+        await seconds(world, 25)
+        assert not world.restarts_ns
+        world.deaf = True
+        await seconds(world, 60)
+
+    world = watch(main)
+    assert len(world.restarts_ns) == 1 and world.restarts_ns[0] <= 38 * NS_PER_S
+    assert world.alarms == [True, False]
+
+
+def test_while_the_fleet_moves_it_waits_and_keeps_the_alarm() -> None:
+    async def main(world: World) -> None:
+        world.deaf = world.moving = True
+        await seconds(world, 200)
+        assert not world.restarts_ns and world.alarms == [True] * 4
+        world.moving = False
+        await seconds(world, 30)
+
+    world = watch(main)
+    assert len(world.restarts_ns) == 1 and world.alarms[-1] is False
+
+
+def test_one_failure_is_none() -> None:
+    async def main(world: World) -> None:
+        await seconds(world, 19.5)
+        world.deaf = True
+        await seconds(world, 1)
+        world.deaf = False
+        await seconds(world, 60)
+
+    world = watch(main)
+    assert not world.restarts_ns and not world.alarms
+
+
+def test_a_router_of_others_is_an_alarm_only() -> None:
+    async def main(world: World) -> None:
+        world.deaf = True
+        await seconds(world, 90)
+        world.deaf = False
+        await seconds(world, 20)
+
+    world = watch(main, own=False)
+    assert not world.restarts_ns
+    assert world.alarms[0] is True and world.alarms[-1] is False and len(world.said) == 1
+
+
+def test_a_fleet_rests_when_each_controller_does() -> None:
+    rest = FleetRest()
+
+    def receive(controller: str, mode: Mode) -> None:
+        state = ControllerState(
+            controller=controller,
+            instance="i",
+            seq=1,
+            utc="",
+            fleet_ns=None,
+            mode=mode,
+            axes={},
+            inputs={},
+            outputs={},
+            faults=[],
+            clock=None,
+            estop=None,
+            epoch=1,
+            digest="",
+        )
+        rest.receive_state(BusSample("k", state.to_json()))
+
+    receive("a", "moving")
+    receive("b", "idle")
+    assert rest.is_moving()
+    rest.receive_state(BusSample("k", b"not a state"))
+    receive("a", "offline")
+    assert not rest.is_moving()
