@@ -1,5 +1,8 @@
 """Whether a router serves new sessions."""
 
+# Zenoh's type stubs omit many return types.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+
 from functools import partial
 
 from orchestrator.bus.zenoh.sessions import RouterUnreachable, open_session
