@@ -25,6 +25,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller
 
@@ -116,6 +117,8 @@ class HostGuardian:
         self._lines = stops_by_line(controllers)
         self._ended = False
         self._woken = asyncio.Event()
+        self.checks = 0
+        """How often the child was found healthy."""
 
     def request_end(self) -> None:
         """Request the guardian and its child to end."""
@@ -151,6 +154,7 @@ class HostGuardian:
                 trouble = child.find_failure(self._hung_ns)
                 if trouble is not None:
                     return trouble
+                self.checks += 1
             return None
         finally:
             loop.remove_reader(child.heartbeats)
@@ -207,6 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "python -m adapters.host.guardian", "Start an adapter host, watch it, and take over when it fails."
     )
     parser.add_argument("--hung-ms", type=int, default=HUNG_MS, help="silence after which the host counts as hung")
+    parser.add_argument("--feed-watchdog", action="store_true", help="feed the watchdog of the service manager")
     parser.add_argument("--parent", type=int, help="end, with the host, when this parent process ends")
     chosen = parser.parse_args(arguments)
     try:
@@ -233,9 +238,13 @@ async def _run_guardian(
     latch = chosen.state / f"guardian-{chosen.host}.estop"
     keeping = asyncio.create_task(keep_latch(chosen.connect, fleet, f"guardian-{chosen.host}", latch))
     keeping.add_done_callback(lambda ended: _report_end(ended, log))
+    feeding = [keeping]
+    if chosen.feed_watchdog:
+        feeding.append(asyncio.create_task(ServiceManager().feed_watchdog(lambda: guardian.checks)))
     await guardian.run()
-    keeping.cancel()
-    await asyncio.wait([keeping])
+    for task in feeding:
+        task.cancel()
+    await asyncio.wait(feeding)
 
 
 def _report_end(keeping: "asyncio.Task[None]", log: ProcessLog) -> None:

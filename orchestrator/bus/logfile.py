@@ -6,6 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from orchestrator.bus.journald import JournalSender, is_wanted
 from orchestrator.bus.log import LogSink
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 
@@ -116,5 +117,15 @@ def rotate_open_file(path: Path, max_bytes: int = MAX_LOG_BYTES) -> None:
 
 
 def make_file_sink(path: Path) -> LogSink:
-    """Make a sink that appends to `path`. Raises `UnsafePath`, `OSError`."""
-    return LogFile(path).append_line
+    """Make a sink that appends to `path`, and sends to the journal of systemd if that is wanted. Raises `UnsafePath`,
+    `OSError`."""
+    append = LogFile(path).append_line
+    if not is_wanted():
+        return append
+    send = JournalSender().send_line
+
+    def write_line(line: str) -> None:
+        append(line)
+        send(line)
+
+    return write_line

@@ -29,6 +29,8 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "stats": ("statistics.command", "Statistics of axes, controllers and jobs."),
     "wiring": ("wiring", "Check the trigger wires between controllers."),
     "clock": ("clock", "Show the estimates of the controllers' clocks."),
+    "service": ("service_files", "Run parts as services of systemd."),
+    "doctor": ("doctor", "Check this computer, and say what to do."),
     "repair": ("repair", "Repair what needs a person's decision: epochs."),
     "log": ("looking.log", "Show the logs of all processes, by fleet time."),
     "command": ("looking.commands", "Commands of users, as the journal has them."),

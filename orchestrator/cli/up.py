@@ -68,6 +68,7 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
     metavar="NAME",
     help="Run only this adapter host here (repeatable); others run with `tutti host`. Default: all.",
 )
+@click.option("--no-hosts", is_flag=True, help="Run no adapter host here.")
 @click.option("--take-over", is_flag=True, help="Lead the fleet although another coordinator does.")
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
 @click.option("--new-journal", is_flag=True, help="Begin a journal although the one of this fleet is missing.")
@@ -122,6 +123,7 @@ def up(
     limit_s: float,
     hosts: tuple[str, ...],
     *,
+    no_hosts: bool,
     simulated: bool,
     take_over: bool,
     standby: bool,
@@ -159,7 +161,7 @@ def up(
         fleet = _load_fleet(file, hosts)
         folder = state or default_state(fleet.fleet)
         live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
-        live.hosts = frozenset(hosts) if hosts else None
+        live.hosts = frozenset(hosts) if hosts or no_hosts else None
         live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
         live.metrics_port = metrics_port
         live.web = _choose_web(web, print_line)
@@ -175,7 +177,7 @@ def up(
     options += [part for each in hosts for part in ("--host", each)]
     options += _list_web_options(web)
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
-    flags |= {"--new-journal": new_journal, "--no-record": no_record}
+    flags |= {"--new-journal": new_journal, "--no-record": no_record, "--no-hosts": no_hosts}
     options += [name for name, given in flags.items() if given]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 

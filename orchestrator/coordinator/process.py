@@ -26,6 +26,7 @@ from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority, yield_priority
+from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.coordinator.alarms.command_process import run_command_process
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal, require_journal
@@ -110,10 +111,11 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         prepare_live_process()
         if not options.standby:
             _print_ready()
+        feeding = loop.create_task(_feed_watchdog(options, coordinator))
         events = (end, coordinator.leadership_lost, coordinator.broken)
         waits = [loop.create_task(event.wait()) for event in events]
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-        for wait in waits:
+        for wait in (*waits, feeding):
             wait.cancel()
         if coordinator.leadership_lost.is_set():
             return LEADERSHIP_LOST
@@ -128,6 +130,12 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
     finally:
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)
+
+
+async def _feed_watchdog(options: argparse.Namespace, coordinator: Coordinator) -> None:
+    """Feed the watchdog of the service manager by heartbeats, if this process is to."""
+    if options.feed_watchdog:
+        await ServiceManager().feed_watchdog(lambda: coordinator.leadership.make_heartbeat().seq)
 
 
 def _find_free_bytes(folder: Path) -> int | None:
@@ -162,6 +170,7 @@ def main() -> int:
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--take-over", action="store_true", help="lead even if another coordinator does")
     parser.add_argument("--standby", action="store_true", help="lead as soon as there is no leader on this journal")
+    parser.add_argument("--feed-watchdog", action="store_true", help="feed the watchdog of the service manager")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     options = parser.parse_args()
     if options.parent:

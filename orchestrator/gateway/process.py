@@ -23,6 +23,7 @@ from orchestrator.client import Tutti
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
+from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.gateway.access.users import USERS_FILE
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.server import ADDRESS, NotServed, make_server, open_port
@@ -32,7 +33,7 @@ from orchestrator.runtime.state_folder import RECORDINGS
 @dataclass(frozen=True, slots=True)
 class GatewayPlace:
     """fleet: its name. connect: the router. state: the state folder. jobs: the folder of templates. port: None: the
-    first free one. certificate, key: PEM files, for TLS."""
+    first free one. certificate, key: PEM files, for TLS. service: it is a service of its own."""
 
     fleet: str
     connect: str
@@ -43,6 +44,7 @@ class GatewayPlace:
     port: int | None = None
     certificate: Path | None = None
     key: Path | None = None
+    service: bool = False
 
 
 async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) -> int:
@@ -72,9 +74,12 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         address = f"{'https' if secure else 'http'}://{host}:{port}/"
         log.info(f"serves fleet {place.fleet} on {address}")
         on_ready(f"page on {address}")
+        feeding = loop.create_task(ServiceManager().run_alone()) if place.service else None
         try:
             await server.serve([listener])
         finally:
+            if feeding is not None:
+                feeding.cancel()
             await gateway.close()
     finally:
         await bus.close()
@@ -97,6 +102,7 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=None, help="default: the first free one of 8080 to 8089")
     parser.add_argument("--ssl-certfile", type=Path, default=None, help="PEM: serve by TLS")
     parser.add_argument("--ssl-keyfile", type=Path, default=None)
+    parser.add_argument("--service", action="store_true", help="a service of its own: announce that it is ready")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     given = parser.parse_args()
     place = GatewayPlace(
@@ -109,6 +115,7 @@ def main() -> int:
         port=given.port,
         certificate=given.ssl_certfile,
         key=given.ssl_keyfile,
+        service=given.service,
     )
     if given.parent:
         die_with_parent(given.parent)

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from adapters.controller.store import FileStore
 from orchestrator.bus.logfile import rotate_if_large, rotate_open_file
+from orchestrator.clock.service_manager import READY, STOPPING, ServiceManager
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.bridge import bridge_baud
@@ -145,6 +146,7 @@ class LiveFleet:
     failed: "asyncio.Future[str] | None" = None
     _lock: StateLock | None = None
     _rotation: "asyncio.Task[None] | None" = None
+    _manager: ServiceManager = field(default_factory=ServiceManager)
     _router_watch: "asyncio.Task[None] | None" = None
     _beside: "asyncio.Future[tuple[None, None]] | None" = None
 
@@ -164,7 +166,8 @@ class LiveFleet:
             for host in self.fleet.hosts:
                 if self.hosts is None or host in self.hosts:
                     await self._start_child(f"host/{host}", self._make_host_command(host, file))
-            coordinator = await self._start_child("coordinator", self._make_coordinator_command(file))
+            feed = ["--feed-watchdog"] if self._manager.watchdog_s is not None else []
+            coordinator = await self._start_child("coordinator", [*self._make_coordinator_command(file), *feed])
             if EXISTING_JOURNAL not in coordinator.command:
                 coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
             if self.standby:
@@ -175,6 +178,7 @@ class LiveFleet:
             restart = self._restart_router if "router" in self.children else None
             watch = watch_live_router(self.connect, self.fleet.fleet, restart, self.say)
             self._router_watch = asyncio.create_task(watch)
+            self._manager.notify(READY)
         except BaseException:
             await self.close()
             raise
@@ -205,7 +209,10 @@ class LiveFleet:
             self.save_fleet(self.fleet)
             for host in self.fleet.hosts:
                 if host in self.hosts:
-                    await self._start_child(f"host/{host}", self._make_host_command(host, self.state / FLEET_FILE))
+                    feed = ["--feed-watchdog"] if self._manager.watchdog_s is not None else []
+                    command = self._make_host_command(host, self.state / FLEET_FILE)
+                    await self._start_child(f"host/{host}", [*command, *feed])
+            self._manager.notify(READY)
         except BaseException:
             await self.close()
             raise
@@ -230,6 +237,7 @@ class LiveFleet:
 
     async def close(self) -> None:
         """End all children, the coordinator first and the router last."""
+        self._manager.notify(STOPPING)
         if self._beside is not None:
             # Not while they start: they would come into being behind this.
             self._beside.cancel()

@@ -23,6 +23,7 @@ from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
+from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.monitor.metrics.fleet_metrics import FleetMetrics
 from orchestrator.monitor.metrics.server import NoPort, serve_metrics
 from orchestrator.monitor.recording.folder import RecorderLimits, RecordingFolder
@@ -35,7 +36,7 @@ from orchestrator.monitor.recording.writer import RecordingWriter
 @dataclass(frozen=True, slots=True)
 class RecorderOptions:
     """quota: bytes that all recordings of `folder` may take. fleet_file: attached to every recording.
-    metrics_port: None: the first free one; 0: metrics are not served.
+    metrics_port: None: the first free one; 0: metrics are not served. service: it is a service of its own.
     """
 
     fleet: str
@@ -45,6 +46,7 @@ class RecorderOptions:
     log: Path
     fleet_file: Path | None = None
     metrics_port: int | None = 0
+    service: bool = False
 
 
 async def record_fleet(options: RecorderOptions, on_ready: Callable[[str], None]) -> int:
@@ -94,8 +96,9 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
         loop.create_task(recorder.run()),
     )
     ended = loop.create_task(end.wait())
+    feeding = loop.create_task(ServiceManager().run_alone()) if options.service else None
     await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
-    for task in (ended, repairing, running):
+    for task in (ended, repairing, running, *([] if feeding is None else [feeding])):
         task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await running  # raises a defect: then the process ends with it, and is started again
@@ -128,6 +131,7 @@ def main() -> int:
     parser.add_argument("--quota", type=int, required=True, help="bytes that all recordings may take")
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--metrics-port", type=int, default=None, help="0: no metrics; default: the first free one")
+    parser.add_argument("--service", action="store_true", help="a service of its own: announce that it is ready")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     options = parser.parse_args()
     chosen = RecorderOptions(
@@ -138,6 +142,7 @@ def main() -> int:
         log=options.log,
         fleet_file=options.fleet_file,
         metrics_port=options.metrics_port,
+        service=options.service,
     )
     if options.parent:
         die_with_parent(options.parent)

@@ -1,0 +1,83 @@
+"""`tutti doctor`: check a computer, and say what to do."""
+
+import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_json
+
+if TYPE_CHECKING:
+    from orchestrator.runtime.doctor.findings import Finding
+
+_SIGNS = {"ok": "[green]ok[/]", "warning": "[yellow]warning[/]", "failed": "[red]failed[/]"}
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  tutti doctor
+  tutti doctor lab.fleet.yaml --host lab2 --connect tls/192.168.1.5:7447
+
+\b
+Exit codes: 0 nothing has failed, perhaps with warnings; 1 something has."""
+)
+@click.argument("file", required=False, type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option(
+    "--host", "hosts", multiple=True, metavar="NAME", help="Check the links of this adapter host; default: all."
+)
+@click.option("--connect", default="", callback=check_endpoint_option, help="Check the router there.")
+@click.option("--state", type=click.Path(path_type=Path), default=None, help="The state folder; its disk is measured.")
+@json_option
+def doctor(file: Path | None, hosts: tuple[str, ...], connect: str, state: Path | None, *, as_json: bool) -> None:
+    """Check this computer: Python, real-time limits, USB latency timers, permissions, ports, clock source, disk, the
+    certificate, the router, and versions; with FILE also the links of its controllers. Nothing is changed.
+    """
+    found = _examine(file, hosts, connect, state)
+    if as_json:
+        print_json(
+            {
+                "findings": [
+                    {"check": each.check, "state": each.state, "text": each.text, "remedy": each.remedy}
+                    for each in found
+                ]
+            }
+        )
+    else:
+        _print_findings(found)
+    if any(each.state == "failed" for each in found):
+        raise SystemExit(FAILED)
+
+
+def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Path | None) -> "list[Finding]":
+    from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
+    from orchestrator.runtime.doctor import system
+    from orchestrator.runtime.doctor.links import check_links
+    from orchestrator.runtime.doctor.router import check_router
+    from orchestrator.runtime.state_folder import default_state
+
+    fleet = None
+    if file is not None:
+        from orchestrator.runtime.checked import load_checked_fleet
+
+        fleet = load_checked_fleet(file, tolerant=True)
+    folder = state or default_state("any" if fleet is None else fleet.fleet)
+    found = [system.check_python(), system.check_versions(), system.check_realtime(), system.check_clock_source()]
+    found += [*system.check_usb_latency(), system.check_disk(folder)]
+    found += system.check_ports((("router", int(DEFAULT_ENDPOINT.rpartition(":")[2])), ("page", 8080)))
+    if fleet is not None:
+        found += check_links(fleet, hosts or fleet.hosts)
+    if connect:
+        found.append(asyncio.run(check_router(connect)))
+    return found
+
+
+def _print_findings(found: "list[Finding]") -> None:
+    from orchestrator.monitor.tables import make_plain_table
+
+    table = make_plain_table(["", "check", "found"])
+    for each in found:
+        table.add_row(_SIGNS[each.state], each.check, each.text + (f"\n→ {each.remedy}" if each.remedy else ""))
+    console.print(table)

@@ -1,0 +1,161 @@
+"""`tutti service`: Tutti's parts as services of systemd, and udev rules for USB adapters."""
+
+import getpass
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED
+from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_result
+from orchestrator.cli.base.errors import exit_with_error
+
+if TYPE_CHECKING:
+    from orchestrator.model.fleet import Fleet
+
+UNITS, RULES = Path("/etc/systemd/system"), Path("/etc/udev/rules.d")
+RULES_FILE = "70-tutti.rules"
+
+
+@click.group()
+def service() -> None:
+    """Run Tutti's parts as services of systemd."""
+
+
+@service.command(
+    epilog="""\b
+Examples:
+  sudo tutti service install lab.fleet.yaml router coordinator gateway recorder
+  sudo tutti service install lab.fleet.yaml host --host lab2 \\
+      --connect tls/192.168.1.5:7447 --identity /etc/tutti/lab2
+  tutti service install lab.fleet.yaml coordinator --to ./units"""
+)
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.argument(
+    "parts", nargs=-1, required=True, type=click.Choice(("router", "coordinator", "host", "gateway", "recorder"))
+)
+@click.option(
+    "--connect", default="tcp/127.0.0.1:7447", show_default=True, callback=check_endpoint_option, help="The router."
+)
+@click.option(
+    "--listen", default="", callback=check_endpoint_option, help="Where the router listens; default: --connect."
+)
+@click.option("--host", default="", metavar="NAME", help="The adapter host of this computer, for `host`.")
+@click.option(
+    "--local", multiple=True, metavar="NAME", help="An adapter host that `coordinator` runs here, repeatable."
+)
+@click.option("--user", default=None, help="The user of the services. Default: this one, or that of sudo.")
+@click.option("--identity", type=click.Path(path_type=Path), default=None, help="Folder of the certificate.")
+@click.option(
+    "--keys", type=click.Path(path_type=Path), default=None, help="Folder of the fleet's authority, for `router`."
+)
+@click.option(
+    "--to",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=UNITS,
+    show_default=True,
+    help="Folder of the units.",
+)
+@json_option
+def install(
+    file: Path,
+    parts: tuple[str, ...],
+    connect: str,
+    listen: str,
+    host: str,
+    local: tuple[str, ...],
+    user: str | None,
+    identity: Path | None,
+    keys: Path | None,
+    to: Path,
+    *,
+    as_json: bool,
+) -> None:
+    """Write the units of PARTS (router, coordinator, host, gateway, recorder) of the fleet in FILE.
+
+    Nothing is started: the commands for that are printed. A unit that is there already is replaced.
+    """
+    import os
+
+    from orchestrator.runtime.checked import load_checked_fleet
+    from orchestrator.runtime.services.units import ServicePlace, make_unit, make_unit_name
+
+    fleet = load_checked_fleet(file, tolerant=True)
+    _require_hosts(fleet, parts, host, local)
+    place = ServicePlace(
+        fleet=fleet,
+        file=file.absolute(),
+        command=Path(sys.argv[0]).absolute()
+        if Path(sys.argv[0]).name == "tutti"
+        else Path(sys.prefix) / "bin" / "tutti",
+        python=Path(sys.executable),
+        user=user or os.environ.get("SUDO_USER") or getpass.getuser(),
+        connect=connect,
+        host=host,
+        local=local,
+        listen=listen,
+        keys=None if keys is None else keys.absolute(),
+        identity=None if identity is None else identity.absolute(),
+    )
+    written: list[Path] = []
+    for part in dict.fromkeys(parts):
+        written.append(_write_file(to / make_unit_name(part, place), make_unit(part, place)))
+    names = " ".join(each.name for each in written)
+    lines = [f"wrote {each}" for each in written]
+    if to == UNITS:
+        lines += [
+            "start them, now and with the computer:",
+            f"  systemctl daemon-reload && systemctl enable --now {names}",
+        ]
+    else:
+        lines.append(f"check them: systemd-analyze verify {' '.join(map(str, written))}")
+    print_result({"units": [str(each) for each in written]}, "\n".join(lines), as_json=as_json)
+
+
+@service.command(epilog="Example: sudo tutti service udev")
+@click.option(
+    "--to",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=RULES,
+    show_default=True,
+    help="Folder of the rules.",
+)
+@click.option("--print", "only_print", is_flag=True, help="Print the rules, and write nothing.")
+def udev(to: Path, *, only_print: bool) -> None:
+    """Write udev rules for USB adapters of serial lines: no latency timer, and names that stay."""
+    from orchestrator.runtime.services.units import UDEV_RULES
+
+    if only_print:
+        click.echo(UDEV_RULES, nl=False)
+        return
+    path = _write_file(to / RULES_FILE, UDEV_RULES)
+    console.print(
+        f"wrote {path}\nuse them: udevadm control --reload && udevadm trigger", soft_wrap=True, highlight=False
+    )
+
+
+def _require_hosts(fleet: "Fleet", parts: tuple[str, ...], host: str, local: tuple[str, ...]) -> None:
+    """End the command for a host that is missing or unknown."""
+    hosts = ", ".join(fleet.hosts)
+    if "host" in parts and not host:
+        exit_with_error(
+            f"`host` needs its name; the fleet has: {hosts}", BAD_INPUT, "give it: --host NAME", code="no-host"
+        )
+    unknown = next((each for each in (*local, *([host] if host else [])) if each not in fleet.hosts), None)
+    if unknown is not None:
+        exit_with_error(f"no controller has `host: {unknown}`; hosts: {hosts}", BAD_INPUT, "correct it", code="no-host")
+
+
+def _write_file(path: Path, text: str) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        exit_with_error(
+            f"{path} cannot be written: {error.strerror}",
+            FAILED,
+            "run it as root (sudo), or choose a folder: --to",
+            code="not-written",
+        )
+    return path

@@ -1,0 +1,1 @@
+"""Checks of a computer that runs a part of a fleet."""

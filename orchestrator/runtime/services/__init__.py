@@ -1,0 +1,1 @@
+"""Tutti as services of systemd."""
