@@ -143,7 +143,7 @@ LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashe
 lock:
 	$(LOCK) --extra web -o requirements.lock pyproject.toml
 	$(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
-	$(LOCK) --extra record --extra export --extra scanspec --extra web -c requirements-dev.lock -o requirements-full.lock pyproject.toml
+	$(LOCK) --extra record --extra export --extra scanspec --extra web --extra keys -c requirements-dev.lock -o requirements-full.lock pyproject.toml
 	$(LOCK) --extra docs -c requirements-dev.lock -o requirements-docs.lock pyproject.toml
 	$(LOCK) -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
 	$(LOCK) -c requirements-dev.lock -o requirements-page.lock orchestrator/gateway/page/requirements.in

@@ -6,7 +6,7 @@ This module imports nothing but the bus: an e-stop from a shell waits for every 
 import json
 
 from orchestrator.bus.base import Bus, Priority
-from orchestrator.bus.keys import ROOT, FleetKeys
+from orchestrator.bus.keys import ANY_ESTOP, FleetKeys
 
 
 def put_estop(bus: Bus, fleet: str | None, event: str, actor: str, reason: str) -> None:
@@ -15,5 +15,5 @@ def put_estop(bus: Bus, fleet: str | None, event: str, actor: str, reason: str) 
     fleet: None stops every fleet on the bus. Querying the fleets first would take time, two seconds if an adapter
     host hangs.
     """
-    key = f"{ROOT}/*/estop" if fleet is None else FleetKeys(fleet).estop
+    key = ANY_ESTOP if fleet is None else FleetKeys(fleet).estop
     bus.put(key, json.dumps({"event": event, "actor": actor, "reason": reason}).encode(), Priority.ESTOP)

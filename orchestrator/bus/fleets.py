@@ -3,14 +3,14 @@
 import asyncio
 
 from orchestrator.bus.base import Bus, BusError
-from orchestrator.bus.keys import ROOT
+from orchestrator.bus.keys import ANY_STATE, ANY_TIME, ROOT
 
 ANSWER_TIMEOUT_S = 2.0
 
 
 async def find_fleets(bus: Bus) -> list[str]:
     """The fleets that have a coordinator or an adapter which answers, sorted by name."""
-    asked = [f"{ROOT}/*/time", f"{ROOT}/*/ctl/*/state"]
+    asked = [ANY_TIME, ANY_STATE]
     found = await asyncio.gather(
         *(bus.request_all(each, b"", ANSWER_TIMEOUT_S) for each in asked), return_exceptions=True
     )

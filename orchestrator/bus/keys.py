@@ -9,6 +9,12 @@ from dataclasses import dataclass
 
 ROOT = "tutti/v1"
 
+ANY_ESTOP = f"{ROOT}/*/estop"
+"""The e-stop of every fleet on the bus."""
+
+ANY_STATE, ANY_TIME = f"{ROOT}/*/ctl/*/state", f"{ROOT}/*/time"
+"""What the fleets on a bus are found by."""
+
 _ID = re.compile(r"[a-z0-9_-]+")
 
 
@@ -36,6 +42,11 @@ class FleetKeys:
     def prefix(self) -> str:
         """The common beginning of all keys of the fleet, without the trailing `/`."""
         return f"{ROOT}/{self.fleet}"
+
+    @property
+    def everything(self) -> str:
+        """The expression for all keys of the fleet."""
+        return f"{self.prefix}/**"
 
     # Controllers
 
@@ -70,9 +81,9 @@ class FleetKeys:
     def _controller_key(self, ctl: str | None, leaf: str) -> str:
         return f"{self.prefix}/ctl/{_make_chunk(ctl, 'controller')}/{leaf}"
 
-    def batch_command(self, host: str, verb: str | None = None) -> str:
+    def batch_command(self, host: str | None = None, verb: str | None = None) -> str:
         """A command to several controllers of an adapter host; served by the host."""
-        return f"{self.prefix}/host/{check_id(host, 'host')}/cmd/{_make_chunk(verb, 'verb')}"
+        return f"{self.prefix}/host/{_make_chunk(host, 'host')}/cmd/{_make_chunk(verb, 'verb')}"
 
     def lease(self, ctl: str, axis: str | None = None) -> str:
         """The lease of a controller, or of one axis of it; published by the coordinator."""

@@ -108,3 +108,19 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "names": ServiceVerb(Request, FleetNames, reads=True),
     "configuration": ServiceVerb(Request, FleetLoaded, reads=True),
 }
+
+VIEW_VERBS = (
+    "alarms",
+    "commands",
+    "configuration",
+    "find",
+    "list",
+    "names",
+    "plan",
+    "points",
+    "positions",
+    "recording",
+    "show",
+    "statistics",
+)
+"""The verbs of every role that may look: those that read, without those that store points or compute a forecast."""

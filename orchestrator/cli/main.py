@@ -1,8 +1,10 @@
 """The root command: subcommands are imported when they are used, so that `tutti --help` is quick."""
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import click
@@ -34,6 +36,8 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "repair": ("repair", "Repair what needs a person's decision: epochs."),
     "log": ("looking.log", "Show the logs of all processes, by fleet time."),
     "command": ("looking.commands", "Commands of users, as the journal has them."),
+    "keys": ("keys.command", "Keys of a fleet: its authority, certificates, roles."),
+    "router": ("keys.router", "Run the fleet's router by itself, with TLS and roles."),
     "user": ("users.command", "Users of the page: roles, passwords, tokens."),
     "raw": ("controller", "Send a command in a controller's own language."),
     "trace": ("looking.trace", "Show the last frames on a controller's link."),
@@ -46,6 +50,13 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "sim": ("sim", "Simulated controllers: check and manipulate them."),
     "adapter": ("adapters.command", "Makes of others: write, check and list adapters."),
 }
+
+
+def _note_identity(_: click.Context, __: click.Parameter, value: Path | None) -> None:
+    """Processes that the command starts have it by the environment."""
+    if value is not None:
+        os.environ["TUTTI_IDENTITY"] = str(value.absolute())
+
 
 EPILOG = """\b
 Exit codes: 0 done; 1 refused or failed by a running fleet; 2 bad input:
@@ -110,5 +121,14 @@ class _LazyGroup(click.Group):
 
 @click.command(cls=_LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="tutti")
+@click.option(
+    "--identity",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    envvar="TUTTI_IDENTITY",
+    show_envvar=True,
+    expose_value=False,
+    callback=_note_identity,
+    help="Folder with the certificate for routers with TLS, as `tutti keys` makes it.",
+)
 def main() -> None:
     """Tutti makes motion controllers of different makers move as one machine."""

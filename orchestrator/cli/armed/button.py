@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 
 from orchestrator.bus.base import Bus, BusSample
 from orchestrator.bus.estop import put_estop
-from orchestrator.bus.keys import ROOT, FleetKeys
+from orchestrator.bus.keys import ANY_STATE, FleetKeys
 
 SILENCE_S = 1.5  # adapters publish at least every 0.4 s
 POLL_S = 0.1
@@ -69,7 +69,7 @@ class EstopButton:
         watching = asyncio.ensure_future(self._watch_connection())
         try:
             self._bus = await connect()
-            keys = f"{ROOT}/*/ctl/*/state" if self._fleet is None else FleetKeys(self._fleet).state()
+            keys = ANY_STATE if self._fleet is None else FleetKeys(self._fleet).state()
             await self._bus.subscribe(keys, self._receive_state)
             while True:
                 await self._pressed.wait()

@@ -34,6 +34,15 @@ _NAME_CODES = {
     "bad-unit",
     "bad-name",
     "which-fleet",
+    "no-keys",
+    "bad-keys",
+    "bad-address",
+    "key-exists",
+    "key-revoked",
+    "other-fleet",
+    "no-fleet-file",
+    "which-router",
+    "bad-endpoint",
     "no-user",
     "no-token",
     "bad-user",
@@ -133,6 +142,7 @@ def _exit_with_known_error(error: Exception) -> None:
 
     from orchestrator.bus.base import BusError
     from orchestrator.bus.endpoint import BadEndpoint
+    from orchestrator.bus.identity import BadIdentity
     from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable
     from orchestrator.model.errors import Refusal
     from orchestrator.model.files import FileError
@@ -146,6 +156,8 @@ def _exit_with_known_error(error: Exception) -> None:
             exit_with_error(error.text, FAILED, error.remedy, code="plug-in")
         case BadEndpoint():
             exit_with_error(str(error), BAD_INPUT, code="bad-endpoint")
+        case BadIdentity():
+            exit_with_error(str(error), BAD_INPUT, code="bad-identity")
         case RouterUnreachable() | RouterRefused():
             exit_with_error(str(error), UNREACHABLE, code="no-router")
         case BusError():

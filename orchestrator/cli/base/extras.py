@@ -6,6 +6,7 @@ from importlib.util import find_spec
 _EXTRAS = {
     "record": ("mcap", "zstandard", "prometheus_client"),
     "export": ("mcap", "zstandard", "pyarrow", "h5py"),
+    "keys": ("cryptography",),
     "web": ("starlette", "uvicorn", "websockets", "argon2"),
 }
 

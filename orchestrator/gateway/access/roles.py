@@ -6,27 +6,14 @@ in: a stop must never wait for a right.
 
 from typing import Literal, get_args
 
+from orchestrator.bus.service_verbs import VIEW_VERBS
+
 Role = Literal["viewer", "proposer", "operator", "maintainer"]
 ROLES: tuple[Role, ...] = get_args(Role)
 """Each role may do what those before it may."""
 
-READ_VERBS = (
-    "alarms",
-    "commands",
-    "configuration",
-    "find",
-    "list",
-    "names",
-    "plan",
-    "points",
-    "positions",
-    "recording",
-    "show",
-    "statistics",
-)
-
 LEAST_ROLES: dict[str, Role] = {
-    **dict.fromkeys(READ_VERBS, "viewer"),
+    **dict.fromkeys(VIEW_VERBS, "viewer"),
     "stop": "viewer",
     "estop": "viewer",
     # Jobs of a proposer wait for the approval of an operator.

@@ -1,0 +1,143 @@
+"""The identity of a session: a folder with its certificate, its key, and the certificate of the fleet's authority.
+
+It is checked before a router gets it, because a router closes without a reason. The check is the handshake that a
+router makes, in memory, with the standard library; so nothing but that is needed where no keys are made.
+"""
+
+import os
+import ssl
+import stat
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from orchestrator.model.errors import TuttiError
+
+AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "cert.pem", "key.pem"
+VARIABLE = "TUTTI_IDENTITY"
+"""The environment variable with the folder; processes that a command starts get it in this way."""
+
+_NO_CHECK_TIME = 0x200000  # X509_V_FLAG_NO_CHECK_TIME of OpenSSL: an expired certificate is read, too
+_UNKNOWN_ISSUER = frozenset({7, 18, 19, 20, 21})  # X509_V_ERR_…: signature, self-signed, issuer not found
+
+
+class BadIdentity(TuttiError, ValueError):
+    """A session has no usable identity. The text says what is wrong with it, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """folder: with the three files. common_name: of the certificate, e.g. `host-lab3.2`. begins, expires: when it
+    counts."""
+
+    folder: Path
+    common_name: str
+    begins: datetime
+    expires: datetime
+
+    @property
+    def authority(self) -> Path:
+        return self.folder / AUTHORITY_FILE
+
+    @property
+    def certificate(self) -> Path:
+        return self.folder / CERTIFICATE_FILE
+
+    @property
+    def key(self) -> Path:
+        return self.folder / KEY_FILE
+
+    def require_valid(self, now: datetime) -> None:
+        """Raises `BadIdentity` before and after its time."""
+        if now >= self.expires:
+            text = f"the certificate of {self.common_name} has expired on {self.expires:%Y-%m-%d %H:%M} UTC"
+            raise BadIdentity(f"{text} ({self.certificate}); renew it: `tutti keys renew`, and copy the folder again")
+        if now < self.begins:
+            text = f"the certificate of {self.common_name} counts from {self.begins:%Y-%m-%d %H:%M} UTC only"
+            raise BadIdentity(f"{text}, and this computer has {now:%Y-%m-%d %H:%M}; set its clock")
+
+
+def find_identity() -> Path | None:
+    """The folder that the environment names."""
+    named = os.environ.get(VARIABLE, "")
+    return Path(named) if named else None
+
+
+def read_identity(folder: Path) -> Identity:
+    """Read the identity in a folder. Raises `BadIdentity` where a file is missing, unreadable, or open to other users,
+    and for a certificate of another authority or another key; an expired one is returned."""
+    for name in (AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE):
+        path = folder / name
+        try:
+            mode = path.stat().st_mode
+        except OSError as error:
+            text = f"{path}: {error.strerror}; an identity is the folder that `tutti keys add-…` makes"
+            raise BadIdentity(text) from None
+        if name == KEY_FILE and stat.S_IMODE(mode) & 0o077:
+            raise BadIdentity(f"{path} can be read by other users; `chmod 600 {path}`")
+    certificate = _shake_hands(folder)
+    try:
+        subject = dict(pair for each in certificate["subject"] for pair in each)
+        return Identity(
+            folder, subject["commonName"], _to_instant(certificate["notBefore"]), _to_instant(certificate["notAfter"])
+        )
+    except KeyError as error:
+        raise BadIdentity(f"{folder / CERTIFICATE_FILE} has no {error.args[0]}; make it by `tutti keys`") from None
+
+
+def _to_instant(text: str) -> datetime:
+    return datetime.fromtimestamp(ssl.cert_time_to_seconds(text), UTC)
+
+
+def _shake_hands(folder: Path) -> dict[str, Any]:
+    """Let a server in this process verify the certificate as a client's, and return what it says. Raises
+    `BadIdentity`."""
+    client, server = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    client.check_hostname = False
+    client.verify_mode = ssl.CERT_NONE
+    server.verify_mode = ssl.CERT_REQUIRED
+    server.verify_flags |= _NO_CHECK_TIME
+    server.maximum_version = ssl.TLSVersion.TLSv1_2  # there a handshake ends only when both sides are verified
+    certificate, key = folder / CERTIFICATE_FILE, folder / KEY_FILE
+    try:
+        server.load_verify_locations(folder / AUTHORITY_FILE)
+    except (OSError, ssl.SSLError) as error:
+        raise BadIdentity(f"{folder / AUTHORITY_FILE} is no certificate: {_name_reason(error)}") from None
+    try:
+        for context in (client, server):
+            context.load_cert_chain(certificate, key)
+    except (OSError, ssl.SSLError) as error:
+        text = f"{certificate} and {key} cannot be used together: {_name_reason(error)}"
+        raise BadIdentity(f"{text}; copy the whole folder again") from None
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = [
+        client.wrap_bio(to_client, to_server, server_side=False),
+        accepting := server.wrap_bio(to_server, to_client, server_side=True),
+    ]
+    waiting = list(ends)
+    while waiting:
+        for end in list(waiting):
+            try:
+                end.do_handshake()
+                waiting.remove(end)
+            except ssl.SSLWantReadError:
+                continue
+            except ssl.SSLCertVerificationError as error:
+                raise BadIdentity(_explain(folder, error)) from None
+            except ssl.SSLError as error:
+                raise BadIdentity(f"{certificate} cannot be used: {_name_reason(error)}") from None
+    return accepting.getpeercert() or {}
+
+
+def _explain(folder: Path, error: ssl.SSLCertVerificationError) -> str:
+    certificate = folder / CERTIFICATE_FILE
+    if error.verify_code in _UNKNOWN_ISSUER:
+        return f"{certificate} is of another authority than {folder / AUTHORITY_FILE}; copy the whole folder again"
+    return f"{certificate} cannot be used by a session: {error.verify_message}; make it by `tutti keys`"
+
+
+def _name_reason(error: Exception) -> str:
+    if isinstance(error, ssl.SSLError):
+        return (error.reason or "unreadable").lower().replace("_", " ")
+    return str(error)

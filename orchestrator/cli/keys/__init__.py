@@ -1,0 +1,1 @@
+"""`tutti keys` and `tutti router`."""

@@ -1,0 +1,30 @@
+"""When the end of a certificate is announced: 30, 7 and 1 days before, and behind it."""
+
+from datetime import datetime, timedelta
+
+from orchestrator.model.alarm_rules import AlarmPriority
+
+ALARMS: tuple[tuple[int, AlarmPriority], ...] = ((30, "low"), (7, "medium"), (1, "high"))
+"""Days before the end, and the priority of the alarm from then on."""
+
+
+def describe_expiry(expires: datetime, now: datetime) -> str:
+    """In words for a list: `valid`, `ends in 6 days`, `expired`."""
+    if now >= expires:
+        return "expired"
+    left = expires - now
+    return "valid" if left > timedelta(days=ALARMS[0][0]) else f"ends in {_format_left(left)}"
+
+
+def find_priority(expires: datetime, now: datetime) -> AlarmPriority | None:
+    """The priority of the alarm for a certificate; None while it has more than 30 days."""
+    found: AlarmPriority | None = None
+    for days, priority in ALARMS:
+        if expires - now <= timedelta(days=days):
+            found = priority
+    return found
+
+
+def _format_left(left: timedelta) -> str:
+    hours = left // timedelta(hours=1)
+    return f"{left.days} days" if left.days > 1 else f"{hours} h"
