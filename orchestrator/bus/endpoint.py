@@ -5,9 +5,13 @@ import re
 from orchestrator.model.errors import TuttiError
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"  # of the router that `tutti up` starts
+MAX_ENDPOINTS = 8
 
-_NETWORK = re.compile(r"(?:tcp|tls|udp|quic|ws)/(?:\[[0-9a-fA-F:%.]+\]|[^\s/:]+):(\d{1,5})")
-_LOCAL = re.compile(r"unixsock-stream/\S+")
+_NETWORK = re.compile(r"(?:tcp|tls|udp|quic|ws)/(\[[0-9a-fA-F:%.]+\]|[^\s/:,]+):(\d{1,5})")
+_SOCKET = "unixsock-stream/"
+_LOCAL = re.compile(rf"{_SOCKET}[^\s,]+")
+_LOOPBACK = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[::1\]")
+_FORM = "write PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447"
 
 
 class BadEndpoint(TuttiError, ValueError):
@@ -15,8 +19,44 @@ class BadEndpoint(TuttiError, ValueError):
 
 
 def check_endpoint(text: str) -> str:
-    """Return `text`, e.g. `tcp/127.0.0.1:7447`. Raises `BadEndpoint`."""
-    found = _NETWORK.fullmatch(text.partition("?")[0].partition("#")[0])
-    if _LOCAL.fullmatch(text) or (found is not None and 0 < int(found[1]) < 65_536):
-        return text
-    raise BadEndpoint(f"{text!r} is not an endpoint; write PROTOCOL/HOST:PORT, e.g. tcp/127.0.0.1:7447")
+    """Return `text`, e.g. `tcp/127.0.0.1:7447`; several, of which one is used at a time, are separated by commas.
+    Raises `BadEndpoint`."""
+    split_endpoints(text)
+    return text
+
+
+def split_endpoints(text: str) -> list[str]:
+    """The endpoints in `text`, in its order. Raises `BadEndpoint`."""
+    endpoints = text.split(",")
+    for each in endpoints:
+        found = _parse(each)
+        if not _LOCAL.fullmatch(each) and (found is None or not 0 < int(found[2]) < 65_536):
+            raise BadEndpoint(f"{each!r} is not an endpoint; {_FORM}")
+    if len(endpoints) > MAX_ENDPOINTS:
+        raise BadEndpoint(f"{len(endpoints)} endpoints; at most {MAX_ENDPOINTS} routers are tried")
+    return endpoints
+
+
+def is_private(endpoint: str) -> bool:
+    """Whether no other computer reaches a router that listens there: a loopback address, or a socket in a folder."""
+    found = _parse(endpoint)
+    return is_socket(endpoint) if found is None else _LOOPBACK.fullmatch(found[1]) is not None
+
+
+def uses_tls(endpoint: str) -> bool:
+    """Whether a session there needs certificates."""
+    return endpoint.startswith("tls/")
+
+
+def is_socket(endpoint: str) -> bool:
+    """Whether it is a Unix socket."""
+    return endpoint.startswith(_SOCKET)
+
+
+def make_socket_endpoint(path: str) -> str:
+    """The endpoint of a Unix socket at an absolute path. Raises `BadEndpoint` for a path that cannot stand in one."""
+    return check_endpoint(f"{_SOCKET}{path}")
+
+
+def _parse(endpoint: str) -> re.Match[str] | None:
+    return _NETWORK.fullmatch(endpoint.partition("?")[0].partition("#")[0])

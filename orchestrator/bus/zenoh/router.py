@@ -22,9 +22,8 @@ MAX_FILES = 8192
 def run_router(endpoint: str, parent_pid: int, latch: tuple[str, Path] | None = None) -> int:
     """Route until the end of the process; return its exit code. latch: the fleet whose e-stop latch is kept, and its
     file."""
-    _allow_connections()
+    prepare_router_process()
     die_with_parent(parent_pid)
-    set_realtime_priority(RealtimePriority.BUS)
     try:
         asyncio.run(_route(endpoint, latch))
     except RouterRefused as error:
@@ -43,21 +42,23 @@ async def _route(endpoint: str, latch: tuple[str, Path] | None) -> None:
         keeping: list[asyncio.Task[None]] = []
         if latch is not None:
             keeping = [asyncio.create_task(keep_latch(endpoint, latch[0], "router", latch[1]))]
-            keeping[0].add_done_callback(_report_end)
+            keeping[0].add_done_callback(report_latch_end)
         await ended.wait()
         for task in keeping:
             task.cancel()
         await asyncio.gather(*keeping, return_exceptions=True)
 
 
-def _report_end(keeping: "asyncio.Task[None]") -> None:
+def report_latch_end(keeping: "asyncio.Task[None]") -> None:
     """A latch that is not kept any more does not end the router."""
     if not keeping.cancelled() and (error := keeping.exception()) is not None:
         sys.stderr.write(f"the router does not keep the e-stop latch: {error!r}\n")
 
 
-def _allow_connections() -> None:
-    """Raise the number of open files to what this user may have: each connection is one, also one that says nothing."""
+def prepare_router_process() -> None:
+    """Real-time priority, and as many open files as this user may have: each connection is one, also one that says
+    nothing."""
+    set_realtime_priority(RealtimePriority.BUS)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = MAX_FILES if most == resource.RLIM_INFINITY else min(most, MAX_FILES)
     resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))

@@ -1,18 +1,25 @@
 """Opening of Zenoh sessions and routers, with explicit endpoints only.
 
-Nothing is discovered by multicast or gossip: all connections are configured.
+Nothing is discovered by multicast or gossip: all connections are configured. By TLS both sides have certificates of the
+fleet's authority.
 """
 
 # Zenoh's type stubs omit many return types.
 # pyright: reportUnknownMemberType=false
 
 import json
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import partial
 from types import TracebackType
 
 import zenoh
 
-from orchestrator.bus.endpoint import check_endpoint
+from orchestrator.bus.endpoint import is_private, split_endpoints, uses_tls
+from orchestrator.bus.identity import VARIABLE, BadIdentity, Identity, find_identity, read_identity
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
+from orchestrator.bus.tls_probe import probe_tls
 from orchestrator.model.errors import TuttiError
 
 CONNECT_TIMEOUT_S = 5.0
@@ -21,14 +28,15 @@ CONNECT_TIMEOUT_S = 5.0
 _RETRY_CONFIG = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 """Zenoh's own retry periods grow to 4 s. A restarted router on the same host should be found sooner."""
 
-_LOOPBACK = ("tcp/127.", "tcp/localhost:", "tcp/[::1]:")
-
+_ATTEMPT_S = 1.0
+"""Of several routers, how long one is waited for before the next one is tried."""
 
 _ROUTER_LIMITS = {
     "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     "transport/unicast/accept_timeout": 1000,  # ms; for a connection to become a session, else it is closed
     "transport/unicast/accept_pending": 2000,  # connections that are not sessions yet; Zenoh's own limit is 100
     "transport/unicast/max_sessions": 1000,
+    "scouting/delay": 0,  # nothing is scouted; otherwise a router listens half a second later
 }
 """Connections that say nothing must not keep others out: 500 of them, with Zenoh's own 10 s, refused all new sessions,
 also that of an e-stop."""
@@ -42,45 +50,83 @@ class RouterRefused(TuttiError):
     """The router cannot listen at the endpoint."""
 
 
-def _make_config(mode: str, **settings: object) -> zenoh.Config:
+def _make_common_settings(mode: str) -> dict[str, object]:
+    return {"mode": mode, "scouting/multicast/enabled": False, "scouting/gossip/enabled": False}
+
+
+def _to_config(settings: Mapping[str, object]) -> zenoh.Config:
     config = zenoh.Config()
-    wanted: dict[str, object] = {
-        "mode": mode,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        **settings,
-    }
-    for key, value in wanted.items():
+    for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
 
 
 def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.Session:
     """Open a client session through the router at `endpoint`, e.g. `tcp/127.0.0.1:7447`. Blocks until it is
-    connected.
+    connected. Of several endpoints, separated by commas, the first one that answers is used.
 
-    When the router goes away and comes back, Zenoh reconnects and declares everything again. Raises
-    `RouterUnreachable` after `timeout_s`, and `BadEndpoint`.
+    When the router goes away and comes back, or another one of the endpoints is there, Zenoh reconnects and declares
+    everything again. Raises `RouterUnreachable` after `timeout_s`, `BadEndpoint`, and `BadIdentity`.
     """
-    check_endpoint(endpoint)
-    config = _make_config(
-        "client",
-        **{
-            "connect/endpoints": [endpoint],
-            "connect/timeout_ms": round(timeout_s * 1000),
-            "connect/exit_on_failure": True,
-            "connect/retry": _RETRY_CONFIG,
-            "listen/endpoints": [],
-            "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
-        },
-    )
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise RouterUnreachable(
-            f"no router answered at {endpoint} within {timeout_s:g} s; start one there (`tutti up FLEET`), or give the "
-            "right endpoint with --connect"
-        ) from error
+    endpoints = split_endpoints(endpoint)
+    identity = require_identity(endpoint) if any(map(uses_tls, endpoints)) else None
+    until_s = time.monotonic() + timeout_s
+    while True:
+        left_s = until_s - time.monotonic()
+        try:
+            return zenoh.open(_make_client_config(endpoints, identity, min(left_s, _limit_attempt(endpoints))))
+        except zenoh.ZError as error:
+            if until_s - time.monotonic() > 0.05 and len(endpoints) > 1:
+                # At the first connection Zenoh waits for the first endpoint alone.
+                endpoints = [*endpoints[1:], endpoints[0]]
+                continue
+            raise RouterUnreachable(_explain_absence(endpoint, timeout_s, identity)) from error
+
+
+def require_identity(endpoint: str) -> Identity:
+    """The identity that the environment names, for an endpoint with TLS. Raises `BadIdentity` if there is none, or it
+    does not count now."""
+    folder = find_identity()
+    if folder is None:
+        text = f"{endpoint} needs a certificate; give the folder that `tutti keys add-…` has made"
+        raise BadIdentity(f"{text}: --identity, or {VARIABLE} in the environment")
+    identity = read_identity(folder)
+    identity.require_valid(datetime.now(UTC))
+    return identity
+
+
+def _limit_attempt(endpoints: list[str]) -> float:
+    return _ATTEMPT_S if len(endpoints) > 1 else float("inf")
+
+
+def _make_client_config(endpoints: list[str], identity: Identity | None, timeout_s: float) -> zenoh.Config:
+    settings: dict[str, object] = {
+        "connect/endpoints": endpoints,
+        "connect/timeout_ms": max(1, round(timeout_s * 1000)),
+        "connect/exit_on_failure": True,
+        "connect/retry": _RETRY_CONFIG,
+        "listen/endpoints": [],
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+    }
+    if identity is not None:
+        settings["transport/link/tls"] = {
+            "root_ca_certificate": str(identity.authority),
+            "connect_certificate": str(identity.certificate),
+            "connect_private_key": str(identity.key),
+            "enable_mtls": True,
+            "close_link_on_expiration": True,
+        }
+    return _to_config({**_make_common_settings("client"), **settings})
+
+
+def _explain_absence(endpoint: str, timeout_s: float, identity: Identity | None) -> str:
+    text = f"no router answered at {endpoint} within {timeout_s:g} s"
+    if identity is None:
+        return f"{text}; start one there (`tutti up FLEET`), or give the right endpoint with --connect"
+    # A router that refuses a certificate closes without a word.
+    reasons = "; ".join(each for each in map(partial(probe_tls, identity=identity), split_endpoints(endpoint)) if each)
+    remedy = "start one there (`tutti router`), or give the right endpoint with --connect"
+    return f"{text}, as {identity.common_name}: {reasons or remedy}"
 
 
 class ZenohRouter:
@@ -104,17 +150,27 @@ class ZenohRouter:
             self._session.close()
 
 
-def open_router(endpoint: str) -> ZenohRouter:
-    """Route for the fleet at `endpoint`. Plain TCP is allowed on this host only: otherwise it raises
-    `RouterRefused`.
+def make_router_settings(endpoint: str, security: Mapping[str, object]) -> dict[str, object]:
+    """All settings of a router in Zenoh's terms. security: those of TLS and of the access control."""
+    ends = {"listen/endpoints": split_endpoints(endpoint), "connect/endpoints": []}
+    return {**_make_common_settings("router"), **ends, **_ROUTER_LIMITS, **security}
 
-    Raises `RouterRefused` also if the endpoint is in use or malformed.
+
+def open_router(endpoint: str, security: Mapping[str, object] | None = None, *, insecure: bool = False) -> ZenohRouter:
+    """Route for the fleet at `endpoint`; several are separated by commas.
+
+    security: settings of TLS and of the access control. insecure: it may listen to the network without. Raises
+    `RouterRefused` for that without `insecure`, and if an endpoint is in use or malformed.
     """
-    if endpoint.startswith("tcp/") and not endpoint.startswith(_LOOPBACK):
-        raise RouterRefused(f"{endpoint} would listen to the network without TLS; use tcp/127.0.0.1:PORT or tls/...")
+    security = security or {}
+    for each in split_endpoints(endpoint):
+        if uses_tls(each) and not security:
+            raise RouterRefused(f"{each} needs certificates; give the folder of keys: `tutti router --keys DIR`")
+        if not (uses_tls(each) or is_private(each) or insecure):
+            text = f"{each} would listen to the network without TLS"
+            raise RouterRefused(f"{text}; use tcp/127.0.0.1:PORT, or tls/… with the fleet's keys (`tutti keys`)")
     try:
-        ends = {"listen/endpoints": [endpoint], "connect/endpoints": []}
-        session = zenoh.open(_make_config("router", **ends, **_ROUTER_LIMITS))
+        session = zenoh.open(_to_config(make_router_settings(endpoint, security)))
     except zenoh.ZError as error:
         if "in use" in str(error):
             cause = (

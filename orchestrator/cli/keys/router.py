@@ -1,0 +1,88 @@
+"""`tutti router`: the router of a fleet, by itself."""
+
+import asyncio
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.base.common import check_endpoint_option, console, print_json, state_option
+from orchestrator.cli.base.errors import errors, expected_errors, run_main
+
+if TYPE_CHECKING:
+    from orchestrator.runtime.router_service import RouterPlace
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  tutti router lab.fleet.yaml --keys keys --listen tls/0.0.0.0:7447
+  tutti router lab.fleet.yaml --keys keys --print-config > zenohd.json5
+
+\b
+Exit codes: 0 ended by Ctrl-C or SIGTERM; 2 bad input; 3 it cannot listen."""
+)
+@click.argument("file", required=False, default=None, type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option(
+    "--listen",
+    default="tcp/127.0.0.1:7447",
+    show_default=True,
+    callback=check_endpoint_option,
+    help="Where it listens: `tls/HOST:PORT`, `tcp/…`, `unixsock-stream/PATH`; several with commas.",
+)
+@click.option(
+    "--keys",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    default=None,
+    envvar="TUTTI_KEYS",
+    show_envvar=True,
+    help="The folder of the fleet's keys, or that of this router.",
+)
+@click.option("--print-config", is_flag=True, help="Print the same configuration for `zenohd`, and end.")
+@click.option("--insecure", is_flag=True, help="Listen to a network without TLS: everything there can move the fleet.")
+@state_option
+def router(
+    file: Path | None, listen: str, keys: Path | None, state: Path | None, *, print_config: bool, insecure: bool
+) -> None:
+    """Run the router of the fleet in FILE, and nothing else, until Ctrl-C.
+
+    With --keys it listens with TLS, demands a certificate of the fleet's authority from each session, and allows each
+    name what its role may do. A change of the keys, or of FILE, counts when the fleet is at rest.
+    """
+    from orchestrator.bus.zenoh.router import prepare_router_process
+    from orchestrator.bus.zenoh.sessions import make_router_settings
+    from orchestrator.keys.router_settings import nest_settings
+    from orchestrator.runtime.router_service import RouterPlace, load_security, warn_of_openness
+    from orchestrator.runtime.state_folder import default_state
+
+    place = RouterPlace(listen, keys, file, state, insecure)
+    with expected_errors():
+        security = load_security(place)
+    if print_config:
+        print_json(nest_settings(make_router_settings(listen, security.settings)))
+        return
+    if state is None and security.fleet:
+        place = RouterPlace(listen, keys, file, default_state(security.fleet), insecure)
+    prepare_router_process()
+    warning = warn_of_openness(listen) if insecure else ""
+    if warning:
+        errors.print(warning, style="bold red", highlight=False, soft_wrap=True)
+    run_main(_route(place))
+
+
+async def _route(place: "RouterPlace") -> None:
+    from orchestrator.runtime.router_service import RouterService
+
+    def print_line(line: str) -> None:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    running = asyncio.ensure_future(
+        RouterService(place, print_line).run(lambda: print_line(f"router on {place.listen}"))
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, running.cancel)
+    try:
+        await running
+    except asyncio.CancelledError:
+        return

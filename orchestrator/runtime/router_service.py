@@ -1,0 +1,200 @@
+"""A router by itself, with the keys of a fleet: it takes a changed access table when the fleet is at rest.
+
+Zenoh reads its access control at the start only. So the router looks at the register and at the fleet file each second,
+and opens anew with what they say: when no controller moves or works on a job, or at once behind a stop where the
+register demands it. Sessions connect again by themselves.
+"""
+
+import asyncio
+import os
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from orchestrator.bus.base import BusError
+from orchestrator.bus.endpoint import is_private, is_socket, split_endpoints, uses_tls
+from orchestrator.bus.identity import VARIABLE, BadIdentity, read_identity
+from orchestrator.bus.zenoh.kept_latch import keep_latch
+from orchestrator.bus.zenoh.router import report_latch_end
+from orchestrator.bus.zenoh.sessions import RouterUnreachable, open_router
+from orchestrator.client import Tutti
+from orchestrator.keys.folder import IDENTITIES
+from orchestrator.keys.register import Register, read_register
+from orchestrator.keys.router_settings import make_access_settings, make_tls_settings
+from orchestrator.model.errors import Refusal, TuttiError
+from orchestrator.model.files import FileError, load_fleet
+from orchestrator.model.state import ControllerState
+from orchestrator.runtime.state_folder import ROUTER_LATCH
+
+LOOK_S = 1.0
+STOP_S = 10.0  # for the fleet to come to rest before an urgent restart
+CLOSED_S = 0.2  # between the end of the old router and the new one
+_AT_REST = ("offline", "idle", "fault")
+
+
+@dataclass(frozen=True, slots=True)
+class RouterPlace:
+    """listen: endpoints, separated by commas. keys: the folder of the fleet's keys, or of this router. fleet_file:
+    which controllers are on which host. state: keeps the e-stop latch. insecure: it may listen to a network without
+    TLS."""
+
+    listen: str
+    keys: Path | None = None
+    fleet_file: Path | None = None
+    state: Path | None = None
+    insecure: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RouterSecurity:
+    """What a router is opened with. settings: Zenoh's. urgent: of the register. identity: the router's folder, which is
+    also that of its own session. common_name: of its certificate."""
+
+    settings: dict[str, object]
+    fleet: str = ""
+    urgent: int = 0
+    identity: Path | None = None
+    common_name: str = "router.1"
+
+    @property
+    def name(self) -> str:
+        """The router's name without a generation."""
+        return self.common_name.rpartition(".")[0]
+
+
+def load_security(place: RouterPlace) -> RouterSecurity:
+    """Read the keys and the fleet file. Raises `Refusal`, `BadIdentity`, `FileError`, `UnsafePath`."""
+    fleet = None if place.fleet_file is None else load_fleet(place.fleet_file)
+    name = "" if fleet is None else fleet.fleet
+    if place.keys is None:
+        return RouterSecurity({}, name)
+    if fleet is None:
+        text = "the access table needs the fleet file: it says which controllers are on which host"
+        raise Refusal("no-fleet-file", text, "give it: `tutti router FLEET --keys DIR`")
+    nameless = [each for each in split_endpoints(place.listen) if not (uses_tls(each) or is_socket(each))]
+    if nameless:
+        text = f"with keys nothing listens at {nameless[0]}: sessions there have no names, and so no rights"
+        raise Refusal("bad-endpoint", text, "listen at tls/HOST:PORT, or unixsock-stream/PATH")
+    register = read_register(place.keys)
+    folder = _find_router(place.keys, register)
+    identity = read_identity(folder)
+    settings = {**make_tls_settings(identity), **make_access_settings(register, fleet)}
+    return RouterSecurity(settings, name, register.urgent, folder, identity.common_name)
+
+
+def _find_router(keys: Path, register: Register) -> Path:
+    """The folder with the router's identity: `keys` itself, or the only router of the authority."""
+    if not (keys / IDENTITIES).is_dir():
+        return keys
+    routers = [subject for subject, entry in register.names.items() if entry.role == "router" and not entry.revoked]
+    if len(routers) != 1:
+        found = ", ".join(routers) or "none"
+        text = f"{keys} has the keys of several routers, or of none: {found}"
+        raise Refusal("which-router", text, f"give the folder of one: --keys {keys / IDENTITIES}/router-NAME")
+    return keys / IDENTITIES / routers[0]
+
+
+class RouterService:
+    """Runs a router until it is cancelled. say: takes lines for people."""
+
+    def __init__(self, place: RouterPlace, say: Callable[[str], None]) -> None:
+        self._place = place
+        self._say = say
+        self._security = load_security(place)
+        self._problem = ""
+        self._waiting = ""
+
+    async def run(self, on_ready: Callable[[], None]) -> None:
+        """Route. on_ready: called when it listens. Raises `RouterRefused`."""
+        while True:
+            if self._security.identity is not None:
+                os.environ[VARIABLE] = str(self._security.identity)  # of the router's own sessions
+            with open_router(self._place.listen, self._security.settings, insecure=self._place.insecure):
+                on_ready()
+                keeping = asyncio.create_task(self._keep_latch())
+                keeping.add_done_callback(report_latch_end)
+                try:
+                    self._security = await self._wait_for_change()
+                finally:
+                    keeping.cancel()
+                    await asyncio.wait([keeping])
+            self._say("the router opens anew with the changed table")
+            await asyncio.sleep(CLOSED_S)
+
+    async def _keep_latch(self) -> None:
+        if self._place.state is None or not self._security.fleet:
+            return
+        path = self._place.state / ROUTER_LATCH
+        await keep_latch(self._own_endpoint, self._security.fleet, self._security.name, path)
+
+    @property
+    def _own_endpoint(self) -> str:
+        return find_own_endpoint(self._place.listen)
+
+    async def _wait_for_change(self) -> RouterSecurity:
+        """Wait until another table is wanted and nothing moves; return it."""
+        while True:
+            await asyncio.sleep(LOOK_S)
+            wanted = self._load_again()
+            if replace(wanted, urgent=0) == replace(self._security, urgent=0):
+                self._waiting = ""
+                continue
+            if await self._is_free(urgent=wanted.urgent > self._security.urgent):
+                return wanted
+
+    def _load_again(self) -> RouterSecurity:
+        """What is wanted now; what cannot be read is said once, and changes nothing."""
+        try:
+            wanted = load_security(self._place)
+        except (TuttiError, FileError, OSError) as error:
+            if str(error) != self._problem:
+                self._say(f"the present table stays: {error}")
+            self._problem = str(error)
+            return self._security
+        self._problem = ""
+        return wanted
+
+    async def _is_free(self, *, urgent: bool) -> bool:
+        """Whether the router may be opened anew. urgent: the fleet is stopped for it."""
+        try:
+            async with Tutti(self._own_endpoint, self._security.fleet, actor=self._security.name) as tutti:
+                if urgent:
+                    self._say("the fleet is stopped, so that a revoked certificate counts no more")
+                    await tutti.stop()
+                    with suppress(TimeoutError):
+                        async with asyncio.timeout(STOP_S):
+                            while find_busy((await tutti.status()).values()):
+                                await asyncio.sleep(LOOK_S / 5)
+                    return True
+                busy = find_busy((await tutti.status()).values())
+        except (Refusal, BusError, RouterUnreachable, BadIdentity) as error:
+            # Then nothing can be moved through this router either.
+            self._say(f"the state of the fleet is not known ({error})")
+            return True
+        if busy and busy != self._waiting:
+            self._say(f"the table has changed; it counts when the fleet is at rest ({busy})")
+        self._waiting = busy
+        return not busy
+
+
+def find_busy(states: Iterable[ControllerState]) -> str:
+    """What is not at rest, in words; "" if everything is."""
+    busy = [each.controller for each in states if each.mode not in _AT_REST or each.job is not None or each.leases]
+    return f"at work: {', '.join(sorted(busy))}" if busy else ""
+
+
+def find_own_endpoint(listen: str) -> str:
+    """How this computer reaches the router that listens there. Raises `BadEndpoint`."""
+    first = split_endpoints(listen)[0]
+    for every, own in (("0.0.0.0", "127.0.0.1"), ("[::]", "[::1]")):
+        first = first.replace(f"/{every}:", f"/{own}:")
+    return first
+
+
+def warn_of_openness(endpoint: str) -> str:
+    """What is to be said of a bus that other computers reach without certificates; "" where they do not."""
+    open_ones = [each for each in split_endpoints(endpoint) if not (is_private(each) or uses_tls(each))]
+    if not open_ones:
+        return ""
+    return f"INSECURE: the bus at {', '.join(open_ones)} has no TLS; everything that reaches it can move this fleet"
