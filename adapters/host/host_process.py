@@ -25,11 +25,13 @@ from adapters.host.firing_process import ProcessTimedWriter
 from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import apply_make_defaults, find_controller_problems
 from adapters.link.open import make_link_opener
+from orchestrator.bus.identity import BadIdentity
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.limits import MAX_HOST_MESSAGE_BYTES
 from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
@@ -151,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         fleet, _ = load_host(chosen.fleet, chosen.host)
         set_realtime_priority(RealtimePriority.SERVICE)
         asyncio.run(_run_host(chosen, fleet, open_sink(chosen.log)))
-    except InvalidInput as error:
+    except (InvalidInput, BadIdentity) as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT
     except RouterUnreachable as error:
@@ -189,7 +191,8 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
             prepare_live_process()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())
             _print_ready()
-            await _wait_for_any(ended, orphaned)
+            async with report_own_alarms(bus, around.keys, ("host", chosen.host), chosen.connect):
+                await _wait_for_any(ended, orphaned)
             reason = "the guardian is gone" if orphaned.is_set() else "the adapter host has ended"
             await _shut_down(host, log, reason)
         finally:

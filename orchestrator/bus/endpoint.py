@@ -53,6 +53,14 @@ def is_socket(endpoint: str) -> bool:
     return endpoint.startswith(_SOCKET)
 
 
+def describe_openness(text: str) -> str:
+    """What is to be said of a bus that other computers reach without certificates; "" where they do not."""
+    open_ones = [each for each in split_endpoints(text) if not (is_private(each) or uses_tls(each))]
+    if not open_ones:
+        return ""
+    return f"INSECURE: the bus at {', '.join(open_ones)} has no TLS; everything that reaches it can move this fleet"
+
+
 def make_socket_endpoint(path: str) -> str:
     """The endpoint of a Unix socket at an absolute path. Raises `BadEndpoint` for a path that cannot stand in one."""
     return check_endpoint(f"{_SOCKET}{path}")

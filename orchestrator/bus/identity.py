@@ -64,6 +64,17 @@ def find_identity() -> Path | None:
     return Path(named) if named else None
 
 
+def find_session_name(endpoint: str = "") -> str:
+    """The common name that sessions of this process have; "" where they have none. endpoint: of the bus, if known."""
+    folder = find_identity()
+    if folder is None or (endpoint and "tls/" not in endpoint):
+        return ""
+    try:
+        return read_identity(folder).common_name
+    except BadIdentity:
+        return ""
+
+
 def read_identity(folder: Path) -> Identity:
     """Read the identity in a folder. Raises `BadIdentity` where a file is missing, unreadable, or open to other users,
     and for a certificate of another authority or another key; an expired one is returned."""

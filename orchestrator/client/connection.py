@@ -19,6 +19,7 @@ from orchestrator.bus.base import (
 )
 from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.bus.fleets import find_fleets
+from orchestrator.bus.identity import find_session_name
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
@@ -63,8 +64,10 @@ class FleetConnection:
         if self._keys is None:
             try:
                 self._keys = FleetKeys(await find_only_fleet(self._bus))
-            except BaseException:
+            except BaseException as error:
                 await self.close()
+                if isinstance(error, Refusal) and error.code == "no-fleet":
+                    raise self._name_denial(error, "status") from None
                 raise
         return self
 
@@ -123,7 +126,16 @@ class FleetConnection:
         except BusError as error:
             self._leader = ""
             text = f"fleet {self.keys.fleet} has no active coordinator"
-            raise _explain_failure(error, Refusal("no-coordinator", text, "start one: `tutti up FILE`")) from None
+            absent = self._name_denial(Refusal("no-coordinator", text, "start one: `tutti up FILE`"), verb)
+            raise _explain_failure(error, absent) from None
+
+    def _name_denial(self, absent: Refusal, verb: str) -> Refusal:
+        """The refusal for an empty answer: a router with roles leaves out what a name may not do, without a word."""
+        name = find_session_name(self._endpoint)
+        if not name:
+            return absent
+        remedy = f"see `tutti keys ls`: is {name} there, and may its role do `{verb}`? Else {absent.remedy}"
+        return Refusal(absent.code, f"not allowed as {name}, or {absent.text}", remedy, absent.controller)
 
     async def find_absence(self) -> Refusal:
         """The refusal, code `no-fleet`, for a fleet of which no controller answers; names the fleets that do."""
@@ -133,7 +145,7 @@ class FleetConnection:
             return Refusal("no-fleet", text, "are its adapter hosts running? see `tutti up`")
         there = f"there are: {', '.join(fleets)}" if fleets else "no fleet is on this bus"
         remedy = "choose one with --fleet" if fleets else "start it: `tutti up FILE`"
-        return Refusal("no-fleet", f"no fleet {self.keys.fleet}; {there}", remedy)
+        return self._name_denial(Refusal("no-fleet", f"no fleet {self.keys.fleet}; {there}", remedy), "status")
 
     async def request_controller(
         self, controller: str, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S
@@ -144,7 +156,11 @@ class FleetConnection:
         """
         try:
             return await self._request(
-                self.keys.command(controller, verb), request, reply, timeout_s, absence_refusal(controller)
+                self.keys.command(controller, verb),
+                request,
+                reply,
+                timeout_s,
+                self._name_denial(absence_refusal(controller), verb),
             )
         except Refusal as error:
             if error.controller != controller or controller in error.text:

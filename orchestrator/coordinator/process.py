@@ -21,6 +21,7 @@ from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
@@ -114,7 +115,8 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         feeding = loop.create_task(_feed_watchdog(options, coordinator))
         events = (end, coordinator.leadership_lost, coordinator.broken)
         waits = [loop.create_task(event.wait()) for event in events]
-        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+        async with report_own_alarms(bus, court.keys, ("coordinator", "own"), options.connect):
+            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for wait in (*waits, feeding):
             wait.cancel()
         if coordinator.leadership_lost.is_set():

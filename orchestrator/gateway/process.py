@@ -18,6 +18,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import ThreadExecutor
@@ -76,7 +77,8 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         on_ready(f"page on {address}")
         feeding = loop.create_task(ServiceManager().run_alone()) if place.service else None
         try:
-            await server.serve([listener])
+            async with report_own_alarms(bus, keys, ("gateway", "own"), place.connect):
+                await server.serve([listener])
         finally:
             if feeding is not None:
                 feeding.cancel()

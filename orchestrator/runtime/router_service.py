@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from orchestrator.bus.base import BusError
-from orchestrator.bus.endpoint import is_private, is_socket, split_endpoints, uses_tls
+from orchestrator.bus.endpoint import is_socket, split_endpoints, uses_tls
 from orchestrator.bus.identity import VARIABLE, BadIdentity, read_identity
 from orchestrator.bus.zenoh.kept_latch import keep_latch
 from orchestrator.bus.zenoh.router import report_latch_end
@@ -190,11 +190,3 @@ def find_own_endpoint(listen: str) -> str:
     for every, own in (("0.0.0.0", "127.0.0.1"), ("[::]", "[::1]")):
         first = first.replace(f"/{every}:", f"/{own}:")
     return first
-
-
-def warn_of_openness(endpoint: str) -> str:
-    """What is to be said of a bus that other computers reach without certificates; "" where they do not."""
-    open_ones = [each for each in split_endpoints(endpoint) if not (is_private(each) or uses_tls(each))]
-    if not open_ones:
-        return ""
-    return f"INSECURE: the bus at {', '.join(open_ones)} has no TLS; everything that reaches it can move this fleet"

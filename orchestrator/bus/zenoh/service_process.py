@@ -6,6 +6,7 @@ from collections.abc import Coroutine, Mapping
 from pathlib import Path
 from typing import Any
 
+from orchestrator.bus.identity import BadIdentity
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
 from orchestrator.model.private_files import UnsafePath
 
@@ -18,7 +19,12 @@ def run_service(service: Coroutine[Any, Any, int], place: Path, codes: Mapping[t
     place: what the service writes, for errors of the operating system that name no file. codes: of the errors that only
     this service has; those are written to stderr without a traceback.
     """
-    known: dict[type[Exception], int] = {UnsafePath: BAD_INPUT, RouterUnreachable: NO_BUS, **codes}
+    known: dict[type[Exception], int] = {
+        UnsafePath: BAD_INPUT,
+        BadIdentity: BAD_INPUT,
+        RouterUnreachable: NO_BUS,
+        **codes,
+    }
     kinds = tuple(known)
     try:
         return asyncio.run(service)

@@ -184,7 +184,7 @@ def _sort(register: Any) -> "list[RegisterEntry]":
 
 
 def _state_of(entry: "RegisterEntry", now: datetime) -> str:
-    from orchestrator.keys.expiry import describe_expiry
+    from orchestrator.bus.expiry import describe_expiry
 
     return "revoked" if entry.revoked else describe_expiry(entry.expires(), now)
 

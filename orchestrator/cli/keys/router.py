@@ -50,10 +50,11 @@ def router(
     With --keys it listens with TLS, demands a certificate of the fleet's authority from each session, and allows each
     name what its role may do. A change of the keys, or of FILE, counts when the fleet is at rest.
     """
+    from orchestrator.bus.endpoint import describe_openness
     from orchestrator.bus.zenoh.router import prepare_router_process
     from orchestrator.bus.zenoh.sessions import make_router_settings
     from orchestrator.keys.router_settings import nest_settings
-    from orchestrator.runtime.router_service import RouterPlace, load_security, warn_of_openness
+    from orchestrator.runtime.router_service import RouterPlace, load_security
     from orchestrator.runtime.state_folder import default_state
 
     place = RouterPlace(listen, keys, file, state, insecure)
@@ -65,7 +66,7 @@ def router(
     if state is None and security.fleet:
         place = RouterPlace(listen, keys, file, default_state(security.fleet), insecure)
     prepare_router_process()
-    warning = warn_of_openness(listen) if insecure else ""
+    warning = describe_openness(listen) if insecure else ""
     if warning:
         errors.print(warning, style="bold red", highlight=False, soft_wrap=True)
     run_main(_route(place))

@@ -19,6 +19,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
@@ -97,7 +98,8 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
     )
     ended = loop.create_task(end.wait())
     feeding = loop.create_task(ServiceManager().run_alone()) if options.service else None
-    await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
+    async with report_own_alarms(bus, keys, ("recorder", "own"), options.connect):
+        await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
     for task in (ended, repairing, running, *([] if feeding is None else [feeding])):
         task.cancel()
     with contextlib.suppress(asyncio.CancelledError):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.bus.expiry import describe_expiry, find_priority
 from orchestrator.bus.identity import BadIdentity, read_identity
-from orchestrator.keys.expiry import describe_expiry, find_priority
 from orchestrator.keys.folder import KeyFolder
 from orchestrator.keys.names import KeyName, parse_common_name
 from orchestrator.keys.register import read_register
