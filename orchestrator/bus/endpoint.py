@@ -6,6 +6,7 @@ from orchestrator.model.errors import TuttiError
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"  # of the router that `tutti up` starts
 MAX_ENDPOINTS = 8
+MAX_SOCKET_PATH = 107  # bytes, of `sun_path` on Linux (unix(7))
 
 _NETWORK = re.compile(r"(?:tcp|tls|udp|quic|ws)/(\[[0-9a-fA-F:%.]+\]|[^\s/:,]+):(\d{1,5})")
 _SOCKET = "unixsock-stream/"
@@ -63,7 +64,14 @@ def describe_openness(text: str) -> str:
 
 def make_socket_endpoint(path: str) -> str:
     """The endpoint of a Unix socket at an absolute path. Raises `BadEndpoint` for a path that cannot stand in one."""
+    if len(path.encode()) > MAX_SOCKET_PATH:
+        raise BadEndpoint(f"{path} is too long for a socket: at most {MAX_SOCKET_PATH} bytes")
     return check_endpoint(f"{_SOCKET}{path}")
+
+
+def socket_path(endpoint: str) -> str:
+    """The path of a Unix socket."""
+    return endpoint.removeprefix(_SOCKET)
 
 
 def _parse(endpoint: str) -> re.Match[str] | None:

@@ -60,6 +60,17 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
     type=click.IntRange(1, 65_535),
     help="Port of the router that is started, on 127.0.0.1.",
 )
+@click.option(
+    "--private", is_flag=True, help="The router listens at a socket that no other user of this computer reaches."
+)
+@click.option(
+    "--keys",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    default=None,
+    envvar="TUTTI_KEYS",
+    show_envvar=True,
+    help="With --connect tls/…: the folder of the fleet's keys. Each process has the identity of its role.",
+)
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
 @click.option(
     "--host",
@@ -122,8 +133,10 @@ def up(
     state: Path | None,
     limit_s: float,
     hosts: tuple[str, ...],
+    keys: Path | None,
     *,
     no_hosts: bool,
+    private: bool,
     simulated: bool,
     take_over: bool,
     standby: bool,
@@ -151,6 +164,8 @@ def up(
     from orchestrator.runtime.state_folder import default_state
 
     web = None if no_web else WebOptions(web_host, web_port, web_cert, jobs or file.parent)
+    if private and connect:
+        raise click.UsageError("--private is for the router that is started; with --connect there is none")
     if web is not None:
         require_own_address(web.host)
 
@@ -164,6 +179,8 @@ def up(
         live.hosts = frozenset(hosts) if hosts or no_hosts else None
         live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
         live.metrics_port = metrics_port
+        live.private, live.keys = private, keys if "tls/" in connect else None
+        _take_identity(live.keys)
         live.web = _choose_web(web, print_line)
         await _run_until_ended(live, print_line, limit_s if wait else REACH_S, required=wait, as_json=as_json)
 
@@ -177,7 +194,8 @@ def up(
     options += [part for each in hosts for part in ("--host", each)]
     options += _list_web_options(web)
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
-    flags |= {"--new-journal": new_journal, "--no-record": no_record, "--no-hosts": no_hosts}
+    flags |= {"--private": private, "--new-journal": new_journal, "--no-record": no_record, "--no-hosts": no_hosts}
+    options += [] if keys is None else ["--keys", str(keys)]
     options += [name for name, given in flags.items() if given]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 
@@ -192,6 +210,15 @@ def _load_fleet(file: Path, hosts: Sequence[str]) -> "Fleet":
         text = f"{file}: no controller has `host: {unknown[0]}`; its hosts: {', '.join(fleet.hosts)}"
         exit_with_error(text, BAD_INPUT, "correct --host", code="no-host")
     return fleet
+
+
+def _take_identity(keys: Path | None) -> None:
+    """This process looks at the bus as a coordinator: it makes sure that no other one leads."""
+    from orchestrator.bus.identity import VARIABLE
+    from orchestrator.keys.places import find_identity_folder
+
+    if keys is not None and VARIABLE not in os.environ:
+        os.environ[VARIABLE] = str(find_identity_folder(keys, "coordinator").absolute())
 
 
 def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) -> int | None:

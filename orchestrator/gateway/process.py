@@ -25,10 +25,9 @@ from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.service_manager import ServiceManager
-from orchestrator.gateway.access.users import USERS_FILE
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.server import ADDRESS, NotServed, make_server, open_port
-from orchestrator.runtime.state_folder import RECORDINGS
+from orchestrator.runtime.state_folder import RECORDINGS, USERS_FILE
 
 
 @dataclass(frozen=True, slots=True)

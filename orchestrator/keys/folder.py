@@ -18,6 +18,7 @@ from orchestrator.bus.identity import AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE
 from orchestrator.clock.utc import format_rfc3339
 from orchestrator.keys.authority import CERTIFICATE_DAYS, Authority, load_authority, make_authority
 from orchestrator.keys.names import KeyName, Role
+from orchestrator.keys.places import IDENTITIES
 from orchestrator.keys.register import REGISTER_FILE, Register, RegisterEntry, read_register, write_register
 from orchestrator.model.errors import Refusal
 from orchestrator.model.private_files import (
@@ -28,7 +29,6 @@ from orchestrator.model.private_files import (
 )
 
 AUTHORITY_KEY_FILE = "ca.key.pem"
-IDENTITIES = "identities"
 _LOCK = "lock"
 
 

@@ -19,8 +19,13 @@ from itertools import chain
 from pathlib import Path
 
 from adapters.controller.store import FileStore
+from orchestrator.bus.endpoint import BadEndpoint, make_socket_endpoint
+from orchestrator.bus.identity import VARIABLE
 from orchestrator.bus.logfile import rotate_if_large, rotate_open_file
 from orchestrator.clock.service_manager import READY, STOPPING, ServiceManager
+from orchestrator.keys.names import Role
+from orchestrator.keys.places import find_identity_folder
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.bridge import bridge_baud
@@ -34,6 +39,7 @@ from orchestrator.runtime.state_folder import (
     RECORDINGS,
     ROUTER_LATCH,
     UP_LOG,
+    USERS_FILE,
     StateLock,
     UpFailed,
 )
@@ -48,6 +54,8 @@ FINAL_EXIT_CODES = frozenset({2, 4, 5})
 EXIT_PORT_IN_USE = 4  # of the router: another process uses its port
 STANDBY = "coordinator/standby"
 RECORDER, GATEWAY = "recorder", "gateway"
+_ROLES: dict[str, Role] = {"coordinator": "coordinator", "host": "host", RECORDER: "recorder", GATEWAY: "gateway"}
+BUS_SOCKET = "bus.sock"
 # Parts without which a fleet runs as well, and what is missing then.
 DISPENSABLE = {RECORDER: "nothing is recorded any more", GATEWAY: "the page is not served any more"}
 EXISTING_JOURNAL = "--existing-journal"
@@ -123,6 +131,8 @@ class LiveFleet:
     metrics_port: of the metrics; None: the first free one; 0: none.
     web: how the operators' page is served; None: it is not.
     hosts: the adapter hosts that run here, with their simulators; None: all of them.
+    private: the router that is started listens at a socket in `state`, which only the user of the fleet reaches.
+    keys: the folder of the fleet's keys: each process has the identity of its role.
     """
 
     fleet: Fleet
@@ -140,6 +150,8 @@ class LiveFleet:
     metrics_port: int | None = None
     web: WebOptions | None = None
     hosts: frozenset[str] | None = None
+    private: bool = False
+    keys: Path | None = None
     page: str = ""
     """The address of the operators' page; empty: it is not served."""
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
@@ -300,7 +312,7 @@ class LiveFleet:
                     "--take-over"
                 )
             return
-        endpoint = f"tcp/127.0.0.1:{self.port}"
+        endpoint = self._choose_endpoint()
         module = "orchestrator.bus.zenoh.router"
         try:
             kept = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
@@ -308,6 +320,8 @@ class LiveFleet:
         except UpFailed:
             if self.children["router"].exit_code != EXIT_PORT_IN_USE:
                 raise
+            if self.private:
+                raise UpFailed(self.children["router"].last_error_line()) from None
             raise UpFailed(
                 f"port {self.port} of 127.0.0.1 is in use; choose another for the router: --port {self.port + 1}; or, "
                 f"if a router listens there, use it: --connect {endpoint}"
@@ -321,6 +335,26 @@ class LiveFleet:
         if process is not None and process.returncode is None:
             process.kill()
             await process.wait()
+
+    def _choose_endpoint(self) -> str:
+        """Where the router listens. Raises `UpFailed`."""
+        if not self.private:
+            return f"tcp/127.0.0.1:{self.port}"
+        try:
+            return make_socket_endpoint(str((self.state / BUS_SOCKET).absolute()))
+        except BadEndpoint as error:
+            raise UpFailed(f"{error}; choose another folder: --state") from None
+
+    def _make_environment(self, name: str) -> dict[str, str] | None:
+        """The environment of a process, with the identity of its role; None: that of this process."""
+        part, _, host = name.partition("/")
+        if self.keys is None or part not in _ROLES:
+            return None
+        try:
+            folder = find_identity_folder(self.keys, _ROLES[part], host if part == "host" else None)
+        except Refusal as error:
+            raise UpFailed(f"{name}: {error.text}; {error.remedy}") from None
+        return {**os.environ, VARIABLE: str(folder.absolute())}
 
     async def _start_recorder(self, file: Path) -> None:
         """Start the recorder; a fleet runs without it as well."""
@@ -342,6 +376,10 @@ class LiveFleet:
         """Start the gateway; a fleet runs without it as well."""
         web = self.web
         if web is None:
+            return
+        if self.private and not (self.state / USERS_FILE).exists():
+            # Otherwise every user of this computer would be an operator, by the page.
+            self.say("no page: with --private it needs users: `tutti user add NAME --role operator`, then start again")
             return
         command = [sys.executable, "-m", "orchestrator.gateway.process", "--fleet", self.fleet.fleet]
         command += ["--connect", self.connect, "--state", str(self.state), "--parent", str(os.getpid())]
@@ -459,6 +497,7 @@ class LiveFleet:
                 stdout=asyncio.subprocess.PIPE,
                 stderr=errors,
                 start_new_session=True,
+                env=self._make_environment(child.name),
             )
         child.starts += 1
         assert child.process.stdout is not None

@@ -19,8 +19,8 @@ from orchestrator.bus.zenoh.kept_latch import keep_latch
 from orchestrator.bus.zenoh.router import report_latch_end
 from orchestrator.bus.zenoh.sessions import RouterUnreachable, open_router
 from orchestrator.client import Tutti
-from orchestrator.keys.folder import IDENTITIES
-from orchestrator.keys.register import Register, read_register
+from orchestrator.keys.places import find_identity_folder
+from orchestrator.keys.register import read_register
 from orchestrator.keys.router_settings import make_access_settings, make_tls_settings
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.files import FileError, load_fleet
@@ -77,22 +77,10 @@ def load_security(place: RouterPlace) -> RouterSecurity:
         text = f"with keys nothing listens at {nameless[0]}: sessions there have no names, and so no rights"
         raise Refusal("bad-endpoint", text, "listen at tls/HOST:PORT, or unixsock-stream/PATH")
     register = read_register(place.keys)
-    folder = _find_router(place.keys, register)
+    folder = find_identity_folder(place.keys, "router")
     identity = read_identity(folder)
     settings = {**make_tls_settings(identity), **make_access_settings(register, fleet)}
     return RouterSecurity(settings, name, register.urgent, folder, identity.common_name)
-
-
-def _find_router(keys: Path, register: Register) -> Path:
-    """The folder with the router's identity: `keys` itself, or the only router of the authority."""
-    if not (keys / IDENTITIES).is_dir():
-        return keys
-    routers = [subject for subject, entry in register.names.items() if entry.role == "router" and not entry.revoked]
-    if len(routers) != 1:
-        found = ", ".join(routers) or "none"
-        text = f"{keys} has the keys of several routers, or of none: {found}"
-        raise Refusal("which-router", text, f"give the folder of one: --keys {keys / IDENTITIES}/router-NAME")
-    return keys / IDENTITIES / routers[0]
 
 
 class RouterService:

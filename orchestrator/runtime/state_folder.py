@@ -15,6 +15,7 @@ LOCK = "lock"
 JOURNAL = "journal.sqlite3"
 ROUTER_LATCH = "estop-router.json"
 UP_LOG = "up.log"  # in the folder `log`: what a detached `tutti up` says
+USERS_FILE = "users.json"  # of the page, with hashed passwords
 FLEET_FILE = "fleet.json"  # the fleet as it runs
 ADAPTERS = "adapters"  # the folder of what adapters keep
 RECORDINGS = "recordings"  # the folder of the recorder's files

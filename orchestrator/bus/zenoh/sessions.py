@@ -12,11 +12,12 @@ import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import partial
+from pathlib import Path
 from types import TracebackType
 
 import zenoh
 
-from orchestrator.bus.endpoint import is_private, split_endpoints, uses_tls
+from orchestrator.bus.endpoint import is_private, is_socket, socket_path, split_endpoints, uses_tls
 from orchestrator.bus.identity import VARIABLE, BadIdentity, Identity, find_identity, read_identity
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.bus.tls_probe import probe_tls
@@ -171,6 +172,8 @@ def open_router(endpoint: str, security: Mapping[str, object] | None = None, *, 
             raise RouterRefused(f"{text}; use tcp/127.0.0.1:PORT, or tls/… with the fleet's keys (`tutti keys`)")
     try:
         session = zenoh.open(_to_config(make_router_settings(endpoint, security)))
+        for each in filter(is_socket, split_endpoints(endpoint)):
+            Path(socket_path(each)).chmod(0o600)
     except zenoh.ZError as error:
         if "in use" in str(error):
             cause = (

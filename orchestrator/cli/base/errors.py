@@ -41,7 +41,7 @@ _NAME_CODES = {
     "key-revoked",
     "other-fleet",
     "no-fleet-file",
-    "which-router",
+    "which-key",
     "bad-endpoint",
     "no-user",
     "no-token",

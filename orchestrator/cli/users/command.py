@@ -211,9 +211,9 @@ def _open_users(state: Path | None, fleet: str | None) -> "UserFile":
     """The file of users in the state folder that is meant; a fleet that never ran gets its folder."""
     require_extra("web")
     from orchestrator.cli.base.state import choose_state
-    from orchestrator.gateway.access.users import USERS_FILE, UserFile
+    from orchestrator.gateway.access.users import UserFile
     from orchestrator.model.private_files import make_private_folder
-    from orchestrator.runtime.state_folder import LOCK, default_state
+    from orchestrator.runtime.state_folder import LOCK, USERS_FILE, default_state
 
     with expected_errors():
         if state is not None or fleet is not None:

@@ -23,7 +23,6 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.private_files import UnsafePath, open_private_file, read_private_file, replace_private_file
 from orchestrator.model.queue import Utc
 
-USERS_FILE = "users.json"
 MIN_PASSWORD, MAX_PASSWORD = 8, 1000
 MAX_USERS, MAX_TOKENS = 1000, 100
 TOKEN_START = "tutti_"

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.bus.endpoint import BadEndpoint, describe_openness, is_private, split_endpoints
 from orchestrator.bus.expiry import describe_expiry, find_priority
-from orchestrator.bus.identity import BadIdentity, read_identity
+from orchestrator.bus.identity import VARIABLE, BadIdentity, read_identity
+from orchestrator.bus.zenoh.own_alarms import find_own_alarms
 from orchestrator.keys.folder import KeyFolder
 from orchestrator.keys.names import KeyName, parse_common_name
 from orchestrator.keys.register import read_register
@@ -112,6 +114,28 @@ def test_an_identity_that_cannot_be_used_is_named_with_its_fault(made: KeyFolder
     (anna / "key.pem").chmod(0o600)
     with pytest.raises(BadIdentity, match="cannot be used together"):
         read_identity(anna)
+
+
+def test_a_process_raises_an_alarm_for_its_own_certificate(made: KeyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    made.add("host", "lab3", NOW, days=7)
+    monkeypatch.setenv(VARIABLE, str(made.identity("host-lab3")))
+    (alarm,) = find_own_alarms("tls/lab-pc:7447", NOW)
+    assert (alarm.kind, alarm.subject, alarm.priority) == ("certificate", "host-lab3.1", "medium")
+    assert "host-lab3.1 ends in 7 days (2026-06-08 12:00 UTC)" in alarm.text
+    assert find_own_alarms("tcp/127.0.0.1:7447", NOW) == []  # it uses no certificate there
+    (alarm,) = find_own_alarms("tcp/192.0.2.1:7447", NOW)
+    assert (alarm.kind, alarm.priority) == ("open-bus", "high")
+
+
+def test_endpoints_say_what_reaches_them() -> None:
+    private = ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tcp/localhost:1", "unixsock-stream/run/bus"]
+    assert all(map(is_private, private))
+    assert describe_openness(",".join([*private, "tls/0.0.0.0:7447"])) == ""
+    assert "at tcp/0.0.0.0:7447 has no TLS" in describe_openness("tcp/127.0.0.1:1,tcp/0.0.0.0:7447")
+    assert not is_private("tcp/127.0.0.1.example.org:7447")
+    for wrong in ("tls/a:1,", "tls/a:1,tcp/b", "tls/a:1, tls/b:2", ",".join(["tls/a:1"] * 9)):
+        with pytest.raises(BadEndpoint):
+            split_endpoints(wrong)
 
 
 def test_the_end_of_a_certificate_is_announced_three_times() -> None:
