@@ -15,6 +15,7 @@ WITHOUT_JSON = {
     "axis jog": "a panel on a terminal",
     "completion": "what it prints is a script",
     "record start": "it records until it is interrupted",
+    "router": "runs in the foreground; --print-config is JSON",
     "schema": "what it prints is JSON already",
 }
 
