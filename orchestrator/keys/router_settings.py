@@ -32,6 +32,8 @@ def make_tls_settings(identity: Identity) -> dict[str, object]:
             "root_ca_certificate": str(identity.authority.absolute()),
             "listen_certificate": str(identity.certificate.absolute()),
             "listen_private_key": str(identity.key.absolute()),
+            "connect_certificate": str(identity.certificate.absolute()),
+            "connect_private_key": str(identity.key.absolute()),
             "enable_mtls": True,
             "close_link_on_expiration": True,
         }
@@ -39,7 +41,8 @@ def make_tls_settings(identity: Identity) -> dict[str, object]:
 
 
 def make_access_settings(register: Register, fleet: Fleet) -> dict[str, object]:
-    """The settings of the access control. Raises `Refusal`, code `other-fleet`, if the keys are of another fleet."""
+    """The settings of the access control. Several routers carry for each other: a name of one may do everything.
+    Raises `Refusal`, code `other-fleet`, if the keys are of another fleet."""
     if register.fleet != fleet.fleet:
         text = f"the keys are of fleet {register.fleet}, and the file is of fleet {fleet.fleet}"
         raise Refusal("other-fleet", text, "give the folder of keys of this fleet")
@@ -49,8 +52,10 @@ def make_access_settings(register: Register, fleet: Fleet) -> dict[str, object]:
     # A session through a socket has no certificate: its folder lets the fleet's own user in, and no other.
     rules.append(_make_rule(_SOCKET, "ingress", _ALL_MESSAGES, ("**",)))
     policies: list[dict[str, object]] = [{"rules": [_OUT, _SOCKET], "subjects": [_SOCKET]}]
+    linked = [str(name) for name in register.admitted() if name.role == "router"]
     for name, allowed in rights.items():
-        own = list(_list_rules(name, allowed))
+        carries = name in linked and len(linked) > 1
+        own = [_make_rule(name, "ingress", _ALL_MESSAGES, ("**",))] if carries else list(_list_rules(name, allowed))
         rules += own
         # What a name receives is decided by what it may declare and request.
         policies.append({"rules": [_OUT, *(rule["id"] for rule in own)], "subjects": [name]})

@@ -36,13 +36,14 @@ _AT_REST = ("offline", "idle", "fault")
 @dataclass(frozen=True, slots=True)
 class RouterPlace:
     """listen: endpoints, separated by commas. keys: the folder of the fleet's keys, or of this router. fleet_file:
-    which controllers are on which host. state: keeps the e-stop latch. insecure: it may listen to a network without
-    TLS."""
+    which controllers are on which host. state: keeps the e-stop latch. links: endpoints of the other routers of the
+    fleet. insecure: it may listen to a network without TLS."""
 
     listen: str
     keys: Path | None = None
     fleet_file: Path | None = None
     state: Path | None = None
+    links: str = ""
     insecure: bool = False
 
 
@@ -98,7 +99,8 @@ class RouterService:
         while True:
             if self._security.identity is not None:
                 os.environ[VARIABLE] = str(self._security.identity)  # of the router's own sessions
-            with open_router(self._place.listen, self._security.settings, insecure=self._place.insecure):
+            place = self._place
+            with open_router(place.listen, self._security.settings, place.links, insecure=place.insecure):
                 on_ready()
                 keeping = asyncio.create_task(self._keep_latch())
                 keeping.add_done_callback(report_latch_end)

@@ -26,7 +26,7 @@ FAILURES = 3
 REST_NS = NS_PER_S  # between two looks at whether the fleet rests
 REPEAT_NS = 60 * NS_PER_S  # an alarm that is not repeated for two minutes is over
 AT_REST = ("idle", "offline", "fault")
-SENDER = "up"  # of the alarm
+ROLE, ID = "coordinator", "router-watch"  # of the alarm: `tutti up` has the identity of its coordinator
 
 
 @dataclass(slots=True)
@@ -126,7 +126,7 @@ async def watch_live_router(
         return await probe_router(endpoint)
 
     def raise_alarm(request: AlarmRequest) -> None:
-        bus.put(keys.alarm_request(SENDER, "router"), request.to_json(), Priority.EVENT)
+        bus.put(keys.alarm_request(ROLE, ID), request.to_json(), Priority.EVENT)
 
     try:
         await bus.subscribe(keys.state(), rest.receive_state)

@@ -151,17 +151,21 @@ class ZenohRouter:
             self._session.close()
 
 
-def make_router_settings(endpoint: str, security: Mapping[str, object]) -> dict[str, object]:
-    """All settings of a router in Zenoh's terms. security: those of TLS and of the access control."""
-    ends = {"listen/endpoints": split_endpoints(endpoint), "connect/endpoints": []}
+def make_router_settings(endpoint: str, security: Mapping[str, object], links: str = "") -> dict[str, object]:
+    """All settings of a router in Zenoh's terms. security: those of TLS and of the access control. links: endpoints of
+    other routers of the fleet, which are connected to whenever they are there."""
+    others = split_endpoints(links) if links else []
+    ends = {"listen/endpoints": split_endpoints(endpoint), "connect/endpoints": others, "connect/retry": _RETRY_CONFIG}
     return {**_make_common_settings("router"), **ends, **_ROUTER_LIMITS, **security}
 
 
-def open_router(endpoint: str, security: Mapping[str, object] | None = None, *, insecure: bool = False) -> ZenohRouter:
+def open_router(
+    endpoint: str, security: Mapping[str, object] | None = None, links: str = "", *, insecure: bool = False
+) -> ZenohRouter:
     """Route for the fleet at `endpoint`; several are separated by commas.
 
-    security: settings of TLS and of the access control. insecure: it may listen to the network without. Raises
-    `RouterRefused` for that without `insecure`, and if an endpoint is in use or malformed.
+    security: settings of TLS and of the access control. links: other routers of the fleet. insecure: it may listen to
+    the network without. Raises `RouterRefused` for that without `insecure`, and if an endpoint is in use or malformed.
     """
     security = security or {}
     for each in split_endpoints(endpoint):
@@ -171,7 +175,7 @@ def open_router(endpoint: str, security: Mapping[str, object] | None = None, *, 
             text = f"{each} would listen to the network without TLS"
             raise RouterRefused(f"{text}; use tcp/127.0.0.1:PORT, or tls/… with the fleet's keys (`tutti keys`)")
     try:
-        session = zenoh.open(_to_config(make_router_settings(endpoint, security)))
+        session = zenoh.open(_to_config(make_router_settings(endpoint, security, links)))
         for each in filter(is_socket, split_endpoints(endpoint)):
             Path(socket_path(each)).chmod(0o600)
     except zenoh.ZError as error:

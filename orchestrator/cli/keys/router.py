@@ -2,6 +2,7 @@
 
 import asyncio
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,8 @@ from orchestrator.cli.base.errors import errors, expected_errors, run_main
 
 if TYPE_CHECKING:
     from orchestrator.runtime.router_service import RouterPlace
+
+PROBE_S = 10.0  # between two sessions that show that it serves new ones
 
 
 @click.command(
@@ -39,11 +42,25 @@ Exit codes: 0 ended by Ctrl-C or SIGTERM; 2 bad input; 3 it cannot listen."""
     show_envvar=True,
     help="The folder of the fleet's keys, or that of this router.",
 )
+@click.option(
+    "--link",
+    "links",
+    default="",
+    callback=check_endpoint_option,
+    help="The other routers of the fleet, with commas: all of them carry for each other.",
+)
 @click.option("--print-config", is_flag=True, help="Print the same configuration for `zenohd`, and end.")
 @click.option("--insecure", is_flag=True, help="Listen to a network without TLS: everything there can move the fleet.")
 @state_option
 def router(
-    file: Path | None, listen: str, keys: Path | None, state: Path | None, *, print_config: bool, insecure: bool
+    file: Path | None,
+    listen: str,
+    keys: Path | None,
+    state: Path | None,
+    links: str,
+    *,
+    print_config: bool,
+    insecure: bool,
 ) -> None:
     """Run the router of the fleet in FILE, and nothing else, until Ctrl-C.
 
@@ -57,14 +74,14 @@ def router(
     from orchestrator.runtime.router_service import RouterPlace, load_security
     from orchestrator.runtime.state_folder import default_state
 
-    place = RouterPlace(listen, keys, file, state, insecure)
+    place = RouterPlace(listen, keys, file, state, links, insecure)
     with expected_errors():
         security = load_security(place)
     if print_config:
-        print_json(nest_settings(make_router_settings(listen, security.settings)))
+        print_json(nest_settings(make_router_settings(listen, security.settings, links)))
         return
     if state is None and security.fleet:
-        place = RouterPlace(listen, keys, file, default_state(security.fleet), insecure)
+        place = replace(place, state=default_state(security.fleet))
     prepare_router_process()
     warning = describe_openness(listen) if insecure else ""
     if warning:
@@ -73,17 +90,35 @@ def router(
 
 
 async def _route(place: "RouterPlace") -> None:
-    from orchestrator.runtime.router_service import RouterService
+    from orchestrator.bus.zenoh.probe import probe_router
+    from orchestrator.clock.service_manager import READY, ServiceManager
+    from orchestrator.runtime.router_service import RouterService, find_own_endpoint
 
     def print_line(line: str) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-    running = asyncio.ensure_future(
-        RouterService(place, print_line).run(lambda: print_line(f"router on {place.listen}"))
-    )
+    def announce() -> None:
+        print_line(f"router on {place.listen}")
+        manager.notify(READY)
+
+    manager, served = ServiceManager(), 0
+
+    async def probe() -> None:
+        """Count the sessions that it serves, for the watchdog of the service manager."""
+        nonlocal served
+        while manager.watchdog_s is not None:
+            if not await probe_router(find_own_endpoint(place.listen)):
+                served += 1
+            await asyncio.sleep(PROBE_S)
+
+    beside = [asyncio.create_task(probe()), asyncio.create_task(manager.feed_watchdog(lambda: served))]
+    running = asyncio.ensure_future(RouterService(place, print_line).run(announce))
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, running.cancel)
     try:
         await running
     except asyncio.CancelledError:
         return
+    finally:
+        for task in beside:
+            task.cancel()
