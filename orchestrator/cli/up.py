@@ -175,11 +175,12 @@ def up(
     async def run_fleet() -> None:
         fleet = _load_fleet(file, hosts)
         folder = state or default_state(fleet.fleet)
-        live = LiveFleet(fleet, folder, print_line, connect, port, simulated, take_over, truth, standby, new_journal)
+        routers = connect or _find_routers(fleet, file)
+        live = LiveFleet(fleet, folder, print_line, routers, port, simulated, take_over, truth, standby, new_journal)
         live.hosts = frozenset(hosts) if hosts or no_hosts else None
         live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
         live.metrics_port = metrics_port
-        live.private, live.keys = private, keys if "tls/" in connect else None
+        live.private, live.keys = private, keys if "tls/" in routers else None
         _take_identity(live.keys)
         live.web = _choose_web(web, print_line)
         await _run_until_ended(live, print_line, limit_s if wait else REACH_S, required=wait, as_json=as_json)
@@ -210,6 +211,16 @@ def _load_fleet(file: Path, hosts: Sequence[str]) -> "Fleet":
         text = f"{file}: no controller has `host: {unknown[0]}`; its hosts: {', '.join(fleet.hosts)}"
         exit_with_error(text, BAD_INPUT, "correct --host", code="no-host")
     return fleet
+
+
+def _find_routers(fleet: "Fleet", file: Path) -> str:
+    """The routers that the fleet file names, in the form of --connect; "" without. A wrong one ends the command."""
+    from orchestrator.bus.endpoint import BadEndpoint, check_endpoint
+
+    try:
+        return check_endpoint(",".join(fleet.routers)) if fleet.routers else ""
+    except BadEndpoint as error:
+        exit_with_error(f"{file}: routers: {error}", BAD_INPUT, code="bad-file")
 
 
 def _take_identity(keys: Path | None) -> None:

@@ -477,6 +477,12 @@ class Fleet(Model):
     frames: dict[Id, FrameSpec] = Field(
         default={}, max_length=MAX_FRAMES, description="Coordinates for paths: named maps from coordinates to axes."
     )
+    routers: list[str] = Field(
+        default=[],
+        max_length=8,
+        description="Routers of the fleet, e.g. tls/lab-a:7447, which `tutti up` uses instead of starting one. Of "
+        "several, another one is used when one goes away.",
+    )
     queue: QueuePolicy = QueuePolicy()
     alarms: AlarmRules = Field(default_factory=AlarmRules, description="What raises an alarm, by kind of alarm.")
     notify: NotifyCommand | None = Field(default=None, description="The command that is run for alarms.")

@@ -1,0 +1,61 @@
+"""Two routers that carry for each other: one is lost while the fleet moves."""
+
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from children import LIMIT_S, wait_until
+from fleet import COMMAND, EXAMPLES, READY, RunningFleet, free_port
+
+from orchestrator.client import Tutti
+from orchestrator.model.files import load_fleet
+from orchestrator.model.state import ControllerState
+
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
+
+
+def start_router(folder: Path, own: str, other: str) -> "subprocess.Popen[str]":
+    said = folder / f"router-{own.rpartition(':')[2]}.out"
+    with said.open("w") as out:
+        command = [*COMMAND, "router", "--listen", own, "--link", other]
+        process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, text=True)
+    wait_until(lambda: "router on" in said.read_text() or process.poll() is not None, "the router listens")
+    return process
+
+
+def write_fleet(folder: Path, routers: list[str]) -> Path:
+    path = folder / "demo.fleet.json"
+    fleet = load_fleet(EXAMPLES / "demo.fleet.yaml").model_copy(update={"routers": routers})
+    path.write_bytes(fleet.to_json())
+    return path
+
+
+def test_a_fleet_goes_on_through_its_second_router(tmp_path: Path) -> None:
+    """Sessions are back before the coordinator counts as lost, or the axes stop; either way the fleet works on."""
+    first, second = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    routers = [start_router(tmp_path, first, second), start_router(tmp_path, second, first)]
+    fleet = RunningFleet(tmp_path, write_fleet(tmp_path, [first, second]))
+    fleet.endpoint = second
+    try:
+        fleet.started().ready()
+        job_id = fleet.slow_move()
+        routers[0].send_signal(signal.SIGKILL)
+        routers[0].wait(LIMIT_S)
+        report = fleet.wait(job_id)
+        assert report.state == "done" or "silent" in report.reason or "answers" in report.reason, report.reason
+        fleet.ready()
+        assert fleet.run(READY).state == "done"
+
+        routers[0] = start_router(tmp_path, first, second)
+
+        async def look(tutti: Tutti) -> dict[str, ControllerState]:
+            async with Tutti(first, "demo", "test") as other:
+                return await other.status(1.0)
+
+        wait_until(lambda: len(fleet.ask(look)) == 2, "the first router carries for the second one")
+    finally:
+        fleet.close()
+        for each in routers:
+            each.terminate()
+            each.wait(LIMIT_S)
