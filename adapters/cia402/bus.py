@@ -58,6 +58,8 @@ class Cia402Bus:
         self.units: dict[int, int] = {}
         self.periods_ms: dict[int, int] = {}
         """SYNC periods that drives following positions require, by node: all equal, because one SYNC serves all."""
+        self.switching: set[int] = set()
+        """Drives whose outputs travel with the positions that are streamed to them."""
         self.watchdogs_ms: dict[int, int] = {}
         """Watchdog times of drives that monitor this computer's heartbeat, by node."""
         self.host_node = 0

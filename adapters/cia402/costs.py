@@ -3,7 +3,7 @@
 from math import ceil
 
 from adapters.cia402.bus import SYNC
-from adapters.cia402.objects import DEMAND, STATUSWORD, TARGET
+from adapters.cia402.objects import DEMAND, OUTPUTS, STATUSWORD, TARGET
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.stream import COPIES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -12,6 +12,7 @@ from orchestrator.model.state import StepCosts
 
 _FULL = CanFrame(0x7FF, bytes(8))
 _READS, _ORDERS = 4, 5  # of arming: SDOs with verification; mode, target, profile, and the drive's state
+_STOP_FRAMES = 3  # what waits for a SYNC, both controlword and position, and the controlword that counts at once
 _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, both ways
 _HANDLED_NS = 5 * NS_PER_MS  # usual time of an SDO server to answer
 
@@ -26,13 +27,17 @@ def sync_ns(bitrate: int) -> int:
     return frame_ns(SYNC, bitrate)
 
 
-def stream_ns(bitrate: int, drives: int) -> int:
-    """Return the bus time that one period of a position stream takes."""
+def stream_ns(bitrate: int, drives: int, switching: int = 0) -> int:
+    """Return the bus time that one period of a position stream takes. switching: drives whose outputs travel with their
+    positions."""
     position, answer = (
         CanFrame(0x7FF, bytes(TARGET.byte_size)),
         CanFrame(0x7FF, bytes(STATUSWORD.byte_size + DEMAND.byte_size)),
     )
-    return sync_ns(bitrate) + drives * (COPIES * frame_ns(position, bitrate) + frame_ns(answer, bitrate))
+    longer_ns = frame_ns(CanFrame(0x7FF, bytes(TARGET.byte_size + OUTPUTS.byte_size)), bitrate)
+    position_ns = frame_ns(position, bitrate)
+    positions_ns = COPIES * ((drives - switching) * position_ns + switching * longer_ns)
+    return sync_ns(bitrate) + positions_ns + drives * frame_ns(answer, bitrate)
 
 
 def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float, watched: int = 0) -> StepCosts:
@@ -48,6 +53,6 @@ def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float,
     said_ns = 2 * way_ns + cycle_ns + options.inhibit_ms * NS_PER_MS
     return StepCosts(
         arm_ns=(_READS + watched) * exchange_ns + _ORDERS * each_ns + said_ns,
-        disarm_ns=3 * each_ns + 2 * way_ns + cycle_ns,
-        stop_ns=3 * each_ns + way_ns + cycle_ns + 2 * NS_PER_MS + ceil(ramp_s * NS_PER_S),
+        disarm_ns=_STOP_FRAMES * each_ns + 2 * way_ns + cycle_ns,
+        stop_ns=_STOP_FRAMES * each_ns + way_ns + cycle_ns + 2 * NS_PER_MS + ceil(ramp_s * NS_PER_S),
     )

@@ -50,11 +50,16 @@ class Cia402Decoder:
         self._readers = {"out": FrameReader(), "in": FrameReader()}
         # Which of the mappings a drive has shows in the length.
         self._pdos: dict[tuple[int, int], PdoMapping] = {}
+        self._following: set[int] = set()
+        """Nodes that follow positions: only these have a TPDO 4."""
         for outputs in (False, True):
             for followed in (None, *o.FOLLOWED.values()):
                 for pdo in required_pdos(options, outputs=outputs, followed=followed):
                     length = sum(each.byte_size for each in pdo.carries)
                     self._pdos.setdefault((pdo.function, length), pdo)
+        switched = required_pdos(options, outputs=True, followed=o.TARGET)
+        # As long as the mapping of ramps.
+        self._switched = next(each for each in switched if each.function == bus.RPDO[3])
 
     def decode_bytes(self, direction: FrameDirection, data: bytes) -> list[DecodedFrame]:
         try:
@@ -75,9 +80,11 @@ class Cia402Decoder:
             return DecodedFrame(text, f"NMT {_NMT.get(frame.data[0], f'command {frame.data[0]}')}: {nodes}")
         if frame.id == bus.SYNC.id:
             return DecodedFrame(text, "SYNC")
-        return DecodedFrame(text, self._describe_service(frame.id & ~_NODE, frame.data), f"node {node}")
+        if frame.id & ~_NODE == bus.TPDO[3]:
+            self._following.add(node)
+        return DecodedFrame(text, self._describe_service(node, frame.id & ~_NODE, frame.data), f"node {node}")
 
-    def _describe_service(self, function: int, data: bytes) -> str:
+    def _describe_service(self, node: int, function: int, data: bytes) -> str:
         if function == bus.EMCY and len(data) >= 2:
             code = int.from_bytes(data[:2], "little")
             return f"EMCY {emergency_text(code)}" if code else "EMCY no error any more"
@@ -86,6 +93,8 @@ class Cia402Decoder:
         if function in (bus.SDO_REQUEST, bus.SDO_ANSWER) and len(data) == 8:
             return _describe_sdo(data, is_request=function == bus.SDO_REQUEST)
         pdo = self._pdos.get((function, len(data)))
+        if function == bus.RPDO[3] and len(data) == 8 and node in self._following:
+            pdo = self._switched
         if pdo is not None:
             return f"{pdo.title} {_describe_values(pdo.carries, data)}"
         return ""

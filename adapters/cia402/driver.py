@@ -30,10 +30,14 @@ from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import required_pdos
 from adapters.cia402.power import PowerStage
 from adapters.cia402.probe import TouchProbe, find_edge
+from adapters.cia402.ride import StreamedMove
 from adapters.cia402.sampling import PdoSampling
 from adapters.cia402.sdo import bus_off_fault
 from adapters.cia402.starts import SyncScheduler
 from adapters.cia402.states import DriveState
+from adapters.cia402.stream import PERIODS_AHEAD
+from adapters.cia402.switching import NOTHING_SWITCHED
+from adapters.cia402.triggers import add_triggers
 from adapters.cia402.watch import AT_ARM, SettingsWatch
 from adapters.contract import (
     AxisReading,
@@ -49,6 +53,7 @@ from adapters.contract import (
     SampledPositions,
     SamplingPlan,
     SettingDifference,
+    SwitchedOutput,
 )
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.refusals import log_refusals
@@ -102,6 +107,8 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         self._streams = needs_stream(setup.config)
         if self._streams:
             self._bus.periods_ms[self._number] = options.period_ms
+            if setup.config.outputs:
+                self._bus.switching.add(self._number)
         if options.watchdog_ms is not None:
             self._bus.watchdogs_ms[self._number] = options.watchdog_ms
             self._bus.host_node = options.host_node
@@ -109,6 +116,8 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         """The mode in which the drive follows positions, once it is known."""
         self._boots = 0
         self._is_connected = self._was_unmapped = self._restarted = False
+        self._broken_off = NOTHING_SWITCHED
+        """What the step switched with which the last connection ended."""
 
     # Connection
 
@@ -141,6 +150,7 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         await self._find_following_mode(found)
         self._was_unmapped = await startup.map_and_start(found, self._sync_scheduler, self._options, self._pdos)
         self._boots = found.boots
+        await self._end_switching(found)
         if self._was_unmapped:
             self._log.info("the PDOs were mapped differently; they are mapped again")
         self.log_identity(found.name, identity)
@@ -169,6 +179,16 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
             self._following = await startup.find_following_mode(found)
             found.followed = None if self._following is None else FOLLOWED[self._following]
             self._pdos = required_pdos(self._options, outputs=bool(self._config.outputs), followed=found.followed)
+
+    async def _end_switching(self, found: BusDrive) -> None:
+        """Make the outputs passive that a stream has switched up to the end of the last connection: a drive keeps them
+        as they are. By SDO: a controlword could change its state."""
+        if self._broken_off.find_active(found.outputs) is not None:
+            found.outputs = self._broken_off.outputs_at(found.outputs, self._broken_off.last)
+            found.give_position(found.given)
+            await found.sdo.write_value(o.OUTPUTS, found.outputs)
+            self._log.warning("outputs were still active from a step that was broken off; they are passive now")
+        self._broken_off = NOTHING_SWITCHED
 
     def _read_product(self, path: str) -> eds.DriveProduct:
         try:
@@ -304,9 +324,11 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Cia402Lowered:
         longest_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
-        times = BusTimes(self._bus.bitrate, self._bus.start_ns, len(self._bus.units))
+        bus = self._bus
+        times = BusTimes(bus.bitrate, bus.start_ns, len(bus.units), len(bus.switching))
         traits = ConnectionTraits(times, self._step_costs(longest_s), self._following)
-        return lower_step(self._config, self._options, traits, profiles, start)
+        lowered = lower_step(self._config, self._options, traits, profiles, start)
+        return add_triggers(lowered, self._config, self._options, times, start)
 
     async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, Cia402Lowered)
@@ -333,6 +355,9 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         with log_refusals(self._log, "the touch probe"):
             edge = find_edge(point, self._options.probe_inputs)
             return await TouchProbe(self.connection.node, axis, edge).take(point, within_ns)
+
+    async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
+        return self.connection.mover.take_edges()
 
     def _make_sampling(self) -> PdoSampling:
         return PdoSampling(self.connection.node, self._options, self._axis)
@@ -380,9 +405,11 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
     async def set_output(self, number: int, *, on: bool) -> None:
         found = self.connection.node
         mover = self.connection.mover
-        if mover.move is not None and mover.move.lowered.drive is not None:
+        if mover.move is not None and (mover.move.lowered.drive or mover.move.lowered.switched.points):
             raise Refusal(
-                "busy", "a step drives an output, and all outputs are written together", "wait for the end of the step"
+                "busy",
+                "a step switches an output, and all outputs are written together",
+                "wait for the end of the step",
             )
         if mover.move is not None and mover.move.waits_for_sync:
             raise Refusal(
@@ -390,8 +417,11 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
             )
         bit = point_bit(number)
         found.outputs = found.outputs | bit if on else found.outputs & ~bit
-        riding = mover.move is not None and mover.move.streamed_move is not None
-        found.send_control(found.control if riding else found.control & ~states.NEW_SET_POINT)
+        ride = None if mover.move is None else mover.move.streamed_move
+        if ride is not None and found.switches_with_positions:
+            await self._switch_in_stream(ride)
+        else:
+            found.send_control(found.control if ride is not None else found.control & ~states.NEW_SET_POINT)
         held = await found.sdo.read_value(o.OUTPUTS)
         if held != found.outputs:
             raise ControllerFault(
@@ -399,6 +429,13 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
                 f"{found.name} contains {held:#010x} in {o.OUTPUTS}, and was given {found.outputs:#010x}",
                 "has the drive this output? Is another master on the bus?",
             )
+
+    async def _switch_in_stream(self, ride: StreamedMove) -> None:
+        """Switch outputs with a position that is not sent yet, and wait for its SYNC."""
+        found, mover = self.connection.node, self.connection.mover
+        number = ride.change_outputs(found.outputs)
+        latest_ns = found.clock.now_ns() + 2 * PERIODS_AHEAD * self._options.period_ms * NS_PER_MS + found.answer_ns
+        await found.wait_until(lambda: ride.edges.written >= number or mover.move is None, latest_ns)
 
     async def clear_faults(self) -> None:
         with log_refusals(self._log, "clearing the fault"):
@@ -433,6 +470,8 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
             await ended.mover.halt_drive()
             if self._options.watchdog_ms is not None and ended.node.mapped:
                 await ended.node.sdo.write_value(CONSUMER, 0)
+        if ended.mover.switching.points:
+            self._broken_off = ended.mover.switching
         ended.mover.cancel_waits()
         ended.power.cancel_stops()
         await self._bus.detach_node(self._number, ended.node)

@@ -67,6 +67,12 @@ def needs_stream(config: Controller) -> bool:
     return only_axis(config)[1].limits.jerk is not None
 
 
+def may_switch(config: Controller) -> bool:
+    """Return whether outputs may be switched in a stream, and all of them may be made passive by a stop: none holds a
+    brake, which would close in motion."""
+    return bool(config.outputs) and needs_stream(config) and only_axis(config)[1].brake is None
+
+
 def ramp_in_units(axis: Axis, own: DriveUnits) -> int:
     """Return the acceleration limit in the drive's units."""
     return max(1, int(axis.limits.acceleration * float(axis.scale) * own.acceleration))

@@ -41,6 +41,7 @@ async def settle_handshake(node: BusDrive, stops: int) -> None:
     node.log.info(
         "the set-point acknowledge stands without a set-point; it is taken back by one at the present position"
     )
+    node.give_position(node.demand)
     await node.sdo.write_value(TARGET, node.demand)
     _require_undisturbed(node, stops)
     node.send_control(states.ENABLE | states.NEW_SET_POINT | states.AT_ONCE)

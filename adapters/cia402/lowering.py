@@ -3,6 +3,7 @@ starts it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import ceil
 
 from adapters.cia402.costs import full_frame_ns, stream_ns, sync_ns
 from adapters.cia402.course import SetpointTrajectory
@@ -10,6 +11,7 @@ from adapters.cia402.fleetaxes import POSITION_MAX, axis_bounds, drive_units, ne
 from adapters.cia402.objects import FOLLOWED, PROFILE_POSITION_MODE, point_bit
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.shape import DriveTrapezoid, fit_trapezoid
+from adapters.cia402.switching import NOTHING_SWITCHED, OutputSchedule, SwitchedPoint, SyncPoint
 from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.toolkit.path_error import path_error_counts
 from adapters.toolkit.wired_points import find_driven_output
@@ -24,17 +26,10 @@ _MOST_LOAD = 0.6  # share of a bus for positions and their answers: the drives' 
 
 
 @dataclass(frozen=True, slots=True)
-class SyncOutput:
-    """An output that is switched by the SYNC. bit: in 60FEh. high: its level when active."""
+class SyncOutput(SyncPoint):
+    """An output that is made active by the SYNC of the start, for `active_ns`."""
 
-    name: str
-    bit: int
-    high: bool
     active_ns: int
-
-    def outputs_with(self, outputs: int, *, active: bool) -> int:
-        """Return 60FEh with this output active or passive."""
-        return outputs | self.bit if active == self.high else outputs & ~self.bit
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +39,8 @@ class Cia402Lowered(Lowered):
     lead_ns: the SYNC is written this long before T0.
     target: None when nothing moves; otherwise shape or trajectory describes the motion.
     chunk: the trajectory is the first chunk of a path.
-    mode: of operation."""
+    mode: of operation.
+    switched: outputs that are switched with the positions of the trajectory; among them `drive`, if there is one."""
 
     axis: str = ""
     start_counts: int = 0
@@ -55,6 +51,12 @@ class Cia402Lowered(Lowered):
     mode: int = PROFILE_POSITION_MODE
     lead_ns: int = 0
     drive: SyncOutput | None = None
+    switched: OutputSchedule = NOTHING_SWITCHED
+
+    @property
+    def position_count(self) -> int:
+        """Return the number of positions of its stream; the last ones are at rest where outputs are switched later."""
+        return 0 if self.trajectory is None else max(self.trajectory.point_count, self.switched.last)
 
     @property
     def window_ns(self) -> tuple[int, int]:
@@ -67,11 +69,13 @@ class BusTimes:
     """Properties of the bus that lowering uses.
 
     start_ns: the common time from SYNC to motion of its drives.
-    drives: number of drives on it."""
+    drives: number of drives on it.
+    switching: number of those whose outputs travel with their positions."""
 
     bitrate: int
     start_ns: int
     drives: int
+    switching: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +186,7 @@ def _lower_stream(
     if done.chunk is not None:
         peaks = done.chunk.peak_accelerations.get(done.axis, 0.0), done.chunk.peak_jerks.get(done.axis, 0.0)
         course = replace(course, is_chunk=True, peak_acceleration=peaks[0], peak_jerk=peaks[1])
-    share = stream_ns(bus.bitrate, bus.drives) / course.period_ns
+    share = stream_ns(bus.bitrate, bus.drives, bus.switching) / course.period_ns
     if share > _MOST_LOAD:
         raise Refusal(
             "bus-load",
@@ -205,7 +209,17 @@ def _lower_stream(
         target=profile.end_counts,
         trajectory=course,
         mode=following,
+        switched=_schedule_line(done, course.period_ns),
     )
+
+
+def _schedule_line(done: Cia402Lowered, period_ns: int) -> OutputSchedule:
+    """Return when the driven trigger line, if there is one, is switched with the positions."""
+    drive = done.drive
+    if drive is None:
+        return NOTHING_SWITCHED
+    end = max(1, ceil((done.window_ns[1] + drive.active_ns) / period_ns))
+    return OutputSchedule((SwitchedPoint(drive.name, drive.bit, drive.high, (0, end)),))
 
 
 def _require_range(name: str, profile: Profile) -> None:

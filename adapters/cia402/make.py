@@ -6,12 +6,13 @@ from typing import Any
 from pydantic import BaseModel
 
 from adapters.cia402 import eds, fleetaxes, states
-from adapters.cia402.bus import RPDO
+from adapters.cia402.bus import RPDO, SDO_REQUEST
 from adapters.cia402.decoder import Cia402Decoder
 from adapters.cia402.driver import Cia402Driver
 from adapters.cia402.objects import CONTROLWORD, OUTPUTS
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import quick_stop_by_sdo
+from adapters.cia402.sdo import download_request
 from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.link.can import CanFrame, encode_frames
@@ -67,9 +68,14 @@ class Cia402Make:
 
     def stop_bytes(self, config: Controller) -> bytes:
         """Return a quick stop, by SDO because the mapping of its PDOs is unknown; before it, a frame overwrites the
-        command that waits for a SYNC, because that SYNC may still be sent."""
+        command that waits for a SYNC, because that SYNC may still be sent; after it, outputs that a stream may have
+        switched are made passive."""
         node = fleetaxes.node_number(config)
         waiting = CONTROLWORD.encode(states.QUICK_STOP)
         if config.outputs:
             waiting += OUTPUTS.encode(fleetaxes.passive_outputs(config))
-        return encode_frames(CanFrame(RPDO[0] + node, waiting), quick_stop_by_sdo(node))
+        frames = [CanFrame(RPDO[0] + node, waiting), quick_stop_by_sdo(node)]
+        if fleetaxes.may_switch(config):
+            passive = download_request(OUTPUTS, fleetaxes.passive_outputs(config))
+            frames.append(CanFrame(SDO_REQUEST + node, passive))
+        return encode_frames(*frames)

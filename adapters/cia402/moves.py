@@ -12,17 +12,19 @@ from adapters.cia402 import states
 from adapters.cia402.costs import full_frame_ns, sync_ns
 from adapters.cia402.course import SetpointTrajectory
 from adapters.cia402.handshake import settle_handshake, standing_refusal
-from adapters.cia402.lowering import Cia402Lowered
+from adapters.cia402.lowering import Cia402Lowered, SyncOutput
 from adapters.cia402.node import BusDrive
 from adapters.cia402.objects import DictionaryObject
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
 from adapters.cia402.ride import StreamedMove
-from adapters.cia402.sdo import bus_off_fault
+from adapters.cia402.sdo import SdoAborted, bus_off_fault
 from adapters.cia402.starts import SyncScheduler, SyncStart
 from adapters.cia402.states import DriveState
 from adapters.cia402.stream import COPIES, TAIL_SYNCS
-from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
+from adapters.cia402.switching import NOTHING_SWITCHED
+from adapters.cia402.triggers import find_edge_times
+from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk, SwitchedOutput
 from adapters.toolkit.firing import missed_write_fault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, ClockTimer
 from orchestrator.link.base import LinkClosed
@@ -63,6 +65,11 @@ class DriveStep:
     next_chunk: PathChunk | None = None
 
     @property
+    def driven(self) -> SyncOutput | None:
+        """The trigger line that it drives, unless that is switched with the positions of a stream."""
+        return None if self.lowered.switched.points else self.lowered.drive
+
+    @property
     def waits_for_sync(self) -> bool:
         """Whether it was released and its SYNC has not come yet."""
         return self.released and not self.sync_start.fired.done()
@@ -95,6 +102,10 @@ class Cia402Mover:
         self._settle_ns = limits.settle_ns
         self._ramp = limits.ramp
         self.move: DriveStep | None = None
+        self._switched: StreamedMove | None = None
+        """The last stream, for what its outputs did."""
+        self.switching = NOTHING_SWITCHED
+        """What a stream has switched, until it is certain that it is passive again."""
         self.busy: Callable[[], bool] = lambda: False
         """Whether another motion of the axis is in progress."""
 
@@ -107,12 +118,11 @@ class Cia402Mover:
             raise Refusal("busy", "a motion is loaded or in progress", "disarm or stop it")
         # The last SYNC of a stream comes a period after its end, and may be late.
         course_ns = (
-            0
-            if lowered.trajectory is None
-            else (lowered.trajectory.point_count + TAIL_SYNCS) * lowered.trajectory.period_ns
+            0 if lowered.trajectory is None else (lowered.position_count + TAIL_SYNCS) * lowered.trajectory.period_ns
         )
         if lowered.chunk is not None and not lowered.chunk.last:
             course_ns = _LONGEST_PATH_NS
+        self._switched = None
         shot = self._sync_scheduler.reserve_start(node.number, t0_ns, t0_ns + course_ns)
         move = self.move = DriveStep(lowered, t0_ns, shot, node.boots, node.left_bus, node.outputs)
         move.end_s = 0.0 if lowered.chunk is None else lowered.chunk.end_s
@@ -134,6 +144,10 @@ class Cia402Mover:
                 f"output {lowered.drive.name} is already active",
                 "make the trigger line passive; see `active` in the fleet file",
             )
+        active = lowered.switched.find_active(node.outputs)
+        if active is not None:
+            text = f"output {active.name} is already active"
+            raise Refusal("line-level", text, "make it passive before the step; see `active` in the fleet file")
         node.require_operational()
         if lowered.target is None:
             return {"wire": 0}
@@ -173,6 +187,7 @@ class Cia402Mover:
         """Prepare the stream: the drive follows its present position until the first SYNC."""
         node, here = self._node, lowered.start_counts
         assert node.followed is not None
+        node.give_position(here)
         await node.sdo.write_value(o.DECELERATION, self._ramp)
         await node.sdo.write_value(node.followed, here)
         node.send_control(states.ENABLE, lowered.mode)
@@ -234,18 +249,23 @@ class Cia402Mover:
         control = node.control if lowered.shape is None else states.ENABLE | states.NEW_SET_POINT
         course = lowered.trajectory
         outputs = node.outputs
-        if lowered.drive is not None:
-            outputs = lowered.drive.outputs_with(outputs, active=True)
-            self._power.set_driving(driving=True, passive=lowered.drive.outputs_with(outputs, active=False))
+        if move.driven is not None:
+            outputs = move.driven.outputs_with(outputs, active=True)
+            self._power.set_driving(driving=True, passive=move.driven.outputs_with(outputs, active=False))
         move.released = node.loaded = True
         frames = [node.control_at_sync(control, outputs)]
         if course is not None:
-            ride = move.streamed_move = StreamedMove(node, course, lambda: self._handle_stream_failure(move))
+            ride = move.streamed_move = self._switched = StreamedMove(
+                node, course, lowered.switched, lambda: self._handle_stream_failure(move)
+            )
+            self.switching = lowered.switched
             self._sync_scheduler.join_stream(node.number, move.sync_start, ride, at_ns, course.period_ns)
             frames += [ride.position_frame(0)] * COPIES
-        elif node.followed == o.TARGET and lowered.target is not None:
+        elif node.switches_with_positions or (node.followed == o.TARGET and lowered.target is not None):
             # The SYNC also applies a waiting position: it must not be an older one.
-            frames.append(node.position_frame(lowered.target))
+            if node.followed == o.TARGET and lowered.target is not None:
+                node.given = lowered.target
+            frames.append(node.position_frame(node.given, outputs))
         latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns if move.sync_start.stream is None else 0)
         self._sync_scheduler.load_frames(node.number, move.sync_start, frames, at_ns, latest_ns)
 
@@ -274,14 +294,12 @@ class Cia402Mover:
         if move.release is not None:
             move.release.cancel()
             move.release = None
-        drive, node = move.lowered.drive, self._node
+        drive, node = move.driven, self._node
         if drive is not None:
             self._power.set_driving(driving=False, passive=0)
             node.outputs = drive.outputs_with(node.outputs, active=False)
             if move.released and node.mapped:
-                node.send_control(
-                    node.control if move.streamed_move is not None else node.control & ~states.NEW_SET_POINT
-                )
+                node.send_control(node.control & ~states.NEW_SET_POINT)
 
     def record_stop(self, at_ns: int) -> None:
         """Record a stop that was written at that instant."""
@@ -314,6 +332,7 @@ class Cia402Mover:
             and move.sync_start.fired.done()
         ):
             await self._node.sdo.write_value(o.CONTROLWORD, states.ENABLE | states.HALT)
+            await self._end_switching(move)
 
     def cancel_waits(self) -> None:
         """Cancel everything that waits for an instant: the connection ends."""
@@ -381,7 +400,7 @@ class Cia402Mover:
         if fired.late:
             self._cancel_start(move)
             raise missed_write_fault("the SYNC", node.bus.can_link.byte_link, fired)
-        if lowered.drive is not None:
+        if move.driven is not None:
             self._keep_output_active(move)
         if lowered.target is None:
             return {name: HostInterval(move.t0_ns, move.t0_ns) for name in names}
@@ -454,21 +473,14 @@ class Cia402Mover:
                 else MoveOutcome("stopped", at_t0, "stopped on request")
             )
         earliest_ns, latest_ns = self._end_interval(move, move.started)
-
-        def has_arrived() -> bool:
-            if move.streamed_move is not None:
-                return move.streamed_move.has_arrived
-            return (
-                node.clock.now_ns() >= earliest_ns
-                and bool(node.status & states.TARGET_REACHED)
-                and node.demand == lowered.target
-            )
-
         while True:
             if move.streamed_move is None:
                 await node.wait_until(lambda: self._interrupted_now(move), earliest_ns)
-            overdue_ns = latest_ns + self._settle_ns + _OVERDUE_NS
-            there = await node.wait_until(lambda: has_arrived() or self._interrupted_now(move), overdue_ns)
+            overdue_ns = latest_ns + self._settle_ns + _OVERDUE_NS + self._standing_ns(lowered)
+            there = await node.wait_until(
+                lambda since_ns=earliest_ns: self._has_arrived(move, since_ns) or self._interrupted_now(move),
+                overdue_ns,
+            )
             expected = self._end_interval(move, move.started)
             if there or expected == (earliest_ns, latest_ns):
                 break
@@ -478,11 +490,15 @@ class Cia402Mover:
             await self._wait_until_passive(move)
         trouble = self._failure_text(move)
         stopped = move.stopped_ns is not None
+        done = there and not stopped and not trouble
+        if not done:
+            await self._end_switching(move)
         if stopped:
             await self._power.wait_for_stops()
         self._finish_step(move)
         now_ns = node.clock.now_ns()
-        if not stopped and not trouble and there:
+        if done:
+            self.switching = NOTHING_SWITCHED
             if move.streamed_move is not None and lowered.trajectory is not None:
                 earliest_ns, latest_ns = self._stream_end_interval(move.streamed_move, lowered.trajectory)
                 await self._leave_stream()
@@ -492,6 +508,16 @@ class Cia402Mover:
         if stopped:
             return MoveOutcome("stopped", spans, f"stopped on request; {stands}")
         return MoveOutcome("fault", spans, f"{node.name} {trouble or 'does not come to its end'}; {stands}")
+
+    def _has_arrived(self, move: DriveStep, earliest_ns: int) -> bool:
+        node = self._node
+        if move.streamed_move is not None:
+            return move.streamed_move.has_arrived
+        return (
+            node.clock.now_ns() >= earliest_ns
+            and bool(node.status & states.TARGET_REACHED)
+            and node.demand == move.lowered.target
+        )
 
     def _end_interval(self, move: DriveStep, started: HostInterval) -> tuple[int, int]:
         """Return when the step ends, as far as it is released."""
@@ -514,6 +540,11 @@ class Cia402Mover:
         """Return how long an axis stands before its first count, and after its last one, by the slowest crystal."""
         before, after = (each * trajectory.period_ns / NS_PER_S for each in trajectory.still_periods)
         return self._device_ns(before, 1), self._device_ns(after, 1)
+
+    def _standing_ns(self, lowered: Cia402Lowered) -> int:
+        """Return how long a stream continues at rest, for outputs that are switched after its end."""
+        course = lowered.trajectory
+        return 0 if course is None else (lowered.position_count - course.point_count) * course.period_ns
 
     def _stream_end_interval(self, ride: StreamedMove, trajectory: SetpointTrajectory) -> tuple[int, int]:
         """Return the interval of the end: a period after its last SYNC took effect; on a path it may have been there
@@ -553,10 +584,29 @@ class Cia402Mover:
             return "was stopped by its own limit (switch or software limit)"
         return ""
 
+    # Outputs that are switched on the way
+
+    async def _end_switching(self, move: DriveStep) -> None:
+        """Make the outputs passive that a stream switches: by SDO, because the drive may not have been stopped, and be
+        in another state than is known, in which a controlword could enable it."""
+        node = self._node
+        if not move.lowered.switched.points:
+            return
+        self._sync_scheduler.remove_drive(node.number, move.sync_start)
+        with suppress(ControllerFault, SdoAborted):
+            node.give_position(node.given)
+            await node.sdo.write_value(o.OUTPUTS, node.outputs)
+            self.switching = NOTHING_SWITCHED
+
+    def take_edges(self) -> dict[str, SwitchedOutput]:
+        """Return what the outputs with triggers did in the last step."""
+        times = find_edge_times(self._options, self._node.bus.bitrate)
+        return {} if self._switched is None else self._switched.edges.find_edges(times)
+
     # The driven trigger line
 
     def _keep_output_active(self, move: DriveStep) -> None:
-        drive, node = move.lowered.drive, self._node
+        drive, node = move.driven, self._node
         assert drive is not None
         node.outputs = drive.outputs_with(node.outputs, active=True)
 

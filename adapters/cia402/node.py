@@ -56,6 +56,8 @@ class BusDrive:
         self.has_outputs = outputs
         self.followed: DictionaryObject | None = None
         """The object of the positions that are streamed to it; None: none are, so RPDO 4 carries its ramps."""
+        self.given = 0
+        """The position that it was given last: one that waits for a SYNC is overwritten with it."""
         self.answer = SyncAnswer(0, 0, 0)
         """Answer to the last SYNC, of a drive that follows positions."""
         self.status = self.mode = 0
@@ -104,6 +106,11 @@ class BusDrive:
     @property
     def is_enabled(self) -> bool:
         return self.state is DriveState.ENABLED
+
+    @property
+    def switches_with_positions(self) -> bool:
+        """Whether its outputs travel with the positions of a stream, and not with the controlword at a SYNC."""
+        return self.has_outputs and self.followed is not None
 
     # Reception
 
@@ -233,18 +240,22 @@ class BusDrive:
         self.bus.send_frames(*self.control_frames(control, mode))
 
     def control_frames(self, control: int, mode: int | None = None) -> list[CanFrame]:
-        """Return the frames of `send_control`. They also overwrite a command that waits for a SYNC, so that it requests
-        nothing else."""
+        """Return the frames of `send_control`. They also overwrite a command, and outputs, that wait for a SYNC, so
+        that it requests nothing else."""
         self.control = control
         if mode is not None:
             self.wanted_mode = mode
         now = CONTROLWORD.encode(control) + MODE.encode(self.wanted_mode) + self._output_bytes()
         frames = [CanFrame(RPDO[1] + self.number, now)]
+        if self.switches_with_positions:
+            # First: a SYNC that comes between the two must not switch anything after the controlword.
+            frames = [self.position_frame(self.given), *frames]
         return [self.control_at_sync(control), *frames] if self.loaded else frames
 
     def control_at_sync(self, control: int, outputs: int | None = None) -> CanFrame:
-        """Return a controlword that takes effect with the next SYNC; with outputs, where some are named."""
-        return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + self._output_bytes(outputs))
+        """Return a controlword that takes effect with the next SYNC; with outputs, where these travel with it."""
+        switched = b"" if self.switches_with_positions else self._output_bytes(outputs)
+        return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + switched)
 
     async def load_set_point(self, target: int, velocity: int, acceleration: int, deceleration: int) -> None:
         """Load a target with its profile, all in the drive's units; a controlword starts the motion.
@@ -259,12 +270,20 @@ class BusDrive:
         else:
             await self.sdo.write_value(ACCELERATION, acceleration)
             await self.sdo.write_value(DECELERATION, deceleration)
+            self.give_position(target)
             self.bus.send_frames(goal)
 
-    def position_frame(self, counts: int) -> CanFrame:
-        """Return a position of a stream, which takes effect with the next SYNC."""
+    def give_position(self, counts: int) -> None:
+        """Overwrite the position that waits for a SYNC, of a drive whose outputs travel with it: no older one must come
+        after the target that it is given now."""
+        self.given = counts
+        if self.switches_with_positions:
+            self.bus.send_frames(self.position_frame(counts))
+
+    def position_frame(self, counts: int, outputs: int | None = None) -> CanFrame:
+        """Return a position of a stream, which takes effect with the next SYNC; with outputs, where some are named."""
         assert self.followed is not None
-        return CanFrame(RPDO[3] + self.number, self.followed.encode(counts))
+        return CanFrame(RPDO[3] + self.number, self.followed.encode(counts) + self._output_bytes(outputs))
 
     def _output_bytes(self, outputs: int | None = None) -> bytes:
         if not self.has_outputs:

@@ -73,6 +73,10 @@ class Cia402Options(FiringOptions):
     )
     start_us: Microseconds = Field(default=500, description="Usual time from the processed SYNC to the motion.")
     start_spread_us: Microseconds = Field(default=500, description="That time is start_us plus or minus this.")
+    output_us: Microseconds = Field(
+        default=1000,
+        description="Longest time from the processed SYNC to the edge at the terminal of an output (triggers).",
+    )
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long configuring waits for the end of a motion in progress."
     )

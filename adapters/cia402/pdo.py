@@ -2,7 +2,9 @@
 
 RPDO 1 takes effect with the next SYNC and carries the start; RPDO 2 takes effect at once and carries all other commands
 to the state machine; RPDO 3 and 4 carry a set-point. TPDO 1 is sent on change, the others with limited frequency. For a
-drive that follows positions, RPDO 4 carries these, applied with each SYNC, and TPDO 4 answers each SYNC.
+drive that follows positions, RPDO 4 carries these, applied with each SYNC, and TPDO 4 answers each SYNC. Its outputs
+travel with the positions, and not with the controlword of RPDO 1: so one SYNC never applies two values of them, and
+positions that are under way do not enable a drive that was stopped.
 """
 
 from collections.abc import Sequence
@@ -43,20 +45,21 @@ class PdoMapping:
 def required_pdos(
     options: Cia402Options, *, outputs: bool, followed: DictionaryObject | None = None
 ) -> tuple[PdoMapping, ...]:
-    """Return all PDOs of a drive. outputs: some are named, and are switched with the controlword. followed: the object
-    of the positions that are streamed to it; None: none are."""
+    """Return all PDOs of a drive. outputs: some are named. followed: the object of the positions that are streamed to
+    it; None: none are."""
     switched = (o.OUTPUTS,) if outputs else ()
+    started = switched if followed is None else ()
     slow = options.inhibit_ms * 10
     fourth = (
         (PdoMapping("RPDO 4", 0x1403, 0x1603, RPDO[3], AT_ONCE, (o.ACCELERATION, o.DECELERATION)),)
         if followed is None
         else (
-            PdoMapping("RPDO 4", 0x1403, 0x1603, RPDO[3], SYNCHRONOUS, (followed,)),
+            PdoMapping("RPDO 4", 0x1403, 0x1603, RPDO[3], SYNCHRONOUS, (followed, *switched)),
             PdoMapping("TPDO 4", 0x1803, 0x1A03, TPDO[3], SYNCHRONOUS, (o.STATUSWORD, o.DEMAND)),
         )
     )
     return (
-        PdoMapping("RPDO 1", 0x1400, 0x1600, RPDO[0], SYNCHRONOUS, (o.CONTROLWORD, *switched)),
+        PdoMapping("RPDO 1", 0x1400, 0x1600, RPDO[0], SYNCHRONOUS, (o.CONTROLWORD, *started)),
         PdoMapping("RPDO 2", 0x1401, 0x1601, RPDO[1], AT_ONCE, (o.CONTROLWORD, o.MODE, *switched)),
         PdoMapping("RPDO 3", 0x1402, 0x1602, RPDO[2], AT_ONCE, (o.TARGET, o.PROFILE_VELOCITY)),
         PdoMapping("TPDO 1", 0x1800, 0x1A00, TPDO[0], AT_ONCE, (o.STATUSWORD, o.MODE_DISPLAY), 0, options.state_ms),

@@ -109,7 +109,8 @@ async def map_and_start(
         await load_object(node, o.PERIOD, options.period_ms)
         await load_object(node, o.PERIOD_INDEX, _MILLISECONDS)
         # A position may wait for a SYNC, of a stream that is not continued.
-        node.bus.send_frames(node.position_frame(node.demand))
+        node.given = node.demand
+        node.bus.send_frames(node.position_frame(node.given))
     if node.mode in o.FOLLOWED:
         node.send_control(node.control, o.PROFILE_POSITION_MODE)
     node.bus.send_frames(node.control_at_sync(node.control))

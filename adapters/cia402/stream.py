@@ -4,14 +4,21 @@ All writes happen at instants that were set with the first SYNC, so that the per
 computer's clock, and are scheduled some periods ahead, so that a busy event loop does no harm. One write contains a
 SYNC, and after it the positions for the next one, each twice, so that the loss of a single frame has no effect. In the
 middle of each period the drives' answers are checked: all must have received the SYNC and followed.
+
+Outputs may travel with the positions. A drive that leaves the stream must not be given those that are scheduled: these
+writes are replaced. One that is too near for that is followed by a frame that makes the outputs passive, before the
+SYNC that would apply them.
 """
 
+import asyncio
 from collections import deque
-from typing import Protocol
+from contextlib import suppress
+from typing import NamedTuple, Protocol
 
 from adapters.cia402.bus import SYNC, Cia402Bus
 from adapters.contract import TimedWrite, TimedWriter
-from orchestrator.clock.base import sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, sleep_until_ns
+from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame, encode_frames
 
 PERIODS_AHEAD = 5
@@ -20,6 +27,8 @@ TAIL_SYNCS = 3
 """SYNCs after the last position: a SYNC may come before the drive has quite arrived, so that it takes one more
 period."""
 COPIES = 2
+_NEAR_NS = 3 * NS_PER_MS
+"""A write that is due within this time cannot be relied on to be cancelled: a process may wait for its instant."""
 
 
 class StreamFollower(Protocol):
@@ -32,6 +41,11 @@ class StreamFollower(Protocol):
 
     def position_frame(self, number: int) -> CanFrame:
         """Return the frame of a position, which the SYNC of that number applies."""
+        ...
+
+    @property
+    def passive_frame(self) -> CanFrame | None:
+        """The frame that makes its outputs passive at the next SYNC; None: no output is switched in the stream."""
         ...
 
     def record_write(self, number: int, at_ns: int) -> None:
@@ -51,6 +65,14 @@ class StreamFollower(Protocol):
         ...
 
 
+class _ScheduledWrite(NamedTuple):
+    """One write. number: of its SYNC; 0: it has none, only positions for SYNC 1."""
+
+    number: int
+    at_ns: int
+    write: TimedWrite
+
+
 class PositionStream:
     """The SYNCs of one start. first_ns: when the first is written. period_ns: from one to the next."""
 
@@ -60,7 +82,8 @@ class PositionStream:
         self._first_ns = first_ns
         self._period_ns = period_ns
         self._followers: dict[int, StreamFollower] = {}
-        self._writes: deque[TimedWrite] = deque()
+        self._writes: deque[_ScheduledWrite] = deque()
+        self._overwriting: set[asyncio.Task[None]] = set()
 
     @property
     def has_followers(self) -> bool:
@@ -71,22 +94,29 @@ class PositionStream:
         self._followers[node] = follower
 
     def remove_follower(self, node: int) -> bool:
-        """Remove a drive: it gets no further position beyond the scheduled ones; return whether it was part of the
-        stream. No SYNC is sent without drives."""
-        was = self._followers.pop(node, None) is not None
+        """Remove a drive: it gets no further position beyond the scheduled ones, and none of these if outputs are
+        switched with them; return whether it was part of the stream. No SYNC is sent without drives."""
+        follower = self._followers.pop(node, None)
+        if follower is None:
+            return False
+        passive = follower.passive_frame
+        if passive is not None:
+            self._overwrite_near(passive)
         if not self._followers:
             self.cancel_writes()
-        return was
+        elif passive is not None:
+            self._replace_writes()
+        return True
 
     def cancel_writes(self) -> None:
         """Cancel the scheduled writes."""
         while self._writes:
-            self._writes.popleft().cancel_write()
+            self._writes.popleft().write.cancel_write()
 
     async def run_stream(self, written_ns: int) -> None:
         """Run from the first SYNC, which was written at `written_ns`, to the last one. Raises `LinkClosed`."""
         # The drives were unknown when the first SYNC was scheduled: the second positions follow separately.
-        self._schedule_write(self._at_ns(0) + self._period_ns // 4, self._position_bytes(1))
+        self._writes.append(self._schedule_write(0))
         ordered = number = 0
         try:
             while (
@@ -95,11 +125,11 @@ class PositionStream:
             ):
                 while ordered < number + PERIODS_AHEAD:
                     ordered += 1
-                    self._schedule_write(self._at_ns(ordered), encode_frames(SYNC) + self._position_bytes(ordered + 1))
+                    self._writes.append(self._schedule_write(ordered))
                 await sleep_until_ns(self._bus.clock, self._at_ns(number) + self._period_ns // 2)
                 if not self._followers:
                     return
-                fired = await self._writes.popleft().wait_until_written()
+                fired = await self._writes.popleft().write.wait_until_written()
                 if fired.late:
                     self._fail_all(
                         f"had no SYNC in period {number} of its stream: this computer was too busy (underrun)"
@@ -117,11 +147,41 @@ class PositionStream:
     def _at_ns(self, number: int) -> int:
         return self._first_ns + number * self._period_ns
 
-    def _schedule_write(self, at_ns: int, data: bytes) -> None:
+    def _schedule_write(self, number: int) -> _ScheduledWrite:
+        """Schedule SYNC `number` and the positions for the next one; for 0, only these, a quarter of a period later."""
+        at_ns = self._at_ns(number) if number else self._at_ns(0) + self._period_ns // 4
+        data = (encode_frames(SYNC) if number else b"") + self._position_bytes(number + 1)
+        return _ScheduledWrite(number, at_ns, self._schedule_bytes(at_ns, data))
+
+    def _schedule_bytes(self, at_ns: int, data: bytes) -> TimedWrite:
         """Schedule a write; a delay of more than a quarter of the period could collide with the next write."""
-        self._writes.append(
-            self._timed_writer.schedule_write(self._bus.can_link.byte_link, data, at_ns, at_ns + self._period_ns // 4)
-        )
+        latest_ns = at_ns + self._period_ns // 4
+        return self._timed_writer.schedule_write(self._bus.can_link.byte_link, data, at_ns, latest_ns)
+
+    def _is_near(self, each: _ScheduledWrite) -> bool:
+        return each.at_ns < self._bus.clock.now_ns() + _NEAR_NS
+
+    def _replace_writes(self) -> None:
+        """Schedule anew, with the positions of the present drives, what is not too near for that."""
+        for index, each in enumerate(self._writes):
+            if not self._is_near(each):
+                each.write.cancel_write()
+                self._writes[index] = self._schedule_write(each.number)
+
+    def _overwrite_near(self, passive: CanFrame) -> None:
+        """Write `passive` half a period after each write that may still happen as it is."""
+        for each in self._writes:
+            # One that has just been written has been overwritten by the caller.
+            if self._is_near(each) and each.at_ns + self._period_ns // 4 >= self._bus.clock.now_ns():
+                write = self._schedule_bytes(each.at_ns + self._period_ns // 2, encode_frames(passive))
+                task = asyncio.get_running_loop().create_task(self._await_write(write))
+                self._overwriting.add(task)
+                task.add_done_callback(self._overwriting.discard)
+
+    async def _await_write(self, write: TimedWrite) -> None:
+        """Take the result of a write that no other part of the program waits for."""
+        with suppress(LinkClosed):
+            await write.wait_until_written()
 
     def _position_bytes(self, number: int) -> bytes:
         frames = [

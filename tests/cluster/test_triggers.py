@@ -33,11 +33,13 @@ CIRCLE = "{do: path, axes: [gantry.x, gantry.y], start: [0, 20], tolerance: 0.2,
 
 @dataclass
 class TrueEdges:
-    """The edges at the terminal of an output, fleet time, with the positions of axes there."""
+    """The edges at the terminal of an output, fleet time, with the positions of axes there. number: of the output; None:
+    the controller switches only one."""
 
     virtual: VirtualFleet
     controller: str = "gantry"
     motors: tuple[tuple[str, str, str], ...] = (("gantry.x", "gantry", "X"),)
+    number: int | None = None
     edges: list[tuple[int, bool]] = field(default_factory=list[tuple[int, bool]])
     places: list[dict[str, float]] = field(default_factory=list[dict[str, float]])
 
@@ -45,7 +47,8 @@ class TrueEdges:
         self.virtual.controllers[self.controller].on_output(self._note)
 
     def _note(self, number: int, level: bool) -> None:
-        del number
+        if self.number not in (None, number):
+            return
         self.edges.append((self.virtual.clock.now_ns() - origin_host_ns(self.virtual), level))
         units = self.virtual.fleet
         self.places.append(

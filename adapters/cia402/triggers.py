@@ -1,0 +1,123 @@
+"""Triggers lowered to the SYNCs of a stream: the outputs change with the SYNC next to each instant."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from math import ceil
+
+from adapters.cia402.costs import full_frame_ns, sync_ns
+from adapters.cia402.lowering import BusTimes, Cia402Lowered
+from adapters.cia402.objects import point_bit
+from adapters.cia402.options import Cia402Options
+from adapters.cia402.switching import EdgeTimes, OutputSchedule, SwitchedPoint
+from adapters.toolkit.wired_points import find_driven_output
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.model.duration import format_ns
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import BudgetTerm, OutputTrigger, StartOptions, TriggerDrive, sum_terms
+
+
+def add_triggers(
+    lowered: Cia402Lowered, config: Controller, options: Cia402Options, bus: BusTimes, start: StartOptions
+) -> Cia402Lowered:
+    """Return the lowered step with the triggers that are asked for. Raises `Refusal` with what would fit."""
+    if not start.triggers:
+        return lowered
+    if lowered.drive is not None:
+        raise Refusal("start-class", "a step with triggers drives no trigger line", "remove `start`")
+    course, name = lowered.trajectory, lowered.axis
+    if course is None:
+        output = start.triggers[0].output
+        has_jerk = config.axes[name].limits.jerk is not None
+        moves = "does not move in this step" if has_jerk else "has no limit of `jerk`, so that none are streamed to it"
+        raise Refusal(
+            "trigger-axis",
+            f"output {output}: a CiA 402 drive switches outputs with the positions that are streamed to it, and its "
+            f"axis {name} {moves}",
+            f"move {name} in the step, too" if has_jerk else f"add a `jerk` limit to {name}, and move it in the step",
+        )
+    sync_terms = find_edge_terms(options, bus)
+    middle_ns = sum(sum_terms(sync_terms)) // 2
+    points: list[SwitchedPoint] = []
+    terms: dict[str, tuple[BudgetTerm, ...]] = {}
+    for trigger in start.triggers:
+        # The first SYNC is the start itself.
+        edges = [max(1, round((each - middle_ns) / course.period_ns)) for each in trigger.instants_ns]
+        pulse = _fit_pulse(trigger, course.period_ns)
+        _require_rate(trigger, edges, max(pulse, 1) + 1, course.period_ns)
+        points.append(_make_point(config, trigger, edges, pulse, course.point_count))
+        off_ns = [edge * course.period_ns - instant for edge, instant in zip(edges, trigger.instants_ns, strict=True)]
+        rounding = BudgetTerm(name="quantisation", earliest_ns=min(off_ns), latest_ns=max(off_ns))
+        terms[trigger.output] = (*sync_terms, rounding)
+    return replace(
+        lowered,
+        switched=OutputSchedule(tuple(points)),
+        triggers=terms,
+        commands=(
+            *lowered.commands,
+            *(
+                f"60FEh bit {point.bit.bit_length() - 1} {'on' if point.high else 'off'} with {len(point.edges)} SYNCs"
+                for point in points
+            ),
+        ),
+    )
+
+
+def find_edge_terms(options: Cia402Options, bus: BusTimes) -> tuple[BudgetTerm, ...]:
+    """Return the terms of an edge relative to T0 and the periods up to its SYNC, which is written so that it would
+    start a motion then."""
+    return (
+        options.host_term(),
+        BudgetTerm(
+            name="wire",
+            earliest_ns=-(sync_ns(bus.bitrate) // 2),  # it may have no stuff bits
+            latest_ns=options.wire_jitter_us * NS_PER_US + full_frame_ns(bus.bitrate),
+        ),
+        BudgetTerm(name="tick", earliest_ns=0, latest_ns=options.cycle_us * NS_PER_US),
+        BudgetTerm(name="output", earliest_ns=-bus.start_ns, latest_ns=options.output_us * NS_PER_US - bus.start_ns),
+    )
+
+
+def find_edge_times(options: Cia402Options, bitrate: int) -> EdgeTimes:
+    """Return the bounds of an edge by the SYNC that was written and answered."""
+    wire_ns = options.wire_jitter_us * NS_PER_US + full_frame_ns(bitrate) + sync_ns(bitrate)
+    after_ns = (options.cycle_us + options.output_us) * NS_PER_US
+    return EdgeTimes(sync_ns(bitrate) // 2, wire_ns + after_ns, after_ns)
+
+
+def _fit_pulse(trigger: OutputTrigger, period_ns: int) -> int:
+    """Return the length of a pulse in periods; 0 for a level."""
+    if trigger.pulse_ns and trigger.pulse_ns < period_ns:
+        raise Refusal(
+            "trigger-pulse",
+            f"output {trigger.output}: pulses of {format_ns(trigger.pulse_ns)} asked for; the outputs of a CiA 402 "
+            f"drive change with the SYNCs of its stream, every {format_ns(period_ns)}",
+            f"write `pulse: {format_ns(period_ns)}`, or set a shorter `period_ms` for the drives of the bus",
+        )
+    return ceil(trigger.pulse_ns / period_ns)
+
+
+def _require_rate(trigger: OutputTrigger, edges: Sequence[int], least: int, period_ns: int) -> None:
+    """Raise `Refusal` for edges that follow faster than the SYNCs allow. least: periods from one to the next."""
+    if any(after - before < least for before, after in pairwise(edges)):
+        gap_ns = min(after - before for before, after in pairwise(trigger.instants_ns))
+        raise Refusal(
+            "trigger-rate",
+            f"output {trigger.output}: two triggers are {format_ns(gap_ns)} apart; a CiA 402 drive with a SYNC every "
+            f"{format_ns(period_ns)} switches one in {format_ns(least * period_ns)}",
+            f"write at least {format_ns(least * period_ns)}, or a distance that takes as long at the highest speed, or "
+            "move slower, or set a shorter `period_ms`",
+        )
+
+
+def _make_point(
+    config: Controller, trigger: OutputTrigger, edges: Sequence[int], pulse: int, point_count: int
+) -> SwitchedPoint:
+    """Return the output with all its changes. pulse: in periods; 0: a level, which is passive from the end on."""
+    point = find_driven_output(config, TriggerDrive(output=trigger.output, active_ns=trigger.pulse_ns))
+    if pulse:
+        numbers = [number for edge in edges for number in (edge, edge + pulse)]
+    else:
+        numbers = [*edges, max(point_count, edges[-1] + 1)] if len(edges) % 2 else list(edges)
+    return SwitchedPoint(trigger.output, point_bit(point.number), point.active == "high", tuple(numbers), tuple(edges))
