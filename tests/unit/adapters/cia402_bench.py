@@ -26,12 +26,15 @@ VELOCITY, ACCELERATION = 80_000.0, 400_000.0
 SYNC = 0x080
 
 
-def config(node: int, options: Mapping[str, Any] | None = None, **axis: Any) -> Controller:
+def config(
+    node: int, options: Mapping[str, Any] | None = None, outputs: Mapping[str, Any] | None = None, **axis: Any
+) -> Controller:
     return Controller.model_validate(
         {
             "adapter": "cia402",
             "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": node},
             "options": dict(options or {}),
+            "outputs": dict(outputs or {}),
             "axes": {
                 "a": {
                     "motors": ["1"],
@@ -117,7 +120,8 @@ def run(
     options: Mapping[str, Any] | None = None,
     **axis: Any,
 ) -> None:
-    """Run `main` with `count` drives. simulate: options of the simulated drives; options, axis: of the fleet file."""
+    """Run `main` with `count` drives. simulate: options of the simulated drives; options, axis, and `outputs` among
+    these: of the fleet file."""
 
     async def within(clock: VirtualClock) -> None:
         branches = [
