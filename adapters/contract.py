@@ -392,7 +392,8 @@ def require_triggers(lowered: Lowered, start: StartOptions) -> None:
             raise Refusal(
                 "no-triggers",
                 f"output {trigger.output}: this make has no triggers on the way",
-                "use an output of an SMC-4000, of an SMC-2000 with a port of its own, or an SHRC-203's trigger output",
+                "use an output of an SMC-4000, of an SMC-2000 with a port of its own, or of a CiA 402 drive whose axis "
+                "has a limit of `jerk`; or an SHRC-203's trigger output",
             )
 
 

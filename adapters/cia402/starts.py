@@ -52,10 +52,13 @@ class SyncScheduler:
         self._timed_writer = timed_writer
         self._starts: list[SyncStart] = []
         self._unknown: set[int] = set()
+        self._left: dict[int, StreamFollower] = {}
+        """Drives that have left a stream since they were started last: outputs may still wait in them."""
 
     def mark_unknown(self, node: int) -> None:
         """Mark a drive with unknown waiting commands: it was not connected yet, or its link was lost."""
         self._unknown.add(node)
+        self._left.pop(node, None)
 
     def mark_connected(self, node: int) -> bool:
         """Mark a drive whose waiting commands were overwritten. Apply them by a SYNC now, unless that could start an
@@ -102,6 +105,7 @@ class SyncScheduler:
 
         Raises `LinkClosed`.
         """
+        self._left.pop(node, None)
         start.pending_frames[node] = tuple(frames)
         if start.order is None:
             start.order = self._timed_writer.schedule_write(
@@ -130,8 +134,10 @@ class SyncScheduler:
         start.reserved.discard(node)
         start.pending_frames.pop(node, None)
         waiting = node in start.sent and not start.fired.done()
-        if start.stream is not None and start.stream.remove_follower(node):
+        follower = None if start.stream is None else start.stream.remove_follower(node)
+        if start.stream is not None and follower is not None:
             waiting = True
+            self._left[node] = follower
             if not start.stream.has_followers and start.fired.done():
                 self._finish_start(start, None)
         if not start.reserved and not start.fired.done():
@@ -146,7 +152,9 @@ class SyncScheduler:
         self._drop_expired()
         if any(shot.sent for shot in self._starts):
             return False
-        self._bus.send_frames(SYNC)
+        # A position that was too near to be withdrawn may have arrived after the frame that overwrites it.
+        passive = [frame for each in self._left.values() if (frame := each.passive_frame) is not None]
+        self._bus.send_frames(*passive, SYNC)
         return True
 
     async def _follow_start(self, start: SyncStart, order: TimedWrite) -> None:

@@ -93,12 +93,12 @@ class PositionStream:
         """Add a drive, before the first SYNC."""
         self._followers[node] = follower
 
-    def remove_follower(self, node: int) -> bool:
+    def remove_follower(self, node: int) -> StreamFollower | None:
         """Remove a drive: it gets no further position beyond the scheduled ones, and none of these if outputs are
-        switched with them; return whether it was part of the stream. No SYNC is sent without drives."""
+        switched with them; return it, if it was part of the stream. No SYNC is sent without drives."""
         follower = self._followers.pop(node, None)
         if follower is None:
-            return False
+            return None
         passive = follower.passive_frame
         if passive is not None:
             self._overwrite_near(passive)
@@ -106,7 +106,7 @@ class PositionStream:
             self.cancel_writes()
         elif passive is not None:
             self._replace_writes()
-        return True
+        return follower
 
     def cancel_writes(self) -> None:
         """Cancel the scheduled writes."""
