@@ -144,10 +144,7 @@ class Cia402Mover:
                 f"output {lowered.drive.name} is already active",
                 "make the trigger line passive; see `active` in the fleet file",
             )
-        active = lowered.switched.find_active(node.outputs)
-        if active is not None:
-            text = f"output {active.name} is already active"
-            raise Refusal("line-level", text, "make it passive before the step; see `active` in the fleet file")
+        self._require_outputs(lowered)
         node.require_operational()
         if lowered.target is None:
             return {"wire": 0}
@@ -166,6 +163,22 @@ class Cia402Mover:
             raise Refusal("stopped", "a stop came while arming", "")
         self._require_start(move)
         return {"wire": loaded_ns - began_ns, "verify": node.clock.now_ns() - loaded_ns}
+
+    def _require_outputs(self, lowered: Cia402Lowered) -> None:
+        """Raise `Refusal` for an output that is active already, or that the drive does not switch."""
+        node = self._node
+        active = lowered.switched.find_active(node.outputs)
+        if active is not None:
+            text = f"output {active.name} is already active"
+            raise Refusal("line-level", text, "make it passive before the step; see `active` in the fleet file")
+        mask = node.held.get(o.OUTPUT_MASK)
+        for point in lowered.switched.points:
+            if mask is not None and not mask & point.bit:
+                raise Refusal(
+                    "trigger-output",
+                    f"output {point.name}: {o.OUTPUT_MASK} is {mask:#010x}, so that {node.name} does not switch it",
+                    f"set bit {point.bit.bit_length() - 1} of it with the drive's own tool, and store it",
+                )
 
     async def _load_set_point(self, lowered: Cia402Lowered) -> Mapping[DictionaryObject, int]:
         """Load the set-point; return the expected object values."""

@@ -156,3 +156,16 @@ def test_other_outputs_and_trigger_lines_go_with_the_positions(modes: list[int])
         assert starts and all(len(frame.data) == 2 for frame in starts)
 
     run(main, simulate={"modes": modes}, **SWITCHING)
+
+
+@pytest.mark.parametrize(("mask", "words"), [(0xFFFE_0000, "does not switch it"), (0xFFFF_0000, "already active")])
+def test_an_output_that_cannot_be_switched_is_refused(mask: int, words: str) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        if "active" in words:
+            await world.driver.set_output(1, on=True)
+        with pytest.raises(Refusal, match=words):
+            await released(world, 0)
+        assert world.driver.connection.mover.move is None
+
+    run(main, simulate={"objects": {"60FE:2": mask}}, **SWITCHING)
