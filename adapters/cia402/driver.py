@@ -30,12 +30,11 @@ from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import required_pdos
 from adapters.cia402.power import PowerStage
 from adapters.cia402.probe import TouchProbe, find_edge
-from adapters.cia402.ride import StreamedMove
 from adapters.cia402.sampling import PdoSampling
 from adapters.cia402.sdo import bus_off_fault
 from adapters.cia402.starts import SyncScheduler
 from adapters.cia402.states import DriveState
-from adapters.cia402.stream import PERIODS_AHEAD
+from adapters.cia402.stream import PERIODS_AHEAD, StreamedMove
 from adapters.cia402.switching import NOTHING_SWITCHED
 from adapters.cia402.triggers import add_triggers
 from adapters.cia402.watch import AT_ARM, SettingsWatch

@@ -17,11 +17,10 @@ from adapters.cia402.node import BusDrive
 from adapters.cia402.objects import DictionaryObject
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
-from adapters.cia402.ride import StreamedMove
 from adapters.cia402.sdo import SdoAborted, bus_off_fault
 from adapters.cia402.starts import SyncScheduler, SyncStart
 from adapters.cia402.states import DriveState
-from adapters.cia402.stream import COPIES, TAIL_SYNCS
+from adapters.cia402.stream import COPIES, TAIL_SYNCS, StreamedMove
 from adapters.cia402.switching import NOTHING_SWITCHED
 from adapters.cia402.triggers import find_edge_times
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk, SwitchedOutput
