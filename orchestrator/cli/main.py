@@ -12,7 +12,7 @@ import click
 # command: (module, one line of help); grouped as the help shows them.
 _COMMANDS: dict[str, tuple[str, str]] = {
     "up": ("up", "Start everything for a fleet on this machine."),
-    "host": ("host", "Run the adapter host of this computer for a fleet."),
+    "host": ("machine.host", "Run the adapter host of this computer for a fleet."),
     "down": ("down", "End a fleet that runs on this machine."),
     "status": ("fleet", "Show every controller and axis."),
     "watch": ("watching.command", "Watch the fleet and the running job live."),
@@ -31,8 +31,8 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "stats": ("statistics.command", "Statistics of axes, controllers and jobs."),
     "wiring": ("wiring", "Check the trigger wires between controllers."),
     "clock": ("clock", "Show the estimates of the controllers' clocks."),
-    "service": ("service_files", "Run parts as services of systemd."),
-    "doctor": ("doctor", "Check this computer, and say what to do."),
+    "service": ("machine.service_files", "Run parts as services of systemd."),
+    "doctor": ("machine.doctor", "Check this computer, and say what to do."),
     "repair": ("repair", "Repair what needs a person's decision: epochs."),
     "log": ("looking.log", "Show the logs of all processes, by fleet time."),
     "command": ("looking.commands", "Commands of users, as the journal has them."),

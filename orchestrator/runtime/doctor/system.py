@@ -3,13 +3,14 @@
 import os
 import socket
 import sys
-import time
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from statistics import median
 from tempfile import NamedTemporaryFile
 
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import RealtimePriority, can_set_realtime_priority
 from orchestrator.runtime.doctor.findings import Finding
 
@@ -94,11 +95,11 @@ def check_disk(folder: Path) -> Finding:
     try:
         with NamedTemporaryFile(dir=place) as file:
             for _ in range(SYNCS):
-                began_s = time.monotonic()
+                began_ns = raw_ns()
                 file.write(b"x" * 4096)
                 file.flush()
                 os.fsync(file.fileno())
-                took.append(time.monotonic() - began_s)
+                took.append((raw_ns() - began_ns) / NS_PER_S)
         stats = os.statvfs(place)
     except OSError as error:
         return Finding(

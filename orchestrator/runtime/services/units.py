@@ -41,7 +41,7 @@ UMask=0077
 
 @dataclass(frozen=True, slots=True)
 class ServicePlace:
-    """Where the services of a fleet run, and as whom.
+    """Where the services of a fleet run, and as which user.
 
     command: the `tutti` command; python: its interpreter. file: the fleet file. connect: the router. identity: the
     folder of its certificate; None: without. host: the adapter host of this computer. local: the hosts that the

@@ -18,7 +18,7 @@ UNITS, RULES = Path("/etc/systemd/system"), Path("/etc/udev/rules.d")
 RULES_FILE = "70-tutti.rules"
 
 
-@click.group()
+@click.group(epilog="Example: sudo tutti service install lab.fleet.yaml router coordinator gateway recorder")
 def service() -> None:
     """Run Tutti's parts as services of systemd."""
 
