@@ -39,7 +39,7 @@ def test_a_fleet_goes_on_through_its_second_router(tmp_path: Path) -> None:
     fleet.endpoint = second
     try:
         fleet.started().ready()
-        job_id = fleet.slow_move()
+        job_id = fleet.slow_move([{"do": "move", "to": {"gantry.x": 201, "stage.u": 21}, "speed": 0.1}])  # some 20 s
         routers[0].send_signal(signal.SIGKILL)
         routers[0].wait(LIMIT_S)
         report = fleet.wait(job_id)

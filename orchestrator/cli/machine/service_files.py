@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
-from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_result
+from orchestrator.cli.base.common import check_endpoint_option, json_option, print_result
 from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
@@ -122,7 +122,8 @@ def install(
     help="Folder of the rules.",
 )
 @click.option("--print", "only_print", is_flag=True, help="Print the rules, and write nothing.")
-def udev(to: Path, *, only_print: bool) -> None:
+@json_option
+def udev(to: Path, *, only_print: bool, as_json: bool) -> None:
     """Write udev rules for USB adapters of serial lines: no latency timer, and names that stay."""
     from orchestrator.runtime.services.units import UDEV_RULES
 
@@ -130,9 +131,8 @@ def udev(to: Path, *, only_print: bool) -> None:
         click.echo(UDEV_RULES, nl=False)
         return
     path = _write_file(to / RULES_FILE, UDEV_RULES)
-    console.print(
-        f"wrote {path}\nuse them: udevadm control --reload && udevadm trigger", soft_wrap=True, highlight=False
-    )
+    words = f"wrote {path}\nuse them: udevadm control --reload && udevadm trigger"
+    print_result({"rules": str(path)}, words, as_json=as_json)
 
 
 def _require_hosts(fleet: "Fleet", parts: tuple[str, ...], host: str, local: tuple[str, ...]) -> None:
