@@ -13,7 +13,7 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-browser screenshots test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
@@ -22,6 +22,7 @@ help:
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
 	@echo "make screenshots      pictures of the page, in build/screenshots, and those of the documents"
+	@echo "make test-hosts       two computers as network namespaces, a router with TLS, a network that fails (root)"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
 	@echo "make test-wheel       the demo, and a user's tests, from an installed wheel in an environment of its own"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
@@ -100,6 +101,10 @@ test-browser: $(DEV)/.stamp page
 
 screenshots: $(DEV)/.stamp page
 	$(DEV)/bin/python tools/screenshots.py build/screenshots docs/figures
+
+# Two computers as network namespaces: needs root, else it is skipped. More faults are in test-nightly.
+test-hosts: $(DEV)/.stamp
+	$(DEV)/bin/pytest tests/live/test_namespaces.py -k "cut or refused" $(SLOWEST)
 
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check

@@ -1,0 +1,210 @@
+"""Two computers with a network in between: network namespaces, a router with TLS, and a relay that fails."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from children import LIMIT_S, wait_until
+from fleet import COMMAND, READY, Steps
+from test_hosts import write_fleet
+
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.nightly,
+    pytest.mark.skipif(os.geteuid() != 0 or shutil.which("ip") is None, reason="network namespaces need root and `ip`"),
+]
+
+FIRST, SECOND = "10.77.0.1", "10.77.0.2"
+ROUTER_PORT, RELAY_PORT = 7447, 7448
+HERE = Path(__file__).parent
+MOVE: Steps = [{"do": "move", "to": {"gantry.x": 201, "stage.u": 21}, "speed": 0.1}]  # some 20 s
+
+
+def run(*words: str) -> None:
+    subprocess.run(words, check=True, capture_output=True)
+
+
+@pytest.fixture
+def computers() -> Iterator[tuple[str, str]]:
+    """Two namespaces that reach each other, and nothing else."""
+    names = f"tutti-a-{os.getpid()}", f"tutti-b-{os.getpid()}"
+    made: list[str] = []
+    try:
+        for name in names:
+            run("ip", "netns", "add", name)
+            made.append(name)
+            run("ip", "-n", name, "link", "set", "lo", "up")
+        run("ip", "-n", names[0], "link", "add", "eth0", "type", "veth", "peer", "name", "eth0", "netns", names[1])
+        for name, address in zip(names, (FIRST, SECOND), strict=True):
+            run("ip", "-n", name, "address", "add", f"{address}/24", "dev", "eth0")
+            run("ip", "-n", name, "link", "set", "eth0", "up")
+        yield names
+    finally:
+        for name in made:
+            run("ip", "netns", "delete", name)
+
+
+class Part:
+    """A process in a namespace, with what it says in a file."""
+
+    def __init__(self, folder: Path, computer: str, identity: Path | None, *command: str) -> None:
+        self.said = folder / f"{computer}-{len(list(folder.iterdir()))}.out"
+        environment = dict(os.environ)
+        if identity is not None:
+            environment["TUTTI_IDENTITY"] = str(identity)
+        with self.said.open("w") as out:
+            self.process = subprocess.Popen(
+                ["ip", "netns", "exec", computer, *command],
+                stdin=subprocess.PIPE,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                text=True,
+                env=environment,
+            )
+
+    def wait_for(self, words: str) -> None:
+        wait_until(lambda: words in self.said.read_text() or self.process.poll() is not None, words)
+        assert words in self.said.read_text(), self.said.read_text()
+
+    def order(self, word: str) -> None:
+        assert self.process.stdin is not None
+        before = self.said.read_text().count(word)
+        self.process.stdin.write(f"{word}\n")
+        self.process.stdin.flush()
+        wait_until(lambda: self.said.read_text().count(word) > before, word)
+
+    def end(self) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(LIMIT_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        sys.stdout.write(f"--- {self.said.name}\n{self.said.read_text()[-3000:]}\n")
+
+
+def make_keys(folder: Path) -> Path:
+    keys = folder / "keys"
+
+    def make(*words: str) -> None:
+        run(*COMMAND, "keys", *words, "--keys", str(keys))
+
+    make("init", "--fleet", "demo", "--address", FIRST, "--address", "127.0.0.1")
+    make("add-coordinator")
+    make("add-host", "left")
+    make("add-host", "right")
+    make("add-user", "anna", "--role", "operator")
+    return keys
+
+
+class TwoComputers:
+    """The demo fleet on two computers: its stage is on the second one, behind a relay."""
+
+    def __init__(self, folder: Path, computers: tuple[str, str]) -> None:
+        self._first, self._second = computers
+        self.folder = folder
+        self.keys = make_keys(folder)
+        self._anna = self.keys / "identities" / "operator-anna"
+        self.parts: list[Part] = []
+
+    def start(self) -> None:
+        """Start router, coordinator and the first host; behind a relay the second host."""
+        first, folder, fleet = self._first, self.folder, str(write_fleet(self.folder))
+        tls, state = f"tls/{FIRST}:{ROUTER_PORT}", str(folder / "state")
+        self._start(first, None, "router", fleet, "--keys", str(self.keys), "--listen", f"tls/0.0.0.0:{ROUTER_PORT}")
+        self.parts[-1].wait_for("router on")
+        up = [fleet, "--sim", "--host", "left", "--connect", tls, "--keys", str(self.keys), "--state", state]
+        self._start(first, None, "up", *up, "--no-record", "--no-web")
+        self.parts[-1].wait_for("is up")
+        relay = [sys.executable, str(HERE / "relay.py"), str(RELAY_PORT), FIRST, str(ROUTER_PORT)]
+        self.relay = Part(folder, self._second, None, *relay)
+        self.parts.append(self.relay)
+        self.relay.wait_for("ready")
+        self.relayed = f"tls/127.0.0.1:{RELAY_PORT}"
+        host = [
+            "host",
+            "right",
+            "--fleet",
+            "demo",
+            "--sim",
+            "--connect",
+            self.relayed,
+            "--state",
+            str(folder / "right"),
+        ]
+        self._start(self._second, self.keys / "identities" / "host-right", *host)
+        self.parts[-1].wait_for("drives stage")
+
+    def _start(self, computer: str, identity: Path | None, *words: str) -> None:
+        self.parts.append(Part(self.folder, computer, identity, *COMMAND, *words))
+
+    def tutti(self, *words: str) -> "subprocess.CompletedProcess[str]":
+        """A command of an operator on the first computer."""
+        environment = {**os.environ, "TUTTI_IDENTITY": str(self._anna)}
+        command = ["ip", "netns", "exec", self._first, *COMMAND, *words, "--connect", f"tls/{FIRST}:{ROUTER_PORT}"]
+        return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=3 * LIMIT_S)
+
+    def submit(self, steps: Steps, name: str, *more: str) -> "subprocess.CompletedProcess[str]":
+        path = self.folder / f"{name}.job.json"
+        path.write_text(json.dumps({"schema": "tutti.job/1", "name": name, "max_start_skew": "50 ms", "steps": steps}))
+        return self.tutti("submit", str(path), *more)
+
+    def close(self) -> None:
+        for part in reversed(self.parts):
+            part.end()
+
+
+@pytest.fixture
+def two(tmp_path: Path, computers: tuple[str, str]) -> Iterator[TwoComputers]:
+    fleet = TwoComputers(tmp_path, computers)
+    try:
+        fleet.start()
+        yield fleet
+    finally:
+        fleet.close()
+
+
+def has_ended(two: TwoComputers) -> bool:
+    """Whether the last job has failed, as it should."""
+    shown = two.tutti("job", "show", "last").stdout
+    return "failed" in shown or "aborted" in shown
+
+
+@pytest.mark.parametrize("fault", ["cut", "stall", "deaf"])
+def test_two_computers_do_a_job_and_stop_when_the_network_fails(two: TwoComputers, fault: str) -> None:
+    def works() -> bool:
+        shown = two.tutti("status").stdout
+        return shown.count("idle") == 2
+
+    wait_until(works, "both are idle")
+    two.tutti("queue", "start")
+    done = two.submit(READY, "ready", "--wait")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+    assert two.submit(MOVE, fault).returncode == 0
+    wait_until(lambda: two.tutti("status").stdout.count("moving") >= 2, "it moves")
+    two.relay.order(fault)
+    # The stage's own computer stops it; the gantry is stopped by the coordinator.
+    wait_until(lambda: "moving" not in two.tutti("status").stdout, "all rest")
+    wait_until(lambda: has_ended(two), "the job ends")
+    two.relay.order("mend")
+    wait_until(works, "both are idle again")
+    two.tutti("queue", "start")
+    assert two.submit(READY, "after", "--wait").returncode == 0, two.tutti("job", "report", "last").stdout
+
+
+def test_a_host_without_its_certificate_is_refused(computers: tuple[str, str]) -> None:
+    words = ["host", "right", "--fleet", "demo", "--connect", f"tls/{FIRST}:{ROUTER_PORT}"]
+    environment = {name: value for name, value in os.environ.items() if name != "TUTTI_IDENTITY"}
+    command = ["ip", "netns", "exec", computers[1], *COMMAND, *words]
+    refused = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=LIMIT_S)
+    assert refused.returncode in (2, 3) and "needs a certificate" in refused.stderr
