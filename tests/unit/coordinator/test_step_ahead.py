@@ -248,7 +248,7 @@ def make_negotiation(
     proposals: dict[str, Proposal], between: BetweenSteps, estimator: LeadTimeEstimator, now_ns: int = 0
 ) -> tuple[StartNegotiation, StartAgreement]:
     present = PresentMove(3, ENDS_NS, ENDS_NS - 2 * NS_PER_MS, between)
-    controllers = {name: SimpleNamespace(link=SimpleNamespace(endpoint=name)) for name in proposals}
+    controllers = {name: SimpleNamespace(line=name) for name in proposals}
     view = SimpleNamespace(fleet=SimpleNamespace(controllers=controllers))
     services = SimpleNamespace(
         leadership=SimpleNamespace(fleet_now_ns=lambda: now_ns),
