@@ -4,9 +4,10 @@ place."""
 import errno
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from orchestrator.model.errors import TuttiError
 
@@ -86,13 +87,36 @@ def replace_private_file(path: Path, contents: bytes) -> None:
     Raises `UnsafePath`, `OSError`.
     """
     make_private_folder(path.parent)
+    with write_new_file(path) as file:
+        file.write(contents)
+
+
+@contextmanager
+def write_new_file(path: Path) -> Generator[BinaryIO]:
+    """A private file to write, which takes the place of `path` as a whole when the context ends without an error.
+
+    Raises `UnsafePath`, `OSError`.
+    """
     fresh = path.with_name(f"{path.name}.new")
     fresh.unlink(missing_ok=True)
-    with os.fdopen(open_private_file(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb") as file:
-        file.write(contents)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)
+    try:
+        with os.fdopen(open_private_file(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(path)
+    except BaseException:
+        fresh.unlink(missing_ok=True)
+        raise
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk: after a crash a renamed file has its new name. Raises `OSError`."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 class FileAccess(NamedTuple):

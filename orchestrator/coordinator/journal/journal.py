@@ -34,9 +34,14 @@ from orchestrator.coordinator.journal.records import (
     make_record,
 )
 from orchestrator.coordinator.journal.saved_positions import read_positions
-from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.coordinator.journal.schema import VERSION, list_statements, read_version
 from orchestrator.coordinator.journal.statistics_table import StatisticsTable
-from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
+from orchestrator.coordinator.journal.transaction import (
+    Transaction,
+    create_private_file,
+    decode_text,
+    make_unusable_error,
+)
 from orchestrator.coordinator.journal.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job, find_digests
@@ -97,16 +102,14 @@ class Journal:
             if self._path != ":memory:":
                 create_private_file(Path(path))
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False)
-            # A damaged text makes its own record unreadable, not the whole query.
-            self._db.text_factory = _decode_text
+            self._db.text_factory = decode_text
             # A journal that is dropped, like that of a virtual fleet, closes its database.
             self._close = weakref.finalize(self, self._db.close)
             version = self._check_file()
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=FULL")
             self._db.execute("PRAGMA foreign_keys=ON")
-            steps = "" if version else SCHEMA
-            steps += "".join(MIGRATIONS[each] for each in range(max(version, 1), VERSION))
+            steps = list_statements(version)
             if steps:
                 self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
             self._identity = self._find_identity()
@@ -123,13 +126,7 @@ class Journal:
     def _check_file(self) -> int:
         """The schema version of the file, 0 for a new one. Raises `JournalError`, and `sqlite3.Error` if the file
         must not be written."""
-        version = self._db.execute("PRAGMA user_version").fetchone()[0]
-        if version > VERSION:
-            text = f"{self._path}: schema {version} is newer than this Tutti's {VERSION}"
-            raise JournalError(text, "use a newer Tutti")
-        if not version and self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            text = f"{self._path}: the file is a database, but not a journal of Tutti"
-            raise JournalError(text, "choose another path for the journal")
+        version = read_version(self._db, self._path)
         damage = self._db.execute("PRAGMA quick_check(1)").fetchone()[0]
         if damage != "ok":
             raise sqlite3.DatabaseError(damage)
@@ -525,7 +522,3 @@ def require_journal(path: Path) -> None:
             f"{path}: the journal of this fleet is missing",
             "put it back; or begin a new one, without the jobs of before: `tutti up FILE --new-journal`",
         )
-
-
-def _decode_text(text: bytes) -> str:
-    return text.decode("utf-8", "replace")

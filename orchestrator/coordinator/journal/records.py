@@ -24,6 +24,10 @@ class JournalError(TuttiError):
         self.remedy = remedy
 
 
+class BadBackup(JournalError):
+    """A file to import that is no backup or export, or no whole one. Names the file, the place, and the remedy."""
+
+
 class JobHasEnded(JournalError):
     """The job has been ended by another coordinator. The journal stays as it is."""
 

@@ -1,6 +1,11 @@
 """The tables of the journal, and the migrations from older versions."""
 
+import sqlite3
+
+from orchestrator.coordinator.journal.records import JournalError
+
 VERSION = 10
+SCHEMA_WITH_COPIES = 6  # the first one that keeps single values twice
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -106,3 +111,22 @@ CREATE TABLE commands (
 ) STRICT;
 """,
 }
+
+
+def list_statements(version: int, wanted: int = VERSION) -> str:
+    """The statements that lead from a schema version, 0 for an empty database, to the wanted one; empty: none."""
+    steps = "" if version else SCHEMA
+    return steps + "".join(MIGRATIONS[each] for each in range(max(version, 1), wanted))
+
+
+def read_version(db: sqlite3.Connection, path: str) -> int:
+    """The schema version of a database, 0 for an empty one. Raises `JournalError` for one that is no journal, or newer
+    than this Tutti, and `sqlite3.Error`."""
+    version: int = db.execute("PRAGMA user_version").fetchone()[0]
+    if version > VERSION:
+        text = f"{path}: schema {version} is newer than this Tutti's {VERSION}"
+        raise JournalError(text, "use a newer Tutti")
+    if not version and db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+        text = f"{path}: the file is a database, but not a journal of Tutti"
+        raise JournalError(text, "choose another path for the journal")
+    return version

@@ -51,3 +51,17 @@ def make_unusable_error(path: str, error: Exception) -> JournalError:
         f"{path}: the journal cannot be used ({error})",
         "free space on its disk, repair it, or move it away to start with a new one",
     )
+
+
+def open_read_only(path: Path) -> sqlite3.Connection:
+    """Open a database that another process may be using, to read it alone. Raises `sqlite3.Error`."""
+    # On a disk that is mounted for reading only SQLite cannot create the index that its readers share.
+    how = "mode=ro" if os.access(path.parent, os.W_OK) else "immutable=1"
+    db = sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, isolation_level=None)
+    db.text_factory = decode_text
+    return db
+
+
+def decode_text(text: bytes) -> str:
+    """A damaged text makes its own record unreadable, not the whole query."""
+    return text.decode("utf-8", "replace")
