@@ -75,6 +75,7 @@ from orchestrator.model.messages import (
 )
 from orchestrator.model.state import FaultReport
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.model.version import PartVersion, require_version
 
 NEAR_START_NS = 300 * NS_PER_MS
 
@@ -202,6 +203,8 @@ class ControllerCommands:
         leader = request.leader
         if (leader.epoch, leader.coordinator) != (request.epoch, request.coordinator):
             raise Refusal("bad-request", "the heartbeat in an adoption must be that of the adopting coordinator", "")
+        stated = PartVersion(leader.tutti, leader.protocol)
+        require_version(stated, f"coordinator {leader.coordinator[:8]}", "this adapter host")
         fresh = await self._fence.adopt_leader(request)
         self._context.follow_leader(self._context.controller, leader)
         if fresh:

@@ -35,6 +35,7 @@ from orchestrator.model.state import (
     LinkTotals,
     Mode,
 )
+from orchestrator.model.version import PROTOCOL, find_own_version
 
 STATES_PER_CLOCK = 10  # states between two publications of what changes slowly
 _NONE = Fraction(0)
@@ -296,6 +297,8 @@ class StatePublisher:
             chunk_load_s=capabilities.chunk_load_s,
             digest=self._config.digest,
             options_schema=_options_schema(self._context.make.options_model),
+            tutti=find_own_version(),
+            protocol=str(PROTOCOL),
         ).to_json()
 
 

@@ -180,12 +180,12 @@ class ControllerSupervisor:
         )
         for key in sorted(kept):
             with suppress(ValidationError):
-                latch = KeptEstop.model_validate_json(kept[key]).estop
+                latch = KeptEstop.read_message(kept[key]).estop
                 if latch is not None:
                     self._fence.latch_estop(latch)
         for key in sorted(replies):
             try:
-                state = ControllerState.model_validate_json(replies[key])
+                state = ControllerState.read_message(replies[key])
             except ValidationError:
                 continue
             if state.estop is not None and state.controller != self.controller:

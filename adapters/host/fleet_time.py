@@ -91,7 +91,7 @@ class FleetTime:
         sent_ns = self._clock.now_ns()
         reply = await self._bus.request(self._keys.time, b"", TIME_ANSWER_S, self._server)
         received_ns = self._clock.now_ns()
-        answer = TimeReply.model_validate_json(reply)
+        answer = TimeReply.read_message(reply)
         if answer.scale_id != leader.scale_id:
             raise OtherScale(f"{answer.scale_id} instead of {leader.scale_id}")
         return TimeExchange(sent_ns, received_ns, answer.fleet_ns)
@@ -99,4 +99,4 @@ class FleetTime:
     async def _ask_heartbeat(self, leader: LeaderHeartbeat) -> LeaderHeartbeat:
         """The heartbeat of the coordinator as its own answer. Raises `BusError`, `ValidationError`."""
         leads = self._keys.leader_answer(leader.coordinator)
-        return LeaderHeartbeat.model_validate_json(await self._bus.request(leads, b"", TIME_ANSWER_S, self._server))
+        return LeaderHeartbeat.read_message(await self._bus.request(leads, b"", TIME_ANSWER_S, self._server))

@@ -200,7 +200,7 @@ class AdapterHost:
 
     def _handle_leadership(self, sample: BusSample) -> None:
         try:
-            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.read_message(sample.payload)
         except ValidationError as error:
             self._log.warning(f"unreadable leader message: {error.errors()[0]['msg']}")
             return
@@ -219,7 +219,7 @@ class AdapterHost:
             self._fetching_estop = False
         for key in sorted(kept):
             with suppress(ValidationError):
-                latch = KeptEstop.model_validate_json(kept[key]).estop
+                latch = KeptEstop.read_message(kept[key]).estop
                 if latch is not None and latch.event == event:
                     self._apply_estop(latch, [unit for unit in self.supervisors.values() if unit.misses_estop(event)])
                     return

@@ -25,7 +25,7 @@ from orchestrator.model.state import EstopLatch
 def read_estop(payload: bytes, utc: str) -> EstopLatch:
     """The latch of an e-stop that was received at `utc`. Every sample on its key counts, also an unreadable one."""
     try:
-        estop = EstopMessage.model_validate_json(payload)
+        estop = EstopMessage.read_message(payload)
     except ValidationError:
         estop = EstopMessage(event="garbled", actor="unknown", reason="an e-stop whose payload could not be read")
     return EstopLatch(event=estop.event, actor=estop.actor, reason=estop.reason, utc=utc)
@@ -82,7 +82,7 @@ class LatchKeeper:
     def _receive_reset(self, sample: BusSample) -> None:
         """A reset that cannot be read, or is of another e-stop, resets nothing."""
         with suppress(ValidationError):
-            reset = EstopReset.model_validate_json(sample.payload)
+            reset = EstopReset.read_message(sample.payload)
             if self.latch is not None and reset.event in (None, self.latch.event):
                 self._change(None)
 

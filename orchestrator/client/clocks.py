@@ -14,7 +14,7 @@ async def query_clocks(tutti: Tutti) -> dict[str, ClockReply]:
     found: dict[str, ClockReply] = {}
     for payload in replies.values():
         try:
-            reply = ClockReply.model_validate_json(payload)
+            reply = ClockReply.read_message(payload)
         except ValidationError:
             continue
         found[reply.controller] = reply

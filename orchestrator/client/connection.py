@@ -177,7 +177,7 @@ class FleetConnection:
         """Raises `BusError`, and `Refusal` if the answer is one or cannot be read."""
         answer = await self.bus.request(key, request.to_json(), timeout_s, server)
         try:
-            received = reply.model_validate_json(answer)
+            received = reply.read_message(answer)
         except ValidationError as error:
             text = f"the answer on {key} cannot be read: {error.errors()[0]['msg']}"
             raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None

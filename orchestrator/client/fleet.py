@@ -52,7 +52,7 @@ class FleetRequests(FleetConnection):
         states: list[ControllerState] = []
         for payload in (await self.bus.request_all(self.keys.state(), b"", timeout_s)).values():
             with suppress(ValidationError):
-                states.append(ControllerState.model_validate_json(payload))
+                states.append(ControllerState.read_message(payload))
         return FleetStates({state.controller: state for state in sorted(states, key=lambda each: each.controller)})
 
     async def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:

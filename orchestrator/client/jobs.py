@@ -289,7 +289,7 @@ class JobRequests(PointRequests):
 
         def receive_progress(sample: BusSample) -> None:
             try:
-                progress = JobProgress.model_validate_json(sample.payload)
+                progress = JobProgress.read_message(sample.payload)
             except ValueError:
                 return  # not of the coordinator
             if on_progress is not None:
@@ -419,4 +419,4 @@ async def _next_progress(samples: "asyncio.Queue[BusSample]") -> JobProgress | N
         return None
     while not samples.empty():
         sample = samples.get_nowait()
-    return JobProgress.model_validate_json(sample.payload)
+    return JobProgress.read_message(sample.payload)

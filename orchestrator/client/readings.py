@@ -52,7 +52,7 @@ class ReadingRequests(FleetRequests):
 
         def receive_state(sample: BusSample) -> None:
             try:
-                state = ControllerState.model_validate_json(sample.payload)
+                state = ControllerState.read_message(sample.payload)
             except ValidationError:
                 return  # not of an adapter
             states[state.controller] = state
@@ -76,7 +76,7 @@ class ReadingRequests(FleetRequests):
                 while samples.qsize() > MAX_WAITING_EVENTS:
                     sample = samples.get_nowait()
                 try:
-                    event = ControllerEvent.model_validate_json(sample.payload)
+                    event = ControllerEvent.read_message(sample.payload)
                 except ValidationError:
                     continue
                 yield event

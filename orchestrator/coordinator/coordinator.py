@@ -7,6 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pydantic import ValidationError
+
 from orchestrator.bus.base import BusDeclaration, BusError, DoubleServer
 from orchestrator.bus.latch import LatchKeeper
 from orchestrator.bus.log import ProcessLog
@@ -37,6 +39,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import COMPARING, AdoptedReply, AdoptRequest, LeaderHeartbeat
 from orchestrator.model.state import ControllerState
+from orchestrator.model.version import OTHER_VERSION, PartVersion, require_version
 
 T = TypeVar("T")
 
@@ -159,12 +162,17 @@ class Coordinator:
         ours = self._view.adopted.get(controller) == state.instance and state.epoch == self.leadership.epoch
         if ours or controller in self._adopting or self.leadership.over or not self.leadership.epoch:
             return
+        refusal = self._view.find_refusal(controller)
+        if refusal is not None:
+            self._alarms.note_version(controller, refusal)
+            return
         self._adopting.add(controller)
         self._spawn(self._adopt_controller(controller, state.instance))
 
     async def _adopt_controller(self, controller: str, instance: str) -> None:
         try:
             await self._view.bind_server(controller)
+            await self._require_version(controller)
             request = AdoptRequest(
                 **self._fleet.requests.request_fields("coordinator"), leader=self.leadership.make_heartbeat()
             )
@@ -176,14 +184,30 @@ class Coordinator:
                 self.scheduler.wake_up()
                 self._log.info("adopted", controller=controller, epoch=self.leadership.epoch)
                 await self._enable_at_start(controller)
+            elif reply.refused.code == OTHER_VERSION:
+                raise reply.refused.as_step_error()
             else:
                 self._log.warning(f"not adopted: {reply.refused.text}", controller=controller)
+        except Refusal as error:
+            self._view.refused[controller] = (instance, error)
+            self._alarms.note_version(controller, error)
+            self._log.warning(f"not adopted: {error.text}; {error.remedy}", controller=controller)
         except DoubleServer:
             self._report_double_answer(self._environment.keys.state(controller))
         except BusError as error:
             self._log.warning(f"not adopted: {error}", controller=controller)
         finally:
             self._adopting.discard(controller)
+
+    async def _require_version(self, controller: str) -> None:
+        """Raises `Refusal` for an adapter that is of a version too far from this one, `BusError`."""
+        try:
+            info = await self._view.ask_info(controller)
+            stated = PartVersion(info.tutti, info.protocol)
+        except ValidationError:
+            stated = PartVersion("", "")
+        host = self._view.fleet.controllers[controller].host
+        require_version(stated, f"the adapter of {controller} (adapter host {host})", "the coordinator")
 
     async def _enable_at_start(self, controller: str) -> None:
         """Enable axes with `enable: at_start` once the controller is idle."""

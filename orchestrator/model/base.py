@@ -3,7 +3,7 @@
 import re
 from fractions import Fraction
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
@@ -115,6 +115,14 @@ class Model(BaseModel):
         validate_by_name=True,
         validate_by_alias=True,
     )
+
+    @classmethod
+    def read_message(cls, payload: bytes | str) -> Self:
+        """Read what a part has published or answered: fields that a newer version has added are ignored.
+
+        A request is read with `model_validate_json`, which refuses them: what a field asks for must not be left undone.
+        Raises `ValidationError`."""
+        return cls.model_validate_json(payload, extra="ignore")
 
     def to_json(self) -> bytes:
         """Encode for the bus: UTF-8 JSON."""

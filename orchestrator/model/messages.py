@@ -3,13 +3,14 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, Self
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from orchestrator.model.base import Actor, HostNs, Id, Int53, Label, Model, Sentence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import ClockMapping, ControllerState, EstopLatch, StartClass, StartWish, StepCosts
 from orchestrator.model.units import Quantity
+from orchestrator.model.version import ProtocolText
 
 
 class RefusalDetails(Model):
@@ -107,6 +108,7 @@ class LeaderHeartbeat(Model):
     """The leader's heartbeat, with its fleet time: fleet_ns = host_ns - origin_host_ns on the leader's kernel.
 
     estop: the event of the e-stop that the leader keeps, for an adapter host that did not receive it; empty: none.
+    tutti, protocol: versions of the leader (`orchestrator.model.version`).
     """
 
     schema_: Literal["tutti.leader/1"] = Field(default="tutti.leader/1", alias="schema")
@@ -119,6 +121,11 @@ class LeaderHeartbeat(Model):
     origin_host_ns: HostNs
     utc: str
     estop: Label = ""
+    tutti: Label = ""
+    protocol: ProtocolText = ""
+
+    # It is also a part of the request to adopt, which a newer coordinator sends.
+    model_config = ConfigDict(extra="ignore")
 
 
 class TimeReply(Model):

@@ -5,8 +5,9 @@ from typing import Any, Literal, Self
 
 from pydantic import Field
 
-from orchestrator.model.base import HostNs, Id, Int53, Model, Rational
+from orchestrator.model.base import HostNs, Id, Int53, Label, Model, Rational
 from orchestrator.model.errors import ControllerFault
+from orchestrator.model.version import ProtocolText
 
 Mode = Literal["offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault"]
 StartClass = Literal["clock", "line", "sync", "host"]
@@ -210,6 +211,8 @@ class ControllerInfo(Model):
     chunk_load_s: float = Field(default=0.0, description="How long loading it takes at most, s.")
     digest: str
     options_schema: dict[str, Any]
+    tutti: Label = Field(default="", description="Version of Tutti of its adapter host.")
+    protocol: ProtocolText = Field(default="", description="Version of the messages that it understands, major.minor.")
 
 
 class ClockMapping(Model):

@@ -57,18 +57,18 @@ class LiveView:
         """Store a sample. Return the line to print where there is no live screen; None if the sample needs none."""
         try:
             if sample.key.endswith("/event"):
-                event = ControllerEvent.model_validate_json(sample.payload)
+                event = ControllerEvent.read_message(sample.payload)
                 self.events = [*self.events, event][-MAX_EVENTS_SHOWN:]
                 return f"{format_time(event.utc, precise=True)} {event.controller}: {_describe_event(event)}"
             if "/job/" in sample.key:
-                progress = JobProgress.model_validate_json(sample.payload)
+                progress = JobProgress.read_message(sample.payload)
                 return format_job_line(progress) if self.store_progress(progress) else None
             if sample.key == self.keys.queue:
-                return self._take_queue(QueueState.model_validate_json(sample.payload))
+                return self._take_queue(QueueState.read_message(sample.payload))
             if "/lease/" in sample.key:
-                self._take_lease(LeaseState.model_validate_json(sample.payload))
+                self._take_lease(LeaseState.read_message(sample.payload))
                 return None
-            state = ControllerState.model_validate_json(sample.payload)
+            state = ControllerState.read_message(sample.payload)
         except ValidationError:
             return f"unreadable message on {sample.key}"
         before_state, self.states[state.controller] = self.states.get(state.controller), state

@@ -18,7 +18,7 @@ async def find_leader(endpoint: str, fleet: str) -> LeaderHeartbeat | None:
 
     def receive_heartbeat(sample: BusSample) -> None:
         try:
-            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.read_message(sample.payload)
         except ValidationError:
             return
         if not found.done():

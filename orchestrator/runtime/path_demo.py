@@ -68,7 +68,7 @@ async def _run(clock: VirtualClock, fleet: Fleet, job: Job) -> PathDemo:
     found: list[StepSamples] = []
 
     def take(sample: BusSample) -> None:
-        found.append(StepSamples.model_validate_json(sample.payload))
+        found.append(StepSamples.read_message(sample.payload))
 
     client = virtual.make_client("demo")
     await client.bus.subscribe(client.keys.job_samples(), take)

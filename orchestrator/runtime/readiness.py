@@ -27,4 +27,4 @@ async def wait_until_adopted(tutti: Tutti, controllers: int, limit_s: float = RE
 async def find_origin_host_ns(tutti: Tutti) -> int:
     """The instant of this computer's clock at which fleet time is 0, by the leader's next heartbeat."""
     async with tutti.subscribe_samples(tutti.keys.leader) as heartbeats:
-        return LeaderHeartbeat.model_validate_json((await heartbeats.get()).payload).origin_host_ns
+        return LeaderHeartbeat.read_message((await heartbeats.get()).payload).origin_host_ns

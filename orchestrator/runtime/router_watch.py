@@ -38,7 +38,7 @@ class FleetRest:
     def receive_state(self, sample: BusSample) -> None:
         """Take a state; one that cannot be read changes nothing."""
         try:
-            state = ControllerState.model_validate_json(sample.payload)
+            state = ControllerState.read_message(sample.payload)
         except ValidationError:
             return
         (self._busy.discard if state.mode in AT_REST else self._busy.add)(state.controller)

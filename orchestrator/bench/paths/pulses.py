@@ -92,7 +92,7 @@ class _PulsedSteps:
             self._rises.append(self._fleet.clock.now_ns())
 
     def _note_rows(self, sample: BusSample) -> None:
-        self._rows.extend(RecordedTriggers.model_validate_json(sample.payload).rows)
+        self._rows.extend(RecordedTriggers.read_message(sample.payload).rows)
 
     async def run_steps(self, steps: list[dict[str, Any]]) -> None:
         """Run steps, and judge their edges. Raises `Refusal`."""

@@ -173,7 +173,7 @@ def _count_recorded(place: Path) -> tuple[int, int]:
             for message in recording.read_messages():
                 recorded += message.key.endswith("/state") and message.valid
                 if message.key == "recorder/dropped":
-                    dropped += MessagesDropped.model_validate_json(message.payload).total
+                    dropped += MessagesDropped.read_message(message.payload).total
     return recorded, dropped
 
 

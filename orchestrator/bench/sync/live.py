@@ -59,7 +59,7 @@ async def _run_fleet(name: str, steps: int, state: Path, on_line: Callable[[str]
         if report.state != "done":
             raise NothingHappened(f"{name}: the job is {report.state}: {report.reason}")
         async with tutti.subscribe_samples(tutti.keys.leader) as heartbeats:
-            origin_ns = LeaderHeartbeat.model_validate_json((await heartbeats.get()).payload).origin_host_ns
+            origin_ns = LeaderHeartbeat.read_message((await heartbeats.get()).payload).origin_host_ns
         held = check_verdicts(fleet, report, live.state / "truth", origin_ns)
         on_line(f"{name}: {(raw_ns() - began_ns) / 1e9:.0f} s")
         return LiveSync(

@@ -111,9 +111,9 @@ class JogSession:
         # A controller with another protocol version is not shown; its axes show no state.
         with contextlib.suppress(ValidationError):
             if sample.key.endswith("/state"):
-                self._panel.store_state(ControllerState.model_validate_json(sample.payload), raw_ns())
+                self._panel.store_state(ControllerState.read_message(sample.payload), raw_ns())
             else:
-                self._panel.store_lease(LeaseState.model_validate_json(sample.payload))
+                self._panel.store_lease(LeaseState.read_message(sample.payload))
 
     # Output
 

@@ -28,7 +28,12 @@ Exit codes: 0 nothing has failed, perhaps with warnings; 1 something has."""
 @click.option(
     "--host", "hosts", multiple=True, metavar="NAME", help="Check the links of this adapter host; default: all."
 )
-@click.option("--connect", default="", callback=check_endpoint_option, help="Check the router there.")
+@click.option(
+    "--connect",
+    default="",
+    callback=check_endpoint_option,
+    help="Check the router there, and the versions of all parts.",
+)
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="The state folder; its disk is measured.")
 @json_option
 def doctor(file: Path | None, hosts: tuple[str, ...], connect: str, state: Path | None, *, as_json: bool) -> None:
@@ -55,6 +60,7 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
     from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
     from orchestrator.runtime.doctor import system
     from orchestrator.runtime.doctor.links import check_links
+    from orchestrator.runtime.doctor.parts import check_parts
     from orchestrator.runtime.doctor.router import check_router
     from orchestrator.runtime.state_folder import default_state
 
@@ -70,7 +76,8 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
     if fleet is not None:
         found += check_links(fleet, hosts or fleet.hosts)
     if connect:
-        found.append(asyncio.run(check_router(connect)))
+        router = asyncio.run(check_router(connect))
+        found += [router] if router.state == "failed" else [router, *asyncio.run(check_parts(connect))]
     return found
 
 

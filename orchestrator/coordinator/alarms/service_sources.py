@@ -10,11 +10,13 @@ from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.alarms.conditions import AlarmConditions
 from orchestrator.coordinator.journal.records import DamagedRecord, JobHasEnded, JournalError
 from orchestrator.model.alarm_rules import AlarmRules
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.model.operation.alarms import AlarmCause, AlarmRequest
 
 DISK_NS = 60 * NS_PER_S  # between two looks at the free space
 REQUEST_NS = 120 * NS_PER_S  # an alarm that another process does not repeat for this long is over
+VERSION_NS = 10 * NS_PER_S  # the alarm is over when no state of the refused adapter has come for this long
 MAX_SOURCES, MAX_REQUESTED = 20, 20  # processes that raise alarms, and alarms of each that are not normal
 MAX_SOURCE = 130  # characters of the name of a process
 MB = 1_000_000
@@ -63,6 +65,11 @@ class ServiceAlarms:
         name = heartbeat.coordinator[:8]
         text = f"heartbeats of coordinator {name} with epoch {heartbeat.epoch} are on the bus; it does not lead"
         self._report_moment("second-leader", text, "find the process that sends them, and end it")
+
+    def note_version(self, controller: str, refusal: Refusal) -> None:
+        """A controller is not adopted, because its adapter is of another version; called with each of its states."""
+        cause = AlarmCause("version", controller, refusal.text, refusal.remedy)
+        self._conditions.report(cause, holds=True, for_ns=VERSION_NS)
 
     def note_double_answer(self, key: str) -> None:
         """Two processes have answered on one key."""

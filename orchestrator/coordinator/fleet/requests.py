@@ -135,7 +135,7 @@ class MemberRequests:
         key, server = self.keys.batch_command(self._host_of(first), verb), self.view.servers.get(first)
         said, failure = BatchReply(), None
         try:
-            said = BatchReply.model_validate_json(await self.bus.request(key, asked.to_json(), timeout_s, server))
+            said = BatchReply.read_message(await self.bus.request(key, asked.to_json(), timeout_s, server))
         except (BusError, ValidationError) as error:
             failure = error
         took_ns = _elapsed_ns(begun_s)
@@ -150,7 +150,7 @@ class MemberRequests:
                     raise RequestRefused(said.errors[member])
                 if member not in said.replies:
                     raise RequestTimeout(key)
-                return reply.model_validate_json(said.replies[member])
+                return reply.read_message(said.replies[member])
             except (BusError, ValidationError) as error:
                 return reply(refused=_make_refusal(member, verb, error, timeout_s))
 
@@ -158,7 +158,7 @@ class MemberRequests:
 
     async def _request_reply(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
         key, server = self.keys.command(member, verb), self.view.servers.get(member)
-        return reply.model_validate_json(await self.bus.request(key, request.to_json(), timeout_s, server))
+        return reply.read_message(await self.bus.request(key, request.to_json(), timeout_s, server))
 
     def _host_of(self, member: str) -> str:
         return self.view.fleet.controllers[member].host

@@ -11,6 +11,7 @@ from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, find
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.state import (
     AxisState,
@@ -54,6 +55,8 @@ class FleetView:
         """By controller: the process that answers for it since its adoption, and whose replies alone count."""
         self.adopted: dict[str, str] = {}
         """By controller: the instance of its adapter that this coordinator has adopted."""
+        self.refused: dict[str, tuple[str, Refusal]] = {}
+        """By controller: the instance of its adapter that is not adopted because of its version, and why."""
         self._infos: dict[str, ControllerInfo] = {}
         self._last_event: dict[str, tuple[str, int]] = {}
         self._awaited: dict[str, tuple[str, int]] = {}
@@ -100,6 +103,11 @@ class FleetView:
         anew = state is not None and instance is not None and state.instance != instance
         return "its adapter has restarted" if anew else None
 
+    def find_refusal(self, controller: str) -> Refusal | None:
+        """Why the controller's adapter, as it runs now, is not adopted because of its version; None: it may be."""
+        state, refused = self._states.get(controller), self.refused.get(controller)
+        return refused[1] if refused is not None and state is not None and state.instance == refused[0] else None
+
     async def bind_server(self, controller: str) -> None:
         """Find the process that answers for the controller: from now on only its replies count. Raises `DoubleServer`,
         and other `BusError`."""
@@ -114,7 +122,7 @@ class FleetView:
         asked_ns = self._clock.now_ns()
         server = self.servers.get(controller)
         payload = await self._bus.request(self._keys.state(controller), b"", QUERY_S, server)
-        state = ControllerState.model_validate_json(payload)
+        state = ControllerState.read_message(payload)
         self.note_answer(state, asked_ns)
         return state
 
@@ -128,10 +136,14 @@ class FleetView:
         known, state = self._infos.get(controller), self._states.get(controller)
         if known is not None and state is not None and known.instance == state.instance:
             return known
-        server = self.servers.get(controller)
-        payload = await self._bus.request(self._keys.info(controller), b"", QUERY_S, server)
-        info = self._infos[controller] = ControllerInfo.model_validate_json(payload)
+        info = self._infos[controller] = await self.ask_info(controller)
         return info
+
+    async def ask_info(self, controller: str) -> ControllerInfo:
+        """Identity and capabilities of the controller as of now: it may not be connected yet. Raises `BusError`,
+        `ValidationError`."""
+        server = self.servers.get(controller)
+        return ControllerInfo.read_message(await self._bus.request(self._keys.info(controller), b"", QUERY_S, server))
 
     def add_event_listener(self, listener: EventListener) -> Callable[[], None]:
         """Call `listener` with every event; the result removes the listener."""
@@ -147,7 +159,7 @@ class FleetView:
 
     def _receive_state(self, sample: BusSample) -> None:
         try:
-            state = ControllerState.model_validate_json(sample.payload)
+            state = ControllerState.read_message(sample.payload)
         except ValidationError as error:
             self._log.warning(f"a state that cannot be read on {sample.key}: {error.errors()[0]['msg']}")
         else:
@@ -177,7 +189,7 @@ class FleetView:
 
     def _receive_event(self, sample: BusSample) -> None:
         try:
-            event = ControllerEvent.model_validate_json(sample.payload)
+            event = ControllerEvent.read_message(sample.payload)
         except ValidationError as error:
             self._log.warning(f"an event that cannot be read on {sample.key}: {error.errors()[0]['msg']}")
             return
@@ -205,7 +217,7 @@ class FleetView:
         try:
             request, server = EventsRequest(after=after), self.servers.get(controller)
             payload = await self._bus.request(self._keys.event(controller), request.to_json(), QUERY_S, server)
-            reply = EventsReply.model_validate_json(payload)
+            reply = EventsReply.read_message(payload)
         except BusError as error:
             self._log.warning(f"events after {after} of {controller} are missing: {error}", controller=controller)
             self._awaited.pop(controller, None)  # the next state triggers the query again

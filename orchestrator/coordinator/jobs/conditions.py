@@ -111,6 +111,9 @@ class WorldConditions:
             return Obstacle("offline", f"{controller} is offline{_first_fault(state)}", "check power and cable")
         epoch = self._leadership.epoch
         if self._view.adopted.get(controller) != state.instance or state.epoch != epoch:
+            refused = self._view.find_refusal(controller)
+            if refused is not None:
+                return Obstacle(refused.code, refused.text, refused.remedy)
             # For a moment, as a rule: after a change of the leader, or a restart of the adapter.
             far = abs(state.epoch - epoch) > MAX_EPOCH_STEP
             remedy = EPOCH_REMEDY if far else "wait; if it stays so, the coordinator's log says why"

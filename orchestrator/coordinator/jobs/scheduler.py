@@ -647,7 +647,7 @@ class Scheduler:
     def _receive_estop(self, sample: BusSample) -> None:
         """After an e-stop nothing begins by itself when it is reset: neither jobs nor steps."""
         try:
-            estop = EstopMessage.model_validate_json(sample.payload)
+            estop = EstopMessage.read_message(sample.payload)
             actor, why = estop.actor, f": {estop.reason}" if estop.reason else ""
         except ValidationError:
             actor, why = "an e-stop", ""

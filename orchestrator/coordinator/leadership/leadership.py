@@ -14,6 +14,7 @@ from orchestrator.coordinator.leadership.environment import CoordinatorEnvironme
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat, TimeReply
 from orchestrator.model.state import ControllerState
+from orchestrator.model.version import PROTOCOL, find_own_version
 
 LEADER_TIMEOUT_NS = 600 * NS_PER_MS  # a live leader is received within this time
 ANSWER_S = 0.3  # for a coordinator to answer that it leads
@@ -29,7 +30,7 @@ async def confirm_leader(bus: Bus, keys: FleetKeys, heartbeat: LeaderHeartbeat) 
     put one on the bus."""
     try:
         answer = await bus.request(keys.leader_answer(heartbeat.coordinator), b"", ANSWER_S)
-        found = LeaderHeartbeat.model_validate_json(answer)
+        found = LeaderHeartbeat.read_message(answer)
     except (BusError, ValueError):
         return False
     return (found.coordinator, found.epoch) == (heartbeat.coordinator, heartbeat.epoch)
@@ -89,7 +90,7 @@ class Leadership:
         seen = 0 if other is None else other.epoch
         for payload in (await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)).values():
             try:
-                seen = max(seen, ControllerState.model_validate_json(payload).epoch)
+                seen = max(seen, ControllerState.read_message(payload).epoch)
             except ValidationError:
                 continue
         self.epoch = await self._execute(self._journal.take_epoch, seen)
@@ -128,6 +129,8 @@ class Leadership:
             origin_host_ns=self.scale.origin_host_ns,
             utc=self._clock.utc(),
             estop=self.kept_estop(),
+            tutti=find_own_version(),
+            protocol=str(PROTOCOL),
         )
 
     async def _send_heartbeats(self) -> None:
@@ -138,7 +141,7 @@ class Leadership:
 
     def _receive_heartbeat(self, sample: BusSample) -> None:
         try:
-            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.read_message(sample.payload)
         except ValidationError:
             return
         if heartbeat.coordinator == self.coordinator:

@@ -38,7 +38,7 @@ async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
     def receive_heartbeat(sample: BusSample) -> None:
         nonlocal heard_ns
         try:
-            heartbeat = LeaderHeartbeat.model_validate_json(sample.payload)
+            heartbeat = LeaderHeartbeat.read_message(sample.payload)
         except ValidationError:
             return
         if (heartbeat.epoch, heartbeat.coordinator) == leader:

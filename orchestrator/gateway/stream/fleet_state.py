@@ -92,13 +92,13 @@ class FleetState:
             elif kind == "job":
                 self._take_job(sample, leaf)
             elif kind == "lease":
-                self._take_lease(LeaseState.model_validate_json(sample.payload))
+                self._take_lease(LeaseState.read_message(sample.payload))
             elif kind == "alarm":
-                self.take_alarm(AlarmRecord.model_validate_json(sample.payload))
+                self.take_alarm(AlarmRecord.read_message(sample.payload))
             elif kind == "queue":
-                self._queue = QueueState.model_validate_json(sample.payload)
+                self._queue = QueueState.read_message(sample.payload)
             elif kind == "leader":
-                self._leader = self._clock.now_ns(), LeaderHeartbeat.model_validate_json(sample.payload)
+                self._leader = self._clock.now_ns(), LeaderHeartbeat.read_message(sample.payload)
         except (ValidationError, KeyError):
             self.invalid += 1
 
@@ -162,21 +162,21 @@ class FleetState:
         self._shown.pop(controller, None)
 
     def _take_event(self, sample: BusSample) -> None:
-        event = ControllerEvent.model_validate_json(sample.payload)
+        event = ControllerEvent.read_message(sample.payload)
         self._event_number += 1
         shown = {"n": self._event_number, "controller": event.controller, "kind": event.kind, "text": event.text}
         self._events.append(drop_nulls(shown | {"utc": event.utc, "job": event.job, "step": event.step}))
 
     def _take_link(self, sample: BusSample) -> None:
-        totals = LinkTotals.model_validate_json(sample.payload)
+        totals = LinkTotals.read_message(sample.payload)
         self._links[totals.controller] = {"bytes_out": totals.bytes_out, "bytes_in": totals.bytes_in}
         self._shown.pop(totals.controller, None)
 
     def _take_job(self, sample: BusSample, leaf: str) -> None:
         if leaf == "begun":
-            self._targets.take_job(JobBegun.model_validate_json(sample.payload))
+            self._targets.take_job(JobBegun.read_message(sample.payload))
             return
-        progress = JobProgress.model_validate_json(sample.payload)
+        progress = JobProgress.read_message(sample.payload)
         now_ns = self._clock.now_ns()
         if progress.state in FINISHED_STATES:
             self._ended_ns[progress.job_id] = now_ns
@@ -257,7 +257,7 @@ class FleetState:
         raw = self._raw.pop(name, None)
         if raw is not None:
             try:
-                self._note_state(name, ControllerState.model_validate_json(raw))
+                self._note_state(name, ControllerState.read_message(raw))
             except ValidationError:
                 self.invalid += 1
         return self._states.get(name)

@@ -136,7 +136,7 @@ class StreamHub:
 
     def _receive_mapping(self, sample: BusSample) -> None:
         with contextlib.suppress(ValidationError):
-            mapping = ClockMapping.model_validate_json(sample.payload)
+            mapping = ClockMapping.read_message(sample.payload)
             self.clock_history.take_mapping(mapping, self.clock.now_ns())
 
     def _receive_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus

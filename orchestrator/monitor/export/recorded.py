@@ -58,17 +58,17 @@ def load_run(recording: Recording) -> RecordedRun:
             if not message.valid:
                 run.unread += 1
             elif (kind, leaf) == ("ctl", "state"):
-                _add_state(run, ControllerState.model_validate_json(message.payload), message.published_ns)
+                _add_state(run, ControllerState.read_message(message.payload), message.published_ns)
             elif (kind, leaf) == ("ctl", "event"):
-                run.events.append(ControllerEvent.model_validate_json(message.payload))
+                run.events.append(ControllerEvent.read_message(message.payload))
             elif (kind, leaf) == ("job", "plan"):
-                run.plans.append(StepRecording.model_validate_json(message.payload))
+                run.plans.append(StepRecording.read_message(message.payload))
             elif (kind, leaf) == ("job", "samples"):
-                run.samples.append(StepSamples.model_validate_json(message.payload))
+                run.samples.append(StepSamples.read_message(message.payload))
             elif (kind, leaf) == ("job", "triggers"):
-                run.triggers.append(RecordedTriggers.model_validate_json(message.payload))
+                run.triggers.append(RecordedTriggers.read_message(message.payload))
             elif (kind, leaf) == ("job", "report"):
-                run.report = JobReport.model_validate_json(message.payload)
+                run.report = JobReport.read_message(message.payload)
         except ValidationError:  # of another version
             run.unread += 1
     return run

@@ -105,7 +105,7 @@ def parse_message(channel: Channel, payload: bytes) -> Model | None:
         json.loads(payload)
         return None
     try:
-        return channel.model.model_validate_json(payload)
+        return channel.model.read_message(payload)
     except ValidationError as error:
         first = error.errors()[0]
         raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None

@@ -87,7 +87,7 @@ class JobTracker:
         found: dict[str, AxisReading] = {}
         for controller, states in self._states.items():
             early = [text for read_ns, text in states if before_ns is None or read_ns <= before_ns]
-            state = ControllerState.model_validate_json((early or [states[0][1]])[-1])
+            state = ControllerState.read_message((early or [states[0][1]])[-1])
             for name, axis in state.axes.items():
                 found[f"{controller}.{name}"] = AxisReading(
                     position=axis.position,
@@ -125,7 +125,7 @@ class JobTracker:
             job = self.running[job_id] = TrackedJob(job_id, name)
             job.controllers |= {each for each, holder in self._holders.items() if holder == job_id}
             for states in self._states.values():
-                state = ControllerState.model_validate_json(states[-1][1])
+                state = ControllerState.read_message(states[-1][1])
                 if job_id in state.leases.values():
                     job.controllers.add(state.controller)
         return job
