@@ -33,8 +33,6 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "clock": ("clock", "Show the estimates of the controllers' clocks."),
     "service": ("machine.service_files", "Run parts as services of systemd."),
     "doctor": ("machine.doctor", "Check this computer, and say what to do."),
-    "service": ("service_files", "Run parts as services of systemd."),
-    "doctor": ("doctor", "Check this computer, and say what to do."),
     "journal": ("journal.command", "The journal: check, back up, export, import."),
     "repair": ("repair", "Repair what needs a person's decision: epochs."),
     "log": ("looking.log", "Show the logs of all processes, by fleet time."),
