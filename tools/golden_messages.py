@@ -1,6 +1,6 @@
 """Write a message of each key, as it is on the wire, to `tests/compat/MAJOR.MINOR/`: `golden_messages.py [--write]`.
 
-Those of the present protocol version (`orchestrator/model/version.py`) are written when that version is released;
+Those of the present version (`orchestrator/model/version.py`) are written when that version is released;
 without `--write` only what would change is named. Those of earlier versions are never written again.
 """
 

@@ -1,4 +1,4 @@
-"""Versions that parts state when they meet: of Tutti, and of the messages on the bus.
+"""Versions that parts state when they connect: of Tutti, and of the messages on the bus.
 
 The protocol version is `major.minor`. A minor one adds: fields with a default, verbs, keys. Parts that are one minor
 version apart work together; a reader ignores fields that it does not know. A part that is further apart, of another
