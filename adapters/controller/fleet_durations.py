@@ -31,8 +31,7 @@ def to_host_profiles(profiles: dict[str, Profile], scale: FleetScale) -> dict[st
     """The profiles, as long by the clock of this computer as they are in fleet time."""
     if not scale.rate:
         return profiles
-    factor = 1.0 / (1.0 + scale.rate)
-    return {axis: profile.stretch_time(factor) for axis, profile in profiles.items()}
+    return {axis: profile.stretch_time(scale.host_share) for axis, profile in profiles.items()}
 
 
 def to_host_start(start: StartOptions, scale: FleetScale) -> StartOptions:
@@ -41,24 +40,13 @@ def to_host_start(start: StartOptions, scale: FleetScale) -> StartOptions:
         return start
     chunk = start.chunk
     if chunk is not None:
-        chunk = chunk.model_copy(update={"end_s": to_host_s(chunk.end_s, scale)})
+        chunk = chunk.model_copy(update={"end_s": chunk.end_s * scale.host_share})
     triggers = [_to_host_trigger(each, scale) for each in start.triggers]
     return start.model_copy(update={"triggers": triggers, "chunk": chunk})
 
 
 def _to_host_trigger(trigger: OutputTrigger, scale: FleetScale) -> OutputTrigger:
-    factor = 1.0 / (1.0 + scale.rate)
-    return trigger.model_copy(update={"instants_ns": [round(each * factor) for each in trigger.instants_ns]})
-
-
-def to_host_s(fleet_s: float, scale: FleetScale) -> float:
-    """A duration of fleet time by the clock of this computer, s."""
-    return fleet_s / (1.0 + scale.rate)
-
-
-def to_fleet_s(host_s: float, scale: FleetScale) -> float:
-    """A duration by the clock of this computer in fleet time, s."""
-    return host_s * (1.0 + scale.rate)
+    return trigger.model_copy(update={"instants_ns": [round(each * scale.host_share) for each in trigger.instants_ns]})
 
 
 def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: Mapping[str, int]) -> StatedMove:
@@ -78,8 +66,8 @@ def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: M
         for output, each in switched.items():
             each.append(_make_term(scale, t0_host_ns + triggers[output]))
     return StatedMove(
-        {axis: to_fleet_s(each, scale) for axis, each in lowered.durations_s.items()},
-        to_fleet_s(lowered.tick_ns, scale),
+        {axis: each * (1.0 + scale.rate) for axis, each in lowered.durations_s.items()},
+        lowered.tick_ns * (1.0 + scale.rate),
         terms,
         edge,
         switched,

@@ -9,7 +9,8 @@ from adapters.host.leader_watch import LeaderWatch
 from orchestrator.bus.base import Bus, BusError, find_only_server
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.clock.fleet import LEAST_EXCHANGES, FleetScale, FleetTimeEstimator, TimeExchange, exact_scale
+from orchestrator.clock.estimator import CounterSample
+from orchestrator.clock.fleet import LEAST_EXCHANGES, FleetScale, FleetTimeEstimator, exact_scale
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.messages import LeaderHeartbeat, TimeReply
 
@@ -83,7 +84,7 @@ class FleetTime:
                 self.scale = estimated
             await sleep_ns(self._clock, EXCHANGE_NS if count >= LEAST_EXCHANGES else FIRST_EXCHANGE_NS)
 
-    async def _exchange_time(self, leader: LeaderHeartbeat) -> TimeExchange:
+    async def _exchange_time(self, leader: LeaderHeartbeat) -> CounterSample:
         """One request. Raises `BusError`, `ValidationError`, `OtherScale`."""
         if not self._server:
             leads = self._keys.leader_answer(leader.coordinator)
@@ -94,7 +95,7 @@ class FleetTime:
         answer = TimeReply.read_message(reply)
         if answer.scale_id != leader.scale_id:
             raise OtherScale(f"{answer.scale_id} instead of {leader.scale_id}")
-        return TimeExchange(sent_ns, received_ns, answer.fleet_ns)
+        return CounterSample(sent_ns, received_ns, answer.fleet_ns)
 
     async def _ask_heartbeat(self, leader: LeaderHeartbeat) -> LeaderHeartbeat:
         """The heartbeat of the coordinator as its own answer. Raises `BusError`, `ValidationError`."""

@@ -85,7 +85,7 @@ def load_host(path: Path, host: str) -> tuple[Fleet, dict[str, Controller]]:
     except FileError as error:
         raise InvalidInput(str(error)) from None
     if not mine:
-        hosts = ", ".join(sorted({config.host for config in fleet.controllers.values()}))
+        hosts = ", ".join(sorted(fleet.hosts))
         raise InvalidInput(f"{path}: no controller has `host: {host}`; existing hosts: {hosts}")
     return fleet, mine
 

@@ -19,12 +19,11 @@ LOSS = 0.002
 def make_computers(fleet: Fleet, clock: VirtualClock, seed: int) -> dict[str, ComputerClock]:
     """Draw a computer for each adapter host, with a clock of its own."""
     draw = Random(f"computers {seed}")
-    hosts = dict.fromkeys(config.host for config in fleet.controllers.values())
     return {
         host: ComputerClock(
             clock, host, round(draw.uniform(1, OFFSET_S) * NS_PER_S), draw.uniform(-DRIFT_PPM, DRIFT_PPM)
         )
-        for host in hosts
+        for host in fleet.hosts
     }
 
 

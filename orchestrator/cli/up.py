@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, INTERRUPTED
-from orchestrator.cli.base.common import check_endpoint_option, console, json_option, print_result
+from orchestrator.cli.base.common import (
+    check_endpoint_option,
+    console,
+    json_option,
+    keys_folder_option,
+    print_result,
+)
 from orchestrator.cli.base.errors import errors, exit_interrupted, exit_with_error, run_main
 from orchestrator.cli.base.sizes import SizeType
 from orchestrator.cli.job_terms import DurationType
@@ -63,14 +69,7 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
 @click.option(
     "--private", is_flag=True, help="The router listens at a socket that no other user of this computer reaches."
 )
-@click.option(
-    "--keys",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    default=None,
-    envvar="TUTTI_KEYS",
-    show_envvar=True,
-    help="With --connect tls/…: the folder of the fleet's keys. Each process has the identity of its role.",
-)
+@keys_folder_option("With --connect tls/…: the folder of the fleet's keys. Each process has the identity of its role.")
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
 @click.option(
     "--host",

@@ -57,6 +57,11 @@ class FleetScale:
         """The host instant of fleet time 0."""
         return self.to_host_ns(0)
 
+    @property
+    def host_share(self) -> float:
+        """How much of the host's time passes in a unit of fleet time."""
+        return 1.0 / (1.0 + self.rate)
+
     def to_fleet_ns(self, host_ns: int) -> int:
         elapsed_ns = host_ns - self.host_at_ns
         return self.fleet_at_ns + elapsed_ns + round(elapsed_ns * self.rate)
@@ -77,27 +82,18 @@ class FleetScale:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class TimeExchange:
-    """One request for fleet time: host instants of request and reply, and the fleet time in the reply."""
-
-    sent_ns: int
-    received_ns: int
-    fleet_ns: int
-
-
 class FleetTimeEstimator:
     """Fleet time on a computer with a crystal of its own."""
 
     def __init__(self, scale_id: str) -> None:
         self.scale_id = scale_id
         self._estimator = TickEstimator(1.0)
-        self._recent: deque[TimeExchange] = deque(maxlen=RECENT_EXCHANGES)
+        self._recent: deque[CounterSample] = deque(maxlen=RECENT_EXCHANGES)
 
-    def add_exchange(self, exchange: TimeExchange) -> bool:
-        """Add an exchange. Returns False if one of the two clocks has jumped: what was known before is void."""
-        sample = CounterSample(exchange.sent_ns, exchange.received_ns, exchange.fleet_ns)
-        continuous = self._estimator.add_sample(sample)
+    def add_exchange(self, exchange: CounterSample) -> bool:
+        """Add a request for fleet time; its answer is `ticks`. Returns False if one of the two clocks has jumped:
+        what was known before is void."""
+        continuous = self._estimator.add_sample(exchange)
         if not continuous:
             self._recent.clear()
         self._recent.append(exchange)
@@ -125,8 +121,8 @@ class FleetTimeEstimator:
         """Host time minus fleet time at an instant of fleet time, ns, and its slope: least squares through the middles,
         the weight of each by how much longer it took than the fastest."""
         base = self._recent[-1]
-        base_ns = base.sent_ns - base.fleet_ns
-        rows = np.array([(e.fleet_ns - fleet_ns, e.sent_ns, e.received_ns) for e in self._recent], dtype=np.int64)
+        base_ns = base.sent_ns - base.ticks
+        rows = np.array([(e.ticks - fleet_ns, e.sent_ns, e.received_ns) for e in self._recent], dtype=np.int64)
         ages = rows[:, 0].astype(float)
         middles = (rows[:, 1] + rows[:, 2] - 2 * (rows[:, 0] + fleet_ns + base_ns)) / 2
         took = (rows[:, 2] - rows[:, 1]).astype(float)

@@ -10,6 +10,8 @@ from orchestrator.model.errors import ControllerFault
 from orchestrator.model.version import ProtocolText
 
 Mode = Literal["offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault"]
+RESTING_MODES: tuple[Mode, ...] = ("offline", "idle", "fault")
+"""Modes in which a controller does not move, and is not about to."""
 StartClass = Literal["clock", "line", "sync", "host"]
 StartWish = Literal["auto", "clock", "line", "sync", "host"]
 

@@ -175,11 +175,9 @@ class LiveFleet:
             if self.simulated:
                 await self._start_simulators()
             replace_private_file(file, self.fleet.to_json())
-            for host in self.fleet.hosts:
-                if self.hosts is None or host in self.hosts:
-                    await self._start_child(f"host/{host}", self._make_host_command(host, file))
-            feed = ["--feed-watchdog"] if self._manager.watchdog_s is not None else []
-            coordinator = await self._start_child("coordinator", [*self._make_coordinator_command(file), *feed])
+            await self._start_hosts()
+            command = [*self._make_coordinator_command(file), *self._feed_option]
+            coordinator = await self._start_child("coordinator", command)
             if EXISTING_JOURNAL not in coordinator.command:
                 coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
             if self.standby:
@@ -219,15 +217,23 @@ class LiveFleet:
             if self.simulated:
                 await self._start_simulators()
             self.save_fleet(self.fleet)
-            for host in self.fleet.hosts:
-                if host in self.hosts:
-                    feed = ["--feed-watchdog"] if self._manager.watchdog_s is not None else []
-                    command = self._make_host_command(host, self.state / FLEET_FILE)
-                    await self._start_child(f"host/{host}", [*command, *feed])
+            await self._start_hosts(*self._feed_option)
             self._manager.notify(READY)
         except BaseException:
             await self.close()
             raise
+
+    async def _start_hosts(self, *options: str) -> None:
+        """Start the guardians of the adapter hosts that run here."""
+        for host in self.fleet.hosts:
+            if self.hosts is None or host in self.hosts:
+                command = self._make_host_command(host, self.state / FLEET_FILE)
+                await self._start_child(f"host/{host}", [*command, *options])
+
+    @property
+    def _feed_option(self) -> list[str]:
+        """For the part of a service that feeds its watchdog: the coordinator, or without one each guardian."""
+        return ["--feed-watchdog"] if self._manager.watchdog_s is not None else []
 
     def save_fleet(self, fleet: Fleet) -> None:
         """Use another fleet file for processes that are started from now on, with the simulators that run here."""

@@ -24,13 +24,12 @@ from orchestrator.keys.register import read_register
 from orchestrator.keys.router_settings import make_access_settings, make_tls_settings
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.files import FileError, load_fleet
-from orchestrator.model.state import ControllerState
+from orchestrator.model.state import RESTING_MODES, ControllerState
 from orchestrator.runtime.state_folder import ROUTER_LATCH
 
 LOOK_S = 1.0
 STOP_S = 10.0  # for the fleet to come to rest before an urgent restart
 CLOSED_S = 0.2  # between the end of the old router and the new one
-_AT_REST = ("offline", "idle", "fault")
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +169,7 @@ class RouterService:
 
 def find_busy(states: Iterable[ControllerState]) -> str:
     """What is not at rest, in words; "" if everything is."""
-    busy = [each.controller for each in states if each.mode not in _AT_REST or each.job is not None or each.leases]
+    busy = [each.controller for each in states if each.mode not in RESTING_MODES or each.job is not None or each.leases]
     return f"at work: {', '.join(sorted(busy))}" if busy else ""
 
 

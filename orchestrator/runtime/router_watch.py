@@ -18,14 +18,13 @@ from orchestrator.bus.zenoh.probe import probe_router
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.live import LiveClock
 from orchestrator.model.operation.alarms import AlarmRequest
-from orchestrator.model.state import ControllerState
+from orchestrator.model.state import RESTING_MODES, ControllerState
 
 PROBE_NS = 10 * NS_PER_S
 AGAIN_NS = NS_PER_S  # after a failure
 FAILURES = 3
 REST_NS = NS_PER_S  # between two looks at whether the fleet rests
 REPEAT_NS = 60 * NS_PER_S  # an alarm that is not repeated for two minutes is over
-AT_REST = ("idle", "offline", "fault")
 ROLE, ID = "coordinator", "router-watch"  # of the alarm: `tutti up` has the identity of its coordinator
 
 
@@ -41,7 +40,7 @@ class FleetRest:
             state = ControllerState.read_message(sample.payload)
         except ValidationError:
             return
-        (self._busy.discard if state.mode in AT_REST else self._busy.add)(state.controller)
+        (self._busy.discard if state.mode in RESTING_MODES else self._busy.add)(state.controller)
 
     def is_moving(self) -> bool:
         """Whether a controller moves, or is about to."""

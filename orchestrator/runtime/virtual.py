@@ -143,7 +143,7 @@ class VirtualFleet:
 
     async def start(self) -> None:
         """Start all adapter hosts and one coordinator; return when every controller is adopted and idle."""
-        for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
+        for host in self.fleet.hosts:
             self.start_host(host)
         self.start_coordinator("first")
         await self.wait_until(lambda states: all(state.epoch and state.mode == "idle" for state in states.values()))

@@ -75,6 +75,18 @@ state_option = click.option(
 )
 
 
+def keys_folder_option(text: str) -> Callable[[F], F]:
+    """The option `--keys` of a command that uses keys which are there, with its help."""
+    return click.option(
+        "--keys",
+        type=click.Path(path_type=Path, exists=True, file_okay=False),
+        default=None,
+        envvar="TUTTI_KEYS",
+        show_envvar=True,
+        help=text,
+    )
+
+
 def fleet_option(text: str, *, required: bool = False) -> Callable[[F], F]:
     """The option `--fleet`, with its help."""
     return click.option(

@@ -77,12 +77,13 @@ def backup(state: Path | None, fleet: str | None, output: Path, *, force: bool, 
     """Write a backup of the state folder to one file: journal, points of scans, fleet, e-stop latches, and what
     adapters keep. The fleet may run.
     """
+    from orchestrator.model.version import find_own_version
     from orchestrator.runtime.state_backup import write_backup
 
     folder = _find_journal(state, fleet).parent
     _refuse_existing(output, force=force)
     with _journal_errors(), expected_errors():
-        manifest = write_backup(folder, output, _tutti_version(), _utc())
+        manifest = write_backup(folder, output, find_own_version(), _utc())
     size = sum(each.size for each in manifest.members.values())
     value = {"file": str(output), "epoch": manifest.epoch, "members": sorted(manifest.members)}
     words = f"{output}: {len(manifest.members)} files of {folder}, {size / 1e6:.1f} MB, epoch {manifest.epoch}"
@@ -98,11 +99,12 @@ def export(state: Path | None, fleet: str | None, output: Path, *, force: bool, 
     """Write the journal as text, one record a line, for programs and for moving it. The fleet may run."""
     from orchestrator.coordinator.journal.portable import export_journal
     from orchestrator.model.private_files import write_new_file
+    from orchestrator.model.version import find_own_version
 
     path = _find_journal(state, fleet)
     _refuse_existing(output, force=force)
     with _journal_errors(), write_new_file(output) as file:
-        count = export_journal(path, _tutti_version(), _utc(), lambda text: file.write(text.encode()))
+        count = export_journal(path, find_own_version(), _utc(), lambda text: file.write(text.encode()))
     print_result({"file": str(output), "records": count}, f"{output}: {count} records", as_json=as_json)
 
 
@@ -190,12 +192,6 @@ def _journal_errors() -> Generator[None]:
     except OSError as error:
         where = error.filename or "the file"
         exit_with_error(f"{where}: {error.strerror}", FAILED, "choose another place, or free space there", code="disk")
-
-
-def _tutti_version() -> str:
-    from importlib.metadata import version
-
-    return version("tutti")
 
 
 def _utc() -> str:

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orchestrator.cli.base.common import check_endpoint_option, console, print_json, state_option
+from orchestrator.cli.base.common import (
+    check_endpoint_option,
+    console,
+    keys_folder_option,
+    print_json,
+    state_option,
+)
 from orchestrator.cli.base.errors import errors, expected_errors, run_main
 
 if TYPE_CHECKING:
@@ -34,14 +40,7 @@ Exit codes: 0 ended by Ctrl-C or SIGTERM; 2 bad input; 3 it cannot listen."""
     callback=check_endpoint_option,
     help="Where it listens: `tls/HOST:PORT`, `tcp/…`, `unixsock-stream/PATH`; several with commas.",
 )
-@click.option(
-    "--keys",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    default=None,
-    envvar="TUTTI_KEYS",
-    show_envvar=True,
-    help="The folder of the fleet's keys, or that of this router.",
-)
+@keys_folder_option("The folder of the fleet's keys, or that of this router.")
 @click.option(
     "--link",
     "links",

@@ -13,6 +13,7 @@ from orchestrator.cli.base.common import connect_option, console, fleet_option, 
 from orchestrator.cli.base.errors import errors, exit_with_error, run_main
 
 if TYPE_CHECKING:
+    from orchestrator.client import Tutti
     from orchestrator.model.fleet import Fleet
     from orchestrator.runtime.live import LiveFleet
 
@@ -45,6 +46,7 @@ def host(
     last one. It follows a reload. On the coordinator's computer run `tutti up FILE --host local`, with the hosts that
     are there.
     """
+    from orchestrator.client import Tutti
     from orchestrator.runtime.live import LiveFleet
     from orchestrator.runtime.state_folder import default_state
 
@@ -53,13 +55,15 @@ def host(
 
     async def run_host() -> None:
         folder = state or default_state(f"{fleet}@{name}")
-        found = await _find_fleet(connect, fleet, folder, print_line)
+        async with Tutti(connect, fleet, actor="host") as tutti:
+            found = await _find_fleet(tutti, connect, folder, print_line)
+            served = await _find_served(tutti, found, name)
         if name not in found.hosts:
             hosts = ", ".join(found.hosts)
             exit_with_error(
                 f"fleet {fleet} has no controller with `host: {name}`; its hosts: {hosts}", BAD_INPUT, code="no-host"
             )
-        await _require_absence(connect, found, name)
+        _require_absence(served, name)
         live = LiveFleet(found, folder, print_line, connect, simulated=simulated, truth=truth)
         live.hosts = frozenset((name,))
         await _run_until_ended(live, name, as_json=as_json)
@@ -67,46 +71,44 @@ def host(
     run_main(run_host())
 
 
-async def _find_fleet(connect: str, name: str, folder: Path, print_line: Callable[[str], None]) -> "Fleet":
+async def _find_fleet(tutti: "Tutti", connect: str, folder: Path, print_line: Callable[[str], None]) -> "Fleet":
     """The fleet file of the coordinator; without one, that which was stored last. Without either it is waited for.
-    Raises `RouterUnreachable`, `Refusal`."""
-    from orchestrator.client import Tutti
+    Raises `Refusal`."""
     from orchestrator.model.errors import Refusal
     from orchestrator.model.files import FileError, parse_file, read_file
     from orchestrator.model.fleet import Fleet
     from orchestrator.runtime.state_folder import FLEET_FILE
 
     has_said = False
-    async with Tutti(connect, name, actor="host") as tutti:
-        while True:
+    while True:
+        try:
+            return await tutti.load_fleet()
+        except Refusal as refusal:
+            if refusal.code != "no-coordinator":
+                raise
+        stored = folder / FLEET_FILE
+        if stored.exists():
             try:
-                return await tutti.load_fleet()
-            except Refusal as refusal:
-                if refusal.code != "no-coordinator":
-                    raise
-            stored = folder / FLEET_FILE
-            if stored.exists():
-                try:
-                    fleet = parse_file(read_file(stored), Fleet)
-                except FileError as error:
-                    print_line(f"the stored fleet file cannot be used: {error}")
-                else:
-                    print_line(
-                        f"no coordinator answers; with the fleet file that was stored last (digest {fleet.digest})"
-                    )
-                    return fleet
-            if not has_said:
-                print_line(f"waiting for a coordinator of fleet {name} on {connect}")
-                has_said = True
-            await asyncio.sleep(RETRY_S)
+                fleet = parse_file(read_file(stored), Fleet)
+            except FileError as error:
+                print_line(f"the stored fleet file cannot be used: {error}")
+            else:
+                print_line(f"no coordinator answers; with the fleet file that was stored last (digest {fleet.digest})")
+                return fleet
+        if not has_said:
+            print_line(f"waiting for a coordinator of fleet {tutti.keys.fleet} on {connect}")
+            has_said = True
+        await asyncio.sleep(RETRY_S)
 
 
-async def _require_absence(connect: str, fleet: "Fleet", name: str) -> None:
+async def _find_served(tutti: "Tutti", fleet: "Fleet", name: str) -> list[str]:
+    """The controllers of this host that another process serves already."""
+    mine = {each for each, config in fleet.controllers.items() if config.host == name}
+    return [each for each in await tutti.status(1.0) if each in mine]
+
+
+def _require_absence(served: list[str], name: str) -> None:
     """End the command if another process serves a controller of this host: two drivers would send it commands."""
-    from orchestrator.client import Tutti
-
-    async with Tutti(connect, fleet.fleet, actor="host") as tutti:
-        served = [each for each in await tutti.status(1.0) if fleet.controllers[each].host == name]
     if served:
         exit_with_error(
             f"{', '.join(served)} is served already: adapter host {name} runs elsewhere, or `tutti up` runs all hosts",

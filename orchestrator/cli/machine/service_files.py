@@ -2,8 +2,9 @@
 
 import getpass
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -14,8 +15,15 @@ from orchestrator.cli.base.errors import exit_with_error
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 UNITS, RULES = Path("/etc/systemd/system"), Path("/etc/udev/rules.d")
 RULES_FILE = "70-tutti.rules"
+
+
+def _to_option(usual: Path, text: str) -> Callable[[F], F]:
+    folder = click.Path(path_type=Path, file_okay=False)
+    return click.option("--to", type=folder, default=usual, show_default=True, help=text)
 
 
 @click.group(epilog="Example: sudo tutti service install lab.fleet.yaml router coordinator gateway recorder")
@@ -50,13 +58,7 @@ Examples:
 @click.option(
     "--keys", type=click.Path(path_type=Path), default=None, help="Folder of the fleet's authority, for `router`."
 )
-@click.option(
-    "--to",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=UNITS,
-    show_default=True,
-    help="Folder of the units.",
-)
+@_to_option(UNITS, "Folder of the units.")
 @json_option
 def install(
     file: Path,
@@ -114,13 +116,7 @@ def install(
 
 
 @service.command(epilog="Example: sudo tutti service udev")
-@click.option(
-    "--to",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=RULES,
-    show_default=True,
-    help="Folder of the rules.",
-)
+@_to_option(RULES, "Folder of the rules.")
 @click.option("--print", "only_print", is_flag=True, help="Print the rules, and write nothing.")
 @json_option
 def udev(to: Path, *, only_print: bool, as_json: bool) -> None:
