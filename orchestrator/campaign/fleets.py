@@ -5,6 +5,7 @@ from random import Random
 from typing import Any
 
 from orchestrator.bench import sync_fleets as makes
+from orchestrator.campaign.recorder import Stage
 from orchestrator.campaign.trigger_outputs import TRIGGER_NUMBER, TRIGGER_OUTPUT
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.example_fleet import load_example
@@ -23,6 +24,8 @@ PATH_MAKE = "smc4000"
 PATH_JERK = 20_000  # of a drive that follows a path, unit/s³
 TRIGGER_MAKE = "smc4000"
 """The make whose controllers have an output with triggers."""
+STAGE_MAKES: dict[Stage, tuple[str, ...]] = {"chunk": (PATH_MAKE, "cia402"), "trigger": (TRIGGER_MAKE,)}
+"""The makes that can reach a stage, where not all can."""
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
 
 # Slower than the default rate, as with many controllers on one computer. A permit's controller is polled more often.

@@ -1,20 +1,30 @@
 """The sequence of campaign seeds, and the counts of injected faults by stage, fault and make."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 
 from orchestrator.campaign.faults import FAULTS
-from orchestrator.campaign.fleets import MAKES
-from orchestrator.campaign.recorder import STAGES
+from orchestrator.campaign.fleets import MAKES, STAGE_MAKES
+from orchestrator.campaign.recorder import STAGES, Stage
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, SeedRun, run_scenario
 from orchestrator.runtime.workers import map_in_processes
 
-CELLS = [
-    FaultCell(stage, name, make) for name, fault in FAULTS.items() for make in fault.makes or MAKES for stage in STAGES
-]
+
+def list_cells(stages: Sequence[Stage]) -> list[FaultCell]:
+    """List every possible fault of each make at some `stages`."""
+    return [
+        FaultCell(stage, name, make)
+        for name, fault in FAULTS.items()
+        for make in fault.makes or MAKES
+        for stage in stages
+        if make in STAGE_MAKES.get(stage, MAKES)
+    ]
+
+
+CELLS = list_cells(STAGES)
 
 
 def _make_round() -> list[FaultCell]:
@@ -44,9 +54,12 @@ PAIRS = len(STAGES) * len(FAULTS)
 PHASES = 3
 
 
-def cells_of_seed(seed: int) -> list[FaultCell]:
+def cells_of_seed(seed: int, stages: Sequence[Stage] = ()) -> list[FaultCell]:
     """Return the faults of a seed. Consecutive seeds step through all cells, and in the long run through all pairs
-    of them."""
+    of them. stages: one fault, at one of these; consecutive seeds step through their cells."""
+    if stages:
+        cells = list_cells(stages)
+        return [cells[seed % len(cells)]]
     again = seed // len(ROUND)
     return [ROUND[(seed + act * (PAIRS // PHASES + 157 * again)) % len(ROUND)] for act in range(PHASES)]
 
@@ -55,9 +68,11 @@ def cells_of_seed(seed: int) -> list[FaultCell]:
 class CampaignResult:
     """The results of a campaign.
 
+    possible: the cells that its seeds step through.
     cells: number of faults by stage, kind and affected make.
     controllers, jobs, faults, fleet_s: one entry per seed."""
 
+    possible: list[FaultCell]
     seeds: int = 0
     violations: dict[int, list[str]] = field(default_factory=dict[int, list[str]])
     cells: Counter[FaultCell] = field(default_factory=Counter[FaultCell])
@@ -70,17 +85,18 @@ class CampaignResult:
     @property
     def missed_cells(self) -> list[FaultCell]:
         """Cells that were not hit. Each of them is possible: no stage, fault and make exclude each other."""
-        return [cell for cell in CELLS if not self.cells[cell]]
+        return [cell for cell in self.possible if not self.cells[cell]]
 
     @property
     def lowest_hits(self) -> int:
         """The lowest number of hits of any cell."""
-        return min(self.cells[cell] for cell in CELLS)
+        return min(self.cells[cell] for cell in self.possible)
 
 
-def run_seed(seed: int, *, apart: bool = False) -> SeedRun:
-    """Run a seed as the campaign does. apart: each adapter host on a computer of its own."""
-    return run_scenario(seed, cells_of_seed(seed), apart=apart)
+def run_seed(seed: int, *, stages: Sequence[Stage] = (), apart: bool = False) -> SeedRun:
+    """Run a seed as the campaign does. stages: with faults at these only. apart: each adapter host on a computer of
+    its own."""
+    return run_scenario(seed, cells_of_seed(seed, stages), apart=apart)
 
 
 def run_campaign(
@@ -88,12 +104,13 @@ def run_campaign(
     on_run: Callable[[SeedRun], None] = lambda _: None,
     processes: int = 1,
     *,
+    stages: Sequence[Stage] = (),
     apart: bool = False,
 ) -> CampaignResult:
-    """Run seeds in parallel `processes`; `on_run` receives each run, in the order of the seeds. apart: as for
+    """Run seeds in parallel `processes`; `on_run` receives each run, in the order of the seeds. stages, apart: as for
     `run_seed`."""
-    found = CampaignResult()
-    for story in map_in_processes(partial(run_seed, apart=apart), seeds, processes):
+    found = CampaignResult(list_cells(stages or STAGES))
+    for story in map_in_processes(partial(run_seed, stages=stages, apart=apart), seeds, processes):
         found.seeds += 1
         found.cells.update(story.affected)
         found.controllers.append(len(story.fleet.controllers))

@@ -10,8 +10,12 @@ from orchestrator.cli.base.codes import FAILED
 from orchestrator.cli.base.common import console, json_option, print_json, processes_option
 
 if TYPE_CHECKING:
+    from orchestrator.campaign.recorder import Stage
     from orchestrator.campaign.runs import CampaignResult
     from orchestrator.campaign.scenario import SeedRun
+
+STAGE_NAMES = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger")
+"""Those of the campaign, which is not loaded for the help text."""
 
 
 @click.command(epilog="Example: tutti sim campaign --seeds 500 --json")
@@ -19,20 +23,35 @@ if TYPE_CHECKING:
 @click.option("--from", "first", default=0, show_default=True, type=click.IntRange(0), help="First seed.")
 @click.option("--seed", type=click.IntRange(0), help="Run only this seed, and print its summary.")
 @click.option("--trace", is_flag=True, help="With --seed: also print the complete log.")
+@click.option(
+    "--stage",
+    "stages",
+    multiple=True,
+    type=click.Choice(STAGE_NAMES),
+    help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk and trigger.",
+)
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")
 @processes_option
 @json_option
 def campaign(
-    seeds: int, first: int, seed: int | None, processes: int, *, trace: bool, apart: bool, as_json: bool
+    seeds: int,
+    first: int,
+    seed: int | None,
+    stages: "tuple[Stage, ...]",
+    processes: int,
+    *,
+    trace: bool,
+    apart: bool,
+    as_json: bool,
 ) -> None:
-    """Run simulated fleets of random makes, inject a fault at three stages of their steps, repair it, and check the
+    """Run simulated fleets of random makes, inject faults at three stages of their steps, repair them, and check the
     true motions against the invariants of the design. A seed is fully deterministic. Exit 1 when an invariant is
     violated.
     """
     from orchestrator.campaign.runs import run_campaign, run_seed
 
     if seed is not None:
-        story = run_seed(seed, apart=apart)
+        story = run_seed(seed, stages=stages, apart=apart)
         if as_json:
             lines = {"log": story.lines} if trace else {}
             print_json({"seed": seed, "violations": [str(each) for each in story.violations], **lines})
@@ -40,7 +59,7 @@ def campaign(
             _print_plain("\n".join([*(story.lines if trace else []), story.summarize()]))
         raise SystemExit(FAILED if story.violations else 0)
 
-    again = " --apart" if apart else ""
+    again = "".join([*(f" --stage {stage}" for stage in stages), " --apart" if apart else ""])
 
     def print_run(story: "SeedRun") -> None:
         if story.violations and not as_json:
@@ -48,13 +67,13 @@ def campaign(
             console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed}{again} --trace")
 
     began_s = _cpu_s()
-    found = run_campaign(range(first, first + seeds), print_run, processes, apart=apart)
+    found = run_campaign(range(first, first + seeds), print_run, processes, stages=stages, apart=apart)
     figures = _make_figures(found, _cpu_s() - began_s)
     if as_json:
         coverage = {f"{cell.stage} {cell.fault} {cell.make}": count for cell, count in sorted(found.cells.items())}
         print_json({**figures, "from": first, "violating": found.violations, "coverage": coverage})
     else:
-        _print_coverage(found)
+        _print_coverage(found, stages)
         console.print(", ".join(f"{name} {value}" for name, value in figures.items()), soft_wrap=True)
     if found.violations:
         raise SystemExit(FAILED)
@@ -82,7 +101,7 @@ def _make_figures(found: "CampaignResult", cpu_s: float) -> dict[str, Any]:
     }
 
 
-def _print_coverage(found: "CampaignResult") -> None:
+def _print_coverage(found: "CampaignResult", stages: "tuple[Stage, ...]") -> None:
     """Print the number of hits by fault, affected make, and stage."""
     from orchestrator.campaign.faults import FAULTS
     from orchestrator.campaign.fleets import MAKES
@@ -90,10 +109,11 @@ def _print_coverage(found: "CampaignResult") -> None:
     from orchestrator.campaign.runs import FaultCell
     from orchestrator.monitor.tables import make_plain_table
 
-    table = make_plain_table(["fault", "make", *(f"{stage}>" for stage in STAGES)])
+    shown = stages or STAGES
+    table = make_plain_table(["fault", "make", *(f"{stage}>" for stage in shown)])
     for fault in FAULTS:
         for make in MAKES:
-            table.add_row(fault, make, *(str(found.cells[FaultCell(stage, fault, make)]) for stage in STAGES))
+            table.add_row(fault, make, *(str(found.cells[FaultCell(stage, fault, make)]) for stage in shown))
     console.print(table)
 
 
