@@ -81,6 +81,7 @@ def test_steps_of_two_makes_follow_each_other_within_sixty_milliseconds() -> Non
     run_fleet(main)
 
 
+@pytest.mark.nightly
 def test_eight_controllers_follow_together() -> None:
     controllers = {f"c{number}": make_smc4000(number) for number in range(8)}
     eight = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "eight", "controllers": controllers})

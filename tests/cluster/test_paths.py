@@ -127,12 +127,12 @@ def require_sound(path: PathReport | None) -> float:
 def test_a_long_circle_on_one_controller() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet.fleet, ALONE))
-        report, seen = await follow(fleet, ALONE, circle(ALONE, 8, "100 um"))
+        report, seen = await follow(fleet, ALONE, circle(ALONE, 4, "100 um"))
         step = report.steps[0]
         assert step.do == "path" and step.verdict == "green" and not step.deviations
-        assert step.planned_s is not None and step.planned_s > 25
+        assert step.planned_s is not None and step.planned_s > 12
         bound, errors = require_sound(step.path), circle_errors(seen)
-        assert len(seen) > 1400 and errors.max() < bound < 0.017 and errors.max() < 0.003
+        assert len(seen) > 700 and errors.max() < bound < 0.017 and errors.max() < 0.003
         assert positions(fleet, ALONE) == [150.0, 100.0]
 
     run_fleet(main, gantries())
@@ -141,8 +141,8 @@ def test_a_long_circle_on_one_controller() -> None:
 def test_a_circle_on_two_controllers_stays_within_the_bound_ahead() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet.fleet, TWO))
-        await sleep_ns(fleet.clock, 30 * NS_PER_S)  # of clock readings
-        report, seen = await follow(fleet, TWO, circle(TWO, 4))
+        await sleep_ns(fleet.clock, 20 * NS_PER_S)  # of clock readings
+        report, seen = await follow(fleet, TWO, circle(TWO, 3))
         step = report.steps[0]
         bound, errors = require_sound(step.path), circle_errors(seen)
         assert errors.max() < bound
@@ -258,6 +258,7 @@ async def begin(fleet: VirtualFleet, path: Job, axes: tuple[str, ...], after_s: 
     return job_id
 
 
+@pytest.mark.nightly
 def test_the_error_of_a_long_path_does_not_grow() -> None:
     """The crystals of both controllers run 101 ppm apart, which is corrected in each of its chunks."""
 
@@ -388,7 +389,9 @@ def test_a_late_chunk_stops_a_member_that_has_the_whole_path(monkeypatch: pytest
     run_fleet(main, gantry_and_slow())
 
 
-@pytest.mark.parametrize(("percent", "turns"), [(40, 3), (120, 5), (50, 2)])
+@pytest.mark.parametrize(
+    ("percent", "turns"), [(50, 2), *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((40, 3), (120, 5)))]
+)
 def test_an_override_changes_the_speed_along_the_path(percent: int, turns: int) -> None:
     """Two turns are one chunk, the last one."""
 
@@ -425,9 +428,9 @@ def test_a_resumed_path_goes_on_at_its_override() -> None:
         await outcome(fleet, prepare(fleet.fleet, TWO))
         await sleep_ns(fleet.clock, 20 * NS_PER_S)
         client = fleet.make_client()
-        job_id = await begin(fleet, circle(TWO, 3), TWO, 2.0)
-        await client.override_job(job_id, 40)
-        await sleep_ns(fleet.clock, 3 * NS_PER_S)
+        job_id = await begin(fleet, circle(TWO, 2), TWO, 1.0)
+        await client.override_job(job_id, 70)
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
         await client.pause_job(job_id, now=True)
         while (await client.show_job(job_id)).transitions[-1].state != "paused":
             await sleep_ns(fleet.clock, 50 * NS_PER_MS)
@@ -437,7 +440,7 @@ def test_a_resumed_path_goes_on_at_its_override() -> None:
         assert report.state == "done", report.reason
         assert circle_errors(seen).max() < require_sound(report.steps[0].path)
         speeds = np.hypot(*np.diff(seen, axis=0).T) / (SAMPLE_NS / NS_PER_S)
-        assert speeds.max() < 42.0 and np.median(speeds) == pytest.approx(40.0, rel=0.02)
+        assert speeds.max() < 73.0 and np.median(speeds) == pytest.approx(70.0, rel=0.02)
 
     run_fleet(main, gantries())
 

@@ -30,7 +30,7 @@ def test_jobs_on_controllers_of_one_chain_do_not_disturb_each_other(hold_ms: int
 
         async def work(controller: str) -> None:
             unit = fleet.controllers[controller]
-            for _ in range(6):
+            for _ in range(3):
                 before = len(unit.commanded_motions)
                 target, speed = draw.randint(5, 60), draw.choice((0.3, 1.0))
                 steps = f"[{{do: move, to: {{{controller}.x: {target}}}, speed: {speed}}}]"

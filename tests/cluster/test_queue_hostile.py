@@ -137,6 +137,9 @@ def mutated(draw: Random, good: dict[str, Any]) -> bytes:
     return data
 
 
+MUTATIONS = pytest.mark.parametrize("count", [6, pytest.param(25, marks=pytest.mark.nightly)])
+
+
 async def ask(fleet: VirtualFleet, key: str, payload: bytes) -> None:
     """Send the request; any answer is valid, but there must be one."""
     bus = fleet.make_client("mallory").bus
@@ -150,12 +153,13 @@ async def ask(fleet: VirtualFleet, key: str, payload: bytes) -> None:
     assert isinstance(json.loads(answer), dict)
 
 
+@MUTATIONS
 @pytest.mark.parametrize("verb", SERVICE)
-def test_no_payload_ends_the_service(verb: str) -> None:
+def test_no_payload_ends_the_service(verb: str, count: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         draw = Random(verb)
         good = HEAD | SERVICE[verb]
-        payloads = [*RAW, *(mutated(draw, good) for _ in range(25))]
+        payloads = [*RAW, *(mutated(draw, good) for _ in range(count))]
         for payload in payloads:
             await ask(fleet, fleet.keys.service(verb), payload)
         client = fleet.make_client()
@@ -179,8 +183,9 @@ def test_every_key_of_the_service_is_tried() -> None:
     run_fleet(main)
 
 
+@MUTATIONS
 @pytest.mark.parametrize("controller", ["gantry", "stage"])
-def test_no_payload_ends_an_adapter(controller: str) -> None:
+def test_no_payload_ends_an_adapter(controller: str, count: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         throne = fleet.coordinators["first"][1].leadership
@@ -190,7 +195,7 @@ def test_no_payload_ends_an_adapter(controller: str) -> None:
             if verb not in ("stop", "jog", "reset", "raw", "forget"):
                 # As if it were the coordinator itself that has lost its mind.
                 good |= {"epoch": throne.epoch, "coordinator": throne.coordinator}
-            for payload in [*RAW, *(mutated(draw, good) for _ in range(20))]:
+            for payload in [*RAW, *(mutated(draw, good) for _ in range(count))]:
                 await ask(fleet, fleet.keys.command(controller, verb), payload)
         await fleet.make_client().reset()
         assert (await outcome(fleet, PREPARE, SHORT)).state == "done"

@@ -64,9 +64,9 @@ def begins_as_promised(fleet: VirtualFleet, step: StepReport) -> None:
     ("name", "axes", "way"),
     [
         ("2 SMC-4000", ["a0.x", "a1.x"], 20.0),
-        ("mixed with pp", ["e1.x", "e2.x"], 1000.0),
+        pytest.param("mixed with pp", ["e1.x", "e2.x"], 1000.0, marks=pytest.mark.nightly),
         ("mixed", ["a1.x", "c1.x"], 10.0),
-        ("mixed", ["c1.x", "c2.x"], 10.0),
+        pytest.param("mixed", ["c1.x", "c2.x"], 10.0, marks=pytest.mark.nightly),
     ],
 )
 def test_a_step_starts_as_soon_as_all_members_can(name: str, axes: list[str], way: float, sooner_ns: list[int]) -> None:
@@ -158,7 +158,7 @@ def test_a_member_that_gets_go_too_late_is_rearmed_if_no_member_has_started(
 
 
 @pytest.mark.parametrize("make", [make_smc4000, make_smc2000])
-@pytest.mark.parametrize("period_us", [250, 5000, pytest.param(2000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("period_us", [250, *(pytest.param(each, marks=pytest.mark.nightly) for each in (2000, 5000))])
 def test_a_step_starts_as_promised_with_another_servo_period(
     period_us: int, make: Callable[[int], dict[str, Any]]
 ) -> None:

@@ -7,7 +7,7 @@ from orchestrator.bench.can.stream import bench_stream
 from orchestrator.bench.lowering_steppers import bench_stepper
 
 
-@pytest.mark.parametrize("moves", [10, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("moves", [3, pytest.param(300, marks=pytest.mark.nightly)])
 def test_lowered_moves_take_the_planned_time_and_are_executed_as_predicted(moves: int) -> None:
     found = bench_stepper("cia402", moves, 11)
     asked = [each for each in found.figures if each.asked]
@@ -25,6 +25,7 @@ def test_eight_drives_start_together_and_are_armed_hardly_slower_than_their_fram
     assert rows[0].p50 > 10 * rows[1].p99
 
 
+@pytest.mark.nightly
 def test_eight_drives_keep_to_their_paths_and_leave_room_on_the_bus() -> None:
     rows = bench_stream(1, 0)
     asked = [row for row in rows if row.asked and row.n]

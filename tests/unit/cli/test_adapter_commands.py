@@ -49,6 +49,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         del sys.modules[module]
 
 
+@pytest.mark.nightly
 def test_a_new_package_passes_the_whole_suite(install: Install, tmp_path: Path) -> None:
     folder = tmp_path / "src"
     made = run("adapter", "new", "mc2000", "--into", str(folder))
