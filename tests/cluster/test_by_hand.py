@@ -199,9 +199,12 @@ def test_two_leases_on_one_axis_conflict_and_a_job_runs_next_to_a_lease() -> Non
         await outcome(fleet, PREPARE)
         anna, ben = fleet.make_client("anna"), fleet.make_client("ben")
         async with anna.manual_control(["gantry.x"], what="jog panel") as hand:
+            await hand.jog({"gantry.x": 5.0})
             with pytest.raises(Refusal, match=r"gantry\.x is in use by anna \(jog panel\)") as caught:
                 await ben.manual_control(["gantry.x"]).acquire()
             assert caught.value.code == "leased"
+            assert fleet.controllers["gantry"].is_moving("X"), "a refused request ends no jog"
+            await hand.stop()
             # The gantry's axes cannot be separated: the lease includes y, too. The stage is free.
             assert hand.axes == ["gantry.x", "gantry.y"]
             async with ben.manual_control(["stage.u"]) as other:

@@ -86,9 +86,10 @@ def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) 
     began_ns = raw_ns()
     holding(panel, "right", lambda: raw_ns() > began_ns + 1_500_000_000, "it is held for longer than without repeats")
     holding(panel, "right", lambda: "you" in panel.screen_text, "the panel shows who has it")
-    assert fleet.truth("gantry")[-1]["event"] == "start"
     let_go_ns = panel.release_arrow("right")
     last = fleet.at_rest("gantry")
+    # Not necessarily until it was let go: a stop by silence is right when a busy machine delays a renewal.
+    assert margin_s(last["start_ns"], last["end_ns"]) > SILENCE_S + RAMP_S
     assert margin_s(let_go_ns, last["end_ns"]) < RAMP_S + BUSY_S
     assert last["end_counts"] > last["start_counts"]
     begins(fleet, panel, "left")
@@ -142,10 +143,10 @@ def test_an_unplugged_terminal_stops_it_and_ends_the_panel(fleet: RunningFleet, 
 def test_a_second_panel_is_refused_and_shows_the_owner_of_the_lease(fleet: RunningFleet, start: Start) -> None:
     first, second = start("gantry.x"), start("gantry.x")
     begins(fleet, first)
+    motions = len(fleet.truth("gantry"))
     second.press_arrow("left")
     holding(first, "right", lambda: "refused" in second.screen_text, "the second one is refused")
     assert f"in use by {getpass.getuser()} (jog panel)" in second.screen_text
-    assert fleet.truth("gantry")[-1]["event"] == "start"
     job_id = fleet.submit([{"do": "enable", "axes": ["gantry"]}])
 
     def waits() -> bool:
@@ -155,6 +156,8 @@ def test_a_second_panel_is_refused_and_shows_the_owner_of_the_lease(fleet: Runni
     holding(first, "right", waits, "the job waits, and says for what")
     first.release_arrow("right")
     at_rest_ns(fleet)
+    ended = [entry for entry in fleet.truth("gantry")[motions:] if entry["event"] == "end"]
+    assert all(entry["end_counts"] >= entry["start_counts"] for entry in ended), "the refused key moved it to the left"
     assert fleet.wait(job_id).state == "done"
 
 
