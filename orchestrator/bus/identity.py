@@ -8,17 +8,17 @@ import os
 import ssl
 import stat
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from orchestrator.bus.handshake import NO_CHECK_TIME, name_reason, read_instant, shake_hands
 from orchestrator.model.errors import TuttiError
 
 AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "cert.pem", "key.pem"
 VARIABLE = "TUTTI_IDENTITY"
 """The environment variable with the folder; processes that a command starts get it in this way."""
 
-_NO_CHECK_TIME = 0x200000  # X509_V_FLAG_NO_CHECK_TIME of OpenSSL: an expired certificate is read, too
 _UNKNOWN_ISSUER = frozenset({7, 18, 19, 20, 21})  # X509_V_ERR_…: signature, self-signed, issuer not found
 
 
@@ -91,14 +91,10 @@ def read_identity(folder: Path) -> Identity:
     try:
         subject = dict(pair for each in certificate["subject"] for pair in each)
         return Identity(
-            folder, subject["commonName"], _to_instant(certificate["notBefore"]), _to_instant(certificate["notAfter"])
+            folder, subject["commonName"], read_instant(certificate["notBefore"]), read_instant(certificate["notAfter"])
         )
     except KeyError as error:
         raise BadIdentity(f"{folder / CERTIFICATE_FILE} has no {error.args[0]}; make it by `tutti keys`") from None
-
-
-def _to_instant(text: str) -> datetime:
-    return datetime.fromtimestamp(ssl.cert_time_to_seconds(text), UTC)
 
 
 def _shake_hands(folder: Path) -> dict[str, Any]:
@@ -108,37 +104,24 @@ def _shake_hands(folder: Path) -> dict[str, Any]:
     client.check_hostname = False
     client.verify_mode = ssl.CERT_NONE
     server.verify_mode = ssl.CERT_REQUIRED
-    server.verify_flags |= _NO_CHECK_TIME
-    server.maximum_version = ssl.TLSVersion.TLSv1_2  # there a handshake ends only when both sides are verified
+    server.verify_flags |= NO_CHECK_TIME
     certificate, key = folder / CERTIFICATE_FILE, folder / KEY_FILE
     try:
         server.load_verify_locations(folder / AUTHORITY_FILE)
     except (OSError, ssl.SSLError) as error:
-        raise BadIdentity(f"{folder / AUTHORITY_FILE} is no certificate: {_name_reason(error)}") from None
+        raise BadIdentity(f"{folder / AUTHORITY_FILE} is no certificate: {name_reason(error)}") from None
     try:
         for context in (client, server):
             context.load_cert_chain(certificate, key)
     except (OSError, ssl.SSLError) as error:
-        text = f"{certificate} and {key} cannot be used together: {_name_reason(error)}"
+        text = f"{certificate} and {key} cannot be used together: {name_reason(error)}"
         raise BadIdentity(f"{text}; copy the whole folder again") from None
-    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
-    ends = [
-        client.wrap_bio(to_client, to_server, server_side=False),
-        accepting := server.wrap_bio(to_server, to_client, server_side=True),
-    ]
-    waiting = list(ends)
-    while waiting:
-        for end in list(waiting):
-            try:
-                end.do_handshake()
-                waiting.remove(end)
-            except ssl.SSLWantReadError:
-                continue
-            except ssl.SSLCertVerificationError as error:
-                raise BadIdentity(_explain(folder, error)) from None
-            except ssl.SSLError as error:
-                raise BadIdentity(f"{certificate} cannot be used: {_name_reason(error)}") from None
-    return accepting.getpeercert() or {}
+    try:
+        return shake_hands(client, server)[1]
+    except ssl.SSLCertVerificationError as error:
+        raise BadIdentity(_explain(folder, error)) from None
+    except ssl.SSLError as error:
+        raise BadIdentity(f"{certificate} cannot be used: {name_reason(error)}") from None
 
 
 def _explain(folder: Path, error: ssl.SSLCertVerificationError) -> str:
@@ -146,9 +129,3 @@ def _explain(folder: Path, error: ssl.SSLCertVerificationError) -> str:
     if error.verify_code in _UNKNOWN_ISSUER:
         return f"{certificate} is of another authority than {folder / AUTHORITY_FILE}; copy the whole folder again"
     return f"{certificate} cannot be used by a session: {error.verify_message}; make it by `tutti keys`"
-
-
-def _name_reason(error: Exception) -> str:
-    if isinstance(error, ssl.SSLError):
-        return (error.reason or "unreadable").lower().replace("_", " ")
-    return str(error)

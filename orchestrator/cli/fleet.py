@@ -14,6 +14,7 @@ from orchestrator.cli.base.errors import exit_with_error, run_main
 if TYPE_CHECKING:
     from orchestrator.bus.base import Bus
     from orchestrator.client import Tutti
+    from orchestrator.model.operation.alarms import AlarmRecord
 
 
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
@@ -26,18 +27,23 @@ def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.cli.queue import load_queue, print_queue_stop
     from orchestrator.model.errors import Refusal
     from orchestrator.monitor.fleet_view import make_state_table, name_missing_permits
+    from orchestrator.monitor.open_bus import find_openness
 
     async def show_status(tutti: "Tutti") -> None:
         states = await require_states(tutti)
         if as_json:
             print_json({name: state.to_plain() for name, state in states.items()})
         else:
+            alarms: list[AlarmRecord] = []
+            with suppress(Refusal):  # without a coordinator
+                alarms = await tutti.list_alarms()
+            if openness := find_openness(connect, alarms):
+                console.print(openness, style="bold red", highlight=False, markup=False)
             leases = {lease.holder: lease for lease in await tutti.list_leases() if lease.holder is not None}
             queue = await load_queue(tutti)
             console.print(make_state_table(states, leases, permits=name_missing_permits(queue)))
             print_queue_stop(queue)
-            with suppress(Refusal):  # without a coordinator
-                print_open_alarms(await tutti.list_alarms())
+            print_open_alarms(alarms)
 
     with_fleet(connect, fleet, show_status)
 

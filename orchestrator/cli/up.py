@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -97,16 +99,22 @@ fleet was up; 1 a part could not be started, or ended for good; 2 bad input;
     "--web-port",
     type=click.IntRange(1, 65_535),
     default=None,
-    help="Port of the operators' page on this machine; default: the first free one of 8080 to 8089.",
+    help="Port of the operators' page; default: the first free one of 8080 to 8089.",
 )
-@click.option("--web-host", default="127.0.0.1", show_default=True, help="Address of the page: one of this machine.")
+@click.option(
+    "--web-host",
+    default="127.0.0.1",
+    show_default=True,
+    help="Address of the page. Beyond this machine, e.g. 0.0.0.0, only by TLS and with users.",
+)
 @click.option(
     "--web-cert",
     nargs=2,
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     default=None,
     metavar="CERT KEY",
-    help="Serve the page by TLS, with a certificate and its key (PEM files).",
+    help="Serve the page by TLS, with a certificate and its key (PEM files). Default beyond this machine: that of "
+    "the gateway in --keys.",
 )
 @click.option(
     "--jobs",
@@ -159,14 +167,11 @@ def up(
     named; they are taken in whenever they answer.
     """
     from orchestrator.runtime.live import LiveFleet, WebOptions
-    from orchestrator.runtime.own_address import require_own_address
     from orchestrator.runtime.state_folder import default_state
 
     web = None if no_web else WebOptions(web_host, web_port, web_cert, jobs or file.parent)
     if private and connect:
         raise click.UsageError("--private is for the router that is started; with --connect there is none")
-    if web is not None:
-        require_own_address(web.host)
 
     def print_line(line: str) -> None:
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
@@ -181,7 +186,7 @@ def up(
         live.metrics_port = metrics_port
         live.private, live.keys = private, keys if "tls/" in routers else None
         _take_identity(live.keys)
-        live.web = _choose_web(web, print_line)
+        live.web = _choose_web(web, keys, folder, print_line)
         await _run_until_ended(live, print_line, limit_s if wait else REACH_S, required=wait, as_json=as_json)
 
     if not detach:
@@ -241,8 +246,11 @@ def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) 
     return quota if wanted and missing is None else None
 
 
-def _choose_web(web: "WebOptions | None", print_line: Callable[[str], None]) -> "WebOptions | None":
-    """The page as it was wanted; None if it cannot be served, which is said."""
+def _choose_web(
+    web: "WebOptions | None", keys: Path | None, state: Path, print_line: Callable[[str], None]
+) -> "WebOptions | None":
+    """The page as it was wanted, for other computers with the gateway's certificate in `keys` unless another one was
+    given; None if it cannot be served, which is said. Raises `Refusal` where other computers must not reach it."""
     from orchestrator.cli.base.extras import find_missing
 
     if web is None:
@@ -251,7 +259,26 @@ def _choose_web(web: "WebOptions | None", print_line: Callable[[str], None]) -> 
     if missing is not None:
         print_line(f"no page: {'; '.join(missing)}")
         return None
-    return web
+    from orchestrator.gateway.access.users import UserFile
+    from orchestrator.gateway.certificate import read_web_certificate
+    from orchestrator.gateway.reach import is_own_address, require_reach
+    from orchestrator.runtime.state_folder import USERS_FILE
+
+    if is_own_address(web.host):
+        return web
+    files = web.certificate or (None if keys is None else _find_gateway_files(keys))
+    certificate = None if files is None else read_web_certificate(*files)
+    require_reach(web.host, certificate, UserFile(state / USERS_FILE), datetime.now(UTC))
+    return replace(web, certificate=files)
+
+
+def _find_gateway_files(keys: Path) -> tuple[Path, Path]:
+    """The certificate of the fleet's gateway, and its key. Raises `Refusal`."""
+    from orchestrator.bus.identity import CERTIFICATE_FILE, KEY_FILE
+    from orchestrator.keys.places import find_identity_folder
+
+    folder = find_identity_folder(keys, "gateway").absolute()
+    return folder / CERTIFICATE_FILE, folder / KEY_FILE
 
 
 def _list_web_options(web: "WebOptions | None") -> list[str]:

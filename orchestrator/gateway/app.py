@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -51,7 +51,8 @@ Act = Callable[[Identity, Mapping[str, Any]], Awaitable[Any]]
 @dataclass(frozen=True, slots=True)
 class GatewayOptions:
     """port: under which it is addressed. secure: with TLS. users: their file. jobs: the folder of templates.
-    recordings: their folder. page: the folder of the built page. new_secret: returns 32 random bytes as text."""
+    recordings: their folder. page: the folder of the built page. new_secret: returns 32 random bytes as text.
+    names: by which other computers reach it; with any, nothing is let in without users."""
 
     port: int
     users: Path
@@ -60,6 +61,7 @@ class GatewayOptions:
     recordings: Path | None = None
     secure: bool = False
     page: Path = PAGE
+    names: Sequence[str] = ()
 
 
 class Gateway:
@@ -70,7 +72,9 @@ class Gateway:
         self.hub = StreamHub(tutti, clock)
         self._clock, self._log, self._execute, self._options = clock, log, execute, options
         self._fleet = tutti.keys.fleet
-        self._authentication = Authentication(UserFile(options.users), clock, execute, options.new_secret)
+        self._authentication = Authentication(
+            UserFile(options.users), clock, execute, options.new_secret, open_without_users=not options.names
+        )
         self._commands = FleetCommands(tutti, log, execute, self._note_stop)
         self._commands.known_controllers = lambda: self.hub.state.controllers
         self._files = JobFiles(options.jobs, execute)
@@ -83,7 +87,9 @@ class Gateway:
             "check-job": self._check_job,
             "check-fleet": self._check_fleet,
         }
-        self.app: ASGIApp = Guard(Starlette(routes=self._make_routes()), options.port, secure=options.secure)
+        self.guard = Guard(Starlette(routes=self._make_routes()), options.port, secure=options.secure)
+        self.guard.admit(options.names)
+        self.app: ASGIApp = self.guard
 
     async def start(self) -> None:
         """Follow the fleet."""

@@ -3,18 +3,20 @@
 A page of another site that a browser on this machine shows can send requests to 127.0.0.1, also under a name that its
 owner's name server resolves to that address (DNS rebinding). So `Host` must be one of the gateway's own names and
 `Origin`, which browsers always send with sockets and with requests that change something, one of its own origins; for
-stops as well.
+stops as well. Its own names are those of its computer's loopback; where other computers reach it, also those in its
+certificate.
 """
 
 from collections.abc import Iterable, Mapping
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from orchestrator.gateway.reach import OWN_NAMES
 from orchestrator.gateway.replies import RefusedRequest, make_refusal_response
 from orchestrator.model.errors import Refusal
 
 MAX_BODY_BYTES = 4_000_000  # a job of 10,000 steps, and a part of points, fit
-OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")
+STRICT_TRANSPORT = "max-age=2592000"  # 30 days (RFC 6797)
 
 SECURITY_HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; "
@@ -39,9 +41,21 @@ class Guard:
     def __init__(self, app: ASGIApp, port: int, *, secure: bool = False) -> None:
         """port: of the gateway. secure: it speaks TLS."""
         self._app = app
-        scheme, usual = ("https", 443) if secure else ("http", 80)
-        self._hosts = set(_list_hosts(port, usual))
-        self._origins = {f"{scheme}://{host}" for host in self._hosts}
+        self._scheme, self._port = ("https" if secure else "http"), port
+        self._own_hosts = set(self._list_hosts(OWN_NAMES))
+        self.admit(())
+
+    def admit(self, names: Iterable[str], why: str = "") -> None:
+        """Answer to these names from now on, besides loopback's. why: there are none, in words for a refusal."""
+        self._hosts = {*self._list_hosts(names), *self._own_hosts}
+        self._origins = {f"{self._scheme}://{host}" for host in self._hosts}
+        self._why = why
+
+    def _list_hosts(self, names: Iterable[str]) -> Iterable[str]:
+        for name in names:
+            yield f"{name}:{self._port}"
+            if self._port == (443 if self._scheme == "https" else 80):
+                yield name
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -60,7 +74,7 @@ class Guard:
     def _find_refusal(self, headers: Mapping[str, str]) -> Refusal | None:
         host, origin = headers.get("host", "").lower(), headers.get("origin", "").lower()
         if host not in self._hosts:
-            text = f"the gateway is not {host[:100] or '(no host)'}"
+            text = f"the gateway is not {host[:100] or '(no host)'}{f': {self._why}' if self._why else ''}"
             return Refusal("bad-host", text, f"open it as one of: {', '.join(sorted(self._hosts))}")
         if origin and origin not in self._origins:
             text = f"a page of {origin[:100]} must not use this gateway"
@@ -69,6 +83,11 @@ class Guard:
 
     async def _guard_request(self, scope: Scope, receive: Receive, send: Send) -> None:
         taken = 0
+        headers = find_headers(scope)
+        added = dict(SECURITY_HEADERS)
+        if self._scheme == "https" and headers["host"].lower() not in self._own_hosts:
+            # Not for `localhost`: a browser would then refuse every other plain page there.
+            added["Strict-Transport-Security"] = STRICT_TRANSPORT
 
         async def receive_limited() -> Message:
             nonlocal taken
@@ -87,14 +106,14 @@ class Guard:
                         *message["headers"],
                         *(
                             (name.encode(), value.encode())
-                            for name, value in SECURITY_HEADERS.items()
+                            for name, value in added.items()
                             if name.lower().encode() not in present
                         ),
                     ],
                 }
             await send(message)
 
-        length = find_headers(scope).get("content-length", "0")
+        length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > MAX_BODY_BYTES:
             await make_refusal_response(explain_size(), 413)(scope, receive, send_guarded)
             return
@@ -105,10 +124,3 @@ def explain_size() -> Refusal:
     """The refusal of a body that is too large."""
     text = f"the body has more than {MAX_BODY_BYTES // 1_000_000} MB"
     return Refusal("too-large", text, "split the job, or submit points of scans as a file: `tutti submit FILE`")
-
-
-def _list_hosts(port: int, usual: int) -> Iterable[str]:
-    for name in OWN_NAMES:
-        yield f"{name}:{port}"
-        if port == usual:
-            yield name

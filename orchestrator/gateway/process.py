@@ -11,9 +11,12 @@ import sys
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_urlsafe
 
+from orchestrator.bus.base import Bus, Priority
+from orchestrator.bus.identity import CERTIFICATE_FILE, find_identity
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.logfile import make_file_sink
@@ -25,8 +28,14 @@ from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.service_manager import ServiceManager
+from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.app import Gateway, GatewayOptions
+from orchestrator.gateway.certificate import WebCertificate, read_web_certificate
+from orchestrator.gateway.certificate_watch import CertificateWatch
+from orchestrator.gateway.reach import is_own_address, list_names_beyond, require_reach
 from orchestrator.gateway.server import ADDRESS, NotServed, make_server, open_port
+from orchestrator.model.errors import Refusal
+from orchestrator.model.operation.alarms import AlarmRequest
 from orchestrator.runtime.state_folder import RECORDINGS, USERS_FILE
 
 
@@ -52,17 +61,20 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
 
     Raises `NotServed`, `RouterUnreachable`, `UnsafePath`, and `OSError` for the log.
     """
+    certificate = _check_reach(place)
+    context = None if certificate is None else certificate.make_context()
+    names = () if certificate is None or is_own_address(place.address) else list_names_beyond(certificate)
     listener = open_port(place.address, place.port)
     port = listener.getsockname()[1]
     bus = await open_bus(place.connect)
     try:
         clock, keys = LiveClock(), FleetKeys(place.fleet)
         log = ProcessLog("gateway", place.fleet, clock, make_file_sink(place.log), (bus, keys))
-        secure = place.certificate is not None
+        secure, execute = context is not None, ThreadExecutor("gateway")
         files = place.state / USERS_FILE, token_urlsafe, place.jobs, place.state / RECORDINGS
-        options = GatewayOptions(port, *files, secure=secure)
-        gateway = Gateway(Tutti(bus, place.fleet, "gateway"), clock, log, ThreadExecutor("gateway"), options)
-        server = make_server(gateway.app, place.certificate, place.key)
+        options = GatewayOptions(port, *files, secure=secure, names=names)
+        gateway = Gateway(Tutti(bus, place.fleet, "gateway"), clock, log, execute, options)
+        server = make_server(gateway.app, context)
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             # The server has handlers of its own while it runs; the signal comes here afterwards.
@@ -71,20 +83,50 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         prepare_live_process()
         await bus.announce(keys.live("gateway", uuid.uuid4().hex[:8], "1"))
         host = f"[{place.address}]" if ":" in place.address else place.address
-        address = f"{'https' if secure else 'http'}://{host}:{port}/"
+        address = f"{'https' if secure else 'http'}://{next(iter(names), host)}:{port}/"
         log.info(f"serves fleet {place.fleet} on {address}")
         on_ready(f"page on {address}")
-        feeding = loop.create_task(ServiceManager().run_alone()) if place.service else None
+        beside = [loop.create_task(ServiceManager().run_alone())] if place.service else []
+        if certificate is not None and context is not None:
+            raise_alarm = _make_alarm(bus, keys, place)
+            watch = CertificateWatch(
+                certificate, clock, execute, log, context, gateway.guard.admit, raise_alarm, beyond=bool(names)
+            )
+            beside.append(loop.create_task(watch.run()))
         try:
             async with report_own_alarms(bus, keys, ("gateway", "own"), place.connect):
                 await server.serve([listener])
         finally:
-            if feeding is not None:
-                feeding.cancel()
+            for task in beside:
+                task.cancel()
             await gateway.close()
     finally:
         await bus.close()
     return 0
+
+
+def _check_reach(place: GatewayPlace) -> WebCertificate | None:
+    """The certificate of the page, if it has one. Raises `NotServed` if that, or the address, cannot be used."""
+    try:
+        certificate = None
+        if place.certificate is not None:
+            certificate = read_web_certificate(place.certificate, place.key or place.certificate)
+        require_reach(place.address, certificate, UserFile(place.state / USERS_FILE), datetime.now(UTC))
+    except Refusal as error:
+        raise NotServed(f"{error.text}; {error.remedy}") from None
+    return certificate
+
+
+def _make_alarm(bus: Bus, keys: FleetKeys, place: GatewayPlace) -> Callable[[AlarmRequest], None]:
+    """What publishes an alarm about the certificate. The identity's own one is announced by its session already."""
+    identity = find_identity() if "tls/" in place.connect else None
+    announced = identity is not None and identity / CERTIFICATE_FILE == place.certificate
+
+    def raise_alarm(request: AlarmRequest) -> None:
+        if not announced:
+            bus.put(keys.alarm_request("gateway", "page"), request.to_json(), Priority.EVENT)
+
+    return raise_alarm
 
 
 def _print_ready(words: str) -> None:
@@ -99,7 +141,7 @@ def main() -> int:
     parser.add_argument("--state", type=Path, required=True, help="the state folder, with users and recordings")
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--jobs", type=Path, default=None, help="the folder of job files that the page offers")
-    parser.add_argument("--address", default=ADDRESS, help="of this machine only")
+    parser.add_argument("--address", default=ADDRESS, help="beyond this computer only with a certificate and users")
     parser.add_argument("--port", type=int, default=None, help="default: the first free one of 8080 to 8089")
     parser.add_argument("--ssl-certfile", type=Path, default=None, help="PEM: serve by TLS")
     parser.add_argument("--ssl-keyfile", type=Path, default=None)

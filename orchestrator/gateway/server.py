@@ -1,9 +1,12 @@
-"""The HTTP server of the gateway: its port, and its limits of connections."""
+"""The HTTP server of the gateway: its port, TLS, and its limits of connections."""
 
+import asyncio
 import errno
+import resource
 import socket
+import ssl
+from asyncio.sslproto import SSLProtocol
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from starlette.types import ASGIApp
@@ -11,12 +14,14 @@ from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from orchestrator.gateway.stream.socket import MAX_FRAME_CHARS
-from orchestrator.model.errors import Refusal, TuttiError
-from orchestrator.runtime.own_address import require_own_address
+from orchestrator.model.errors import TuttiError
 
 FIRST_PORT, PORTS = 8080, 10
 ADDRESS = "127.0.0.1"
 MAX_CONNECTIONS = 300  # of requests; then the one that has been idle for the longest time is closed
+HANDSHAKE_S = 5.0  # for the TLS handshake of a connection
+MAX_FILES = 2048  # each connection is one, also one whose handshake is not over
+TLS_BUFFER_BYTES = 32_768  # of each connection: two records (RFC 8446, 5.1); asyncio's own 256 kB are filled at once
 SHUTDOWN_S = 2
 MAX_HEADER_BYTES = 32_000
 
@@ -27,10 +32,6 @@ class NotServed(TuttiError):
 
 def open_port(address: str, port: int | None) -> socket.socket:
     """Listen on a port of this machine. port: None: the first free one from 8080 on. Raises `NotServed`."""
-    try:
-        require_own_address(address)
-    except Refusal as error:
-        raise NotServed(f"{error.text}; {error.remedy}") from None
     ports = [port] if port is not None else list(range(FIRST_PORT, FIRST_PORT + PORTS))
     for each in ports:
         try:
@@ -64,8 +65,30 @@ class LimitedProtocol(H11Protocol):
         return [each for each in others if not each.cycle or each.cycle.response_complete]
 
 
-def make_server(app: ASGIApp, certificate: Path | None = None, key: Path | None = None) -> Server:
-    """The server of an application. certificate, key: PEM files, for TLS. Raises `NotServed` if they cannot be used."""
+class LimitedServer(Server):
+    """uvicorn's server with a limit of its own for TLS handshakes, which there may take a minute."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve on sockets that listen."""
+        await super().startup(sockets=[])
+        config, loop = self.config, asyncio.get_running_loop()
+
+        def make_protocol() -> asyncio.Protocol:
+            return LimitedProtocol(config=config, server_state=self.server_state, app_state=self.lifespan.state)
+
+        limit_s = None if config.ssl is None else HANDSHAKE_S
+        for each in sockets or ():
+            server = await loop.create_server(
+                make_protocol, sock=each, ssl=config.ssl, backlog=config.backlog, ssl_handshake_timeout=limit_s
+            )
+            self.servers.append(server)
+
+
+def make_server(app: ASGIApp, context: ssl.SSLContext | None = None) -> Server:
+    """The server of an application. context: for TLS."""
+    SSLProtocol.max_size = TLS_BUFFER_BYTES
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, MAX_FILES) if most >= 0 else MAX_FILES, most))
     config = Config(
         app,
         http=LimitedProtocol,
@@ -79,11 +102,7 @@ def make_server(app: ASGIApp, certificate: Path | None = None, key: Path | None 
         proxy_headers=False,
         timeout_graceful_shutdown=SHUTDOWN_S,
         h11_max_incomplete_event_size=MAX_HEADER_BYTES,
-        ssl_certfile=certificate,
-        ssl_keyfile=key,
     )
-    try:
-        config.load()
-    except (OSError, ValueError) as error:
-        raise NotServed(f"the certificate {certificate} cannot be used: {error}; give PEM files") from None
-    return Server(config)
+    config.load()
+    config.ssl = context
+    return LimitedServer(config)

@@ -11,8 +11,10 @@ from rich.text import Text
 
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
 from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
+from orchestrator.monitor.open_bus import find_openness
 from orchestrator.monitor.queue_words import describe_queue
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
@@ -35,10 +37,12 @@ MAX_JOBS_SHOWN = 6
 
 @dataclass(slots=True)
 class LiveView:
-    """The known state of the fleet; pass each arriving sample to `take_sample`. now_s: a monotonic clock, for ages."""
+    """The known state of the fleet; pass each arriving sample to `take_sample`. now_s: a monotonic clock, for ages.
+    endpoint: of the bus."""
 
     keys: FleetKeys
     now_s: Callable[[], float]
+    endpoint: str = ""
     states: dict[str, ControllerState] = field(default_factory=dict[str, ControllerState])
     received_s: dict[str, float] = field(default_factory=dict[str, float])
     """When the state of each controller was received, by `now_s`."""
@@ -47,11 +51,19 @@ class LiveView:
     queue: QueueState | None = None
     jobs: dict[str, JobProgress] = field(default_factory=dict[str, JobProgress])
     events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
+    open_bus: dict[str, AlarmRecord] = field(default_factory=dict[str, AlarmRecord])
+    """The alarms that other computers reach the bus without TLS, by id."""
 
     @property
     def key_expressions(self) -> tuple[str, ...]:
         """The key expressions to subscribe to."""
-        return (self.keys.state(), self.keys.event(), self.keys.job_state(), self.keys.queue, self.keys.leases)
+        keys = self.keys
+        return (keys.state(), keys.event(), keys.job_state(), keys.queue, keys.leases, keys.alarm())
+
+    @property
+    def openness(self) -> str:
+        """What is to be said of a bus that other computers reach without TLS; "" where they do not."""
+        return find_openness(self.endpoint, self.open_bus.values())
 
     def take_sample(self, sample: BusSample) -> str | None:
         """Store a sample. Return the line to print where there is no live screen; None if the sample needs none."""
@@ -68,6 +80,10 @@ class LiveView:
             if "/lease/" in sample.key:
                 self._take_lease(LeaseState.read_message(sample.payload))
                 return None
+            if "/alarm/" in sample.key:
+                before = self.openness
+                self.take_alarms([AlarmRecord.read_message(sample.payload)])
+                return self.openness if self.openness != before else None
             state = ControllerState.read_message(sample.payload)
         except ValidationError:
             return f"unreadable message on {sample.key}"
@@ -84,6 +100,10 @@ class LiveView:
         for name, state in states.items():
             self.states[name] = state
             self.received_s[name] = self.now_s()
+
+    def take_alarms(self, alarms: Iterable[AlarmRecord]) -> None:
+        """Store which of these alarms say that the bus is open."""
+        self.open_bus.update((each.id, each) for each in alarms if each.kind == OPEN_BUS)
 
     def find_ages(self) -> dict[str, float]:
         """The age of each controller's state, in s, where it is too old to be shown as live."""
@@ -115,7 +135,8 @@ class LiveView:
     def render_screen(self) -> RenderableType:
         """Render the whole screen."""
         permits = name_missing_permits(self.queue)
-        parts: list[RenderableType] = [make_state_table(self.states, self.leases, self.find_ages(), permits)]
+        parts: list[RenderableType] = [Text(self.openness, "bold red")] if self.openness else []
+        parts += [make_state_table(self.states, self.leases, self.find_ages(), permits)]
         parts += self.render_jobs()
         if self.events:
             table = Table.grid(padding=(0, 2))

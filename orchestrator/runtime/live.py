@@ -108,7 +108,7 @@ class ChildProcess:
 
 @dataclass(frozen=True, slots=True)
 class WebOptions:
-    """host: the address of the page, of this machine. port: None: the first free one from 8080 on. certificate: PEM
+    """host: the address of the page. port: None: the first free one from 8080 on. certificate: PEM
     files of a certificate and its key, for TLS. jobs: the folder of job files that the page offers."""
 
     host: str = "127.0.0.1"

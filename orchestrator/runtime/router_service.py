@@ -16,6 +16,7 @@ from orchestrator.bus.base import BusError
 from orchestrator.bus.endpoint import is_socket, split_endpoints, uses_tls
 from orchestrator.bus.identity import VARIABLE, BadIdentity, read_identity
 from orchestrator.bus.zenoh.kept_latch import keep_latch
+from orchestrator.bus.zenoh.own_alarms import report_open_router
 from orchestrator.bus.zenoh.router import report_latch_end
 from orchestrator.bus.zenoh.sessions import RouterUnreachable, open_router
 from orchestrator.client import Tutti
@@ -103,11 +104,14 @@ class RouterService:
                 on_ready()
                 keeping = asyncio.create_task(self._keep_latch())
                 keeping.add_done_callback(report_latch_end)
+                own, security = self._own_endpoint, self._security
+                warning = asyncio.create_task(report_open_router(own, place.listen, security.fleet, security.name))
                 try:
                     self._security = await self._wait_for_change()
                 finally:
                     keeping.cancel()
-                    await asyncio.wait([keeping])
+                    warning.cancel()
+                    await asyncio.wait([keeping, warning])
             self._say("the router opens anew with the changed table")
             await asyncio.sleep(CLOSED_S)
 

@@ -34,6 +34,19 @@ def wait_for(page: Page, condition: Callable[[], Any]) -> None:
     raise AssertionError("not within 6 s")
 
 
+def test_an_open_bus_is_shown_in_every_view_also_when_its_alarm_is_shelved(mock: Mock, page: Page) -> None:
+    text = "INSECURE: the bus at tcp/0.0.0.0:7447 has no TLS; everything that reaches it can move this fleet"
+    alarm = {
+        **{"id": "open-bus", "kind": "open-bus", "subject": "bus", "priority": "high", "text": text, "action": ""},
+        **{"state": "acknowledged", "raised_utc": "2026-01-01T00:00:00Z", "shelved_until_utc": "2026-01-01T10:00:00Z"},
+    }
+    for view in VIEWS:
+        mock(make_state(alarms={"open-bus": alarm}), view=view)
+        expect(page.get_by_role("alert").filter(has_text="has no TLS")).to_be_visible()
+    mock(make_state(alarms={"open-bus": {**alarm, "state": "returned"}}))
+    expect(page.get_by_role("alert").filter(has_text="has no TLS")).to_have_count(0)
+
+
 # A jog
 
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -147,11 +147,18 @@ def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]]) 
 
 
 class VirtualGateway:
-    """The gateway of a virtual fleet, in a process of its own. roles: its users, each with `PASSWORD`."""
+    """The gateway of a virtual fleet, in a process of its own. roles: its users, each with `PASSWORD`. names: by which
+    other computers reach it, by TLS."""
 
     started: ClassVar[list["VirtualGateway"]] = []
 
-    def __init__(self, fleet: VirtualFleet, folder: Path, roles: Mapping[str, Role] | None = None) -> None:
+    def __init__(
+        self,
+        fleet: VirtualFleet,
+        folder: Path,
+        roles: Mapping[str, Role] | None = None,
+        names: Sequence[str] = (),
+    ) -> None:
         self.fleet = fleet
         self.lines: list[str] = []
         self.sockets: list[Socket] = []
@@ -162,9 +169,8 @@ class VirtualGateway:
         bus = fleet.net.join_process("gateway")
         self.process.add_death_callback(lambda: fleet.net.kill_process("gateway"))
         log = ProcessLog("gateway", "test", fleet.clock, self.lines.append)
-        options = GatewayOptions(
-            PORT, self.users.path, fleet.draw_id, jobs=folder, recordings=folder, page=folder / "page"
-        )
+        folders = {"jobs": folder, "recordings": folder, "page": folder / "page"}
+        options = GatewayOptions(PORT, self.users.path, fleet.draw_id, **folders, secure=bool(names), names=names)
         tutti = Tutti(bus, fleet.fleet.fleet, "gateway", fleet.draw_id)
         self.gateway = self.process.run_inside(lambda: Gateway(tutti, fleet.clock, log, run_inline, options))
 

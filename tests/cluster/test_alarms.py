@@ -16,7 +16,10 @@ from orchestrator.coordinator.statistics.availability import AvailabilityClock
 from orchestrator.coordinator.statistics.collector import StatisticsCollector
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.operation.alarms import AlarmRecord, AlarmRequest
+from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord, AlarmRequest
+from orchestrator.monitor.fleet_view import LiveView
+from orchestrator.monitor.open_bus import find_openness
+from orchestrator.runtime.doctor.router import list_alarms
 from orchestrator.runtime.virtual import VirtualFleet
 
 QUICK = {
@@ -218,6 +221,29 @@ def test_requests_of_others_are_checked_and_name_their_source() -> None:
         client.bus.put(key, over.to_json(), Priority.EVENT)
         await wait_s(fleet, 7)
         assert set((await states(fleet)).values()) == {"returned"}
+
+    run_fleet(main, fleet_with())
+
+
+def test_an_open_bus_is_named_by_views_and_the_doctor_also_when_it_was_set_aside() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        view, words = LiveView(client.keys, lambda: 0.0), "INSECURE: the bus at tcp/0.0.0.0:7447 has no TLS"
+        said: list[str | None] = []
+        request = AlarmRequest(kind=OPEN_BUS, subject="bus", text=words, priority="high", active=True)
+        async with client.subscribe_samples(*view.key_expressions) as samples:
+            client.bus.put(client.keys.alarm_request("router", "main"), request.to_json(), Priority.EVENT)
+            await wait_s(fleet, 1)
+            (alarm,) = await client.acknowledge_alarms()
+            await client.shelve_alarm(alarm.id, 3600)
+            await wait_s(fleet, 1)
+            while not samples.empty():
+                said.append(view.take_sample(samples.get_nowait()))
+        assert said.count(words) == 1 and view.openness == words
+        assert find_openness("tcp/127.0.0.1:7447", await list_alarms(client.bus)) == words
+        await wait_s(fleet, 130)  # the router is gone
+        assert find_openness("tcp/127.0.0.1:7447", await list_alarms(client.bus)) == ""
+        assert find_openness("tcp/192.0.2.1:7447", []).startswith("INSECURE")
 
     run_fleet(main, fleet_with())
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cluster.gateway_client import OWN, PASSWORD, VirtualGateway, run_with_gateway
+from cluster.gateway_client import OWN, PASSWORD, PORT, VirtualGateway, run_with_gateway
 from cluster.worlds import EXAMPLES, PREPARE, outcome
 
 from orchestrator.bus.service_verbs import SERVICE_VERBS
@@ -135,6 +135,51 @@ def test_the_cookie_is_for_this_site_and_no_script(tmp_path: Path) -> None:
         words = answer.headers["set-cookie"].lower()
         assert "httponly" in words and "samesite=strict" in words and "path=/" in words
         assert "default-src 'self'" in answer.headers["content-security-policy"]
+
+    run_with_gateway(main)
+
+
+def test_other_computers_reach_it_by_the_names_of_its_certificate_alone(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = VirtualGateway(fleet, tmp_path, {"olga": "operator"}, names=("tutti.lab", "192.0.2.5"))
+        await gateway.start()
+        named, plain = {"host": f"tutti.lab:{PORT}"}, "http://tutti.lab:8080"
+        answer = await gateway.post("/v1/login", {"user": "olga", "password": PASSWORD}, named)
+        assert answer.status == 200 and "secure" in answer.headers["set-cookie"].lower()
+        assert answer.headers["strict-transport-security"] == "max-age=2592000"
+        session = {"cookie": answer.headers["set-cookie"].partition(";")[0], "x-tutti-csrf": answer.json["csrf"]}
+        assert (
+            await gateway.post("/v1/stop", {}, named | session | {"origin": f"https://{named['host']}"})
+        ).status == 200
+        assert (await gateway.get("/v1/state", {"host": f"192.0.2.5:{PORT}"} | session)).status == 200
+        own = await gateway.get("/v1/state", session)  # 127.0.0.1, where other pages may be plain
+        assert own.status == 200 and "strict-transport-security" not in own.headers
+        for wrong in ({"host": f"evil.example:{PORT}"}, {"host": "tutti.lab"}, named | {"origin": plain}):
+            answer = await gateway.post("/v1/stop", {}, session | wrong)
+            assert (answer.status, answer.refused) in ((403, "bad-host"), (403, "bad-origin"))
+        # The certificate ends: what is open stays, and nothing new comes by these names.
+        socket = await gateway.connect(named | session)
+        gateway.gateway.guard.admit((), "its certificate has expired")
+        refused = await gateway.post("/v1/stop", {}, named | session)
+        assert refused.refused == "bad-host" and "has expired" in refused.json["refused"]["text"]
+        assert "ok" in await socket.ask("stop")
+        assert (await gateway.get("/v1/state", session)).status == 200
+
+    run_with_gateway(main)
+
+
+def test_where_other_computers_reach_it_nothing_is_let_in_when_the_last_user_is_gone(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = VirtualGateway(fleet, tmp_path, {"olga": "operator"}, names=("tutti.lab",))
+        await gateway.start()
+        session = await gateway.sign_in("olga")
+        socket = await gateway.connect(session)
+        gateway.users.remove_user("olga")
+        await asyncio.sleep(1.5)
+        assert socket.closed is not None
+        for headers in ({}, session, {"host": f"tutti.lab:{PORT}"}):
+            answer = await gateway.post("/v1/stop", {}, headers)
+            assert (answer.status, answer.refused) == (401, "no-users")
 
     run_with_gateway(main)
 

@@ -203,4 +203,4 @@ def test_a_page_for_other_machines_is_refused_with_the_reason() -> None:
     up = [*COMMAND, "up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--web-host", "0.0.0.0"]
     refused = subprocess.run(up, capture_output=True, text=True, timeout=LIMIT_S)
     assert refused.returncode == 2
-    assert "has no keys" in refused.stderr and "ssh -L" in refused.stderr
+    assert "without TLS" in refused.stderr and "add-gateway" in refused.stderr and "ssh -L" in refused.stderr

@@ -8,21 +8,21 @@ from datetime import UTC, datetime
 from orchestrator.bus.base import Bus, Priority
 from orchestrator.bus.endpoint import describe_openness
 from orchestrator.bus.expiry import describe_expiry, find_priority
+from orchestrator.bus.fleets import find_fleets
 from orchestrator.bus.identity import BadIdentity, find_identity, read_identity
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.model.operation.alarms import AlarmRequest
+from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRequest
 
 REPEAT_S = 60.0  # an alarm that is not repeated for two minutes is over
+ROUTER_REPEAT_S = 5.0  # a coordinator that starts behind the router has it soon
 
 
 def find_own_alarms(endpoint: str, now: datetime) -> list[AlarmRequest]:
     """What is to be raised now. endpoint: of the bus that the process uses."""
-    found: list[AlarmRequest] = []
-    if openness := describe_openness(endpoint):
-        action = "let the router listen with TLS: `tutti keys`, `tutti router --keys`"
-        found.append(
-            AlarmRequest(kind="open-bus", subject="bus", text=openness, action=action, priority="high", active=True)
-        )
+    openness = describe_openness(endpoint)
+    found = [_make_open_bus(openness)] if openness else []
     folder = find_identity()
     if folder is None or "tls/" not in endpoint:
         return found
@@ -43,6 +43,32 @@ def find_own_alarms(endpoint: str, now: datetime) -> list[AlarmRequest]:
             AlarmRequest(kind="certificate", subject=name, text=text, action=action, priority=priority, active=True)
         )
     return found
+
+
+async def report_open_router(endpoint: str, listen: str, fleet: str, name: str) -> None:
+    """Publish that a router listens without TLS where other computers reach it, until cancelled: a process on its
+    computer uses another endpoint, and does not know. endpoint: of its own session. fleet: "": each one on its bus."""
+    if not (openness := describe_openness(listen)):
+        return
+    while True:
+        try:
+            bus = await open_bus(endpoint)
+        except RouterUnreachable:
+            await asyncio.sleep(ROUTER_REPEAT_S)
+            continue
+        try:
+            while True:
+                for each in [fleet] if fleet else await find_fleets(bus):
+                    request = _make_open_bus(openness)
+                    bus.put(FleetKeys(each).alarm_request("router", name), request.to_json(), Priority.EVENT)
+                await asyncio.sleep(ROUTER_REPEAT_S)
+        finally:
+            await bus.close()
+
+
+def _make_open_bus(openness: str) -> AlarmRequest:
+    action = "let the router listen with TLS: `tutti keys`, `tutti router --keys`"
+    return AlarmRequest(kind=OPEN_BUS, subject="bus", text=openness, action=action, priority="high", active=True)
 
 
 @asynccontextmanager

@@ -50,6 +50,8 @@ _NAME_CODES = {
     "token-exists",
     "weak-password",
     "not-own-address",
+    "bad-certificate",
+    "no-users",
 }
 _PLAIN_CODES = {FAILED: "failed", BAD_INPUT: "bad-input", UNREACHABLE: "unreachable", INTERRUPTED: "interrupted"}
 

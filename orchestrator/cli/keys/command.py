@@ -33,6 +33,7 @@ keys_option = click.option(
     help="The folder of the fleet's keys.",
 )
 _NAME = click.argument("name")
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _addresses_option = click.option(
     "--address", "addresses", multiple=True, help="Name or IP address under which it is reached; repeat it for more."
 )
@@ -94,6 +95,21 @@ def add_router(name: str, addresses: tuple[str, ...], folder: Path, lifetime_s: 
 def add_host(name: str, folder: Path, lifetime_s: float, *, as_json: bool) -> None:
     """Add the adapter host NAME, as it is called in the fleet file. It may act on its own controllers only."""
     _add("host", name, folder, lifetime_s, as_json=as_json)
+
+
+@keys.command("add-gateway", epilog="Example: tutti keys add-gateway page --keys keys --address tutti.lab")
+@_NAME
+@_addresses_option
+@keys_option
+@_lifetime_option(397)
+@json_option
+def add_gateway(name: str, addresses: tuple[str, ...], folder: Path, lifetime_s: float, *, as_json: bool) -> None:
+    """Add a gateway whose page other computers open under --address. `localhost`, 127.0.0.1 and ::1 are always
+    among them.
+
+    Browsers accept it once they have the fleet's authority, the file ca.pem.
+    """
+    _add("gateway", name, folder, lifetime_s, addresses=(*(addresses or (name,)), *_LOOPBACK), as_json=as_json)
 
 
 @keys.command("add-coordinator", epilog="Example: tutti keys add-coordinator --keys keys")
@@ -239,4 +255,4 @@ def _drop_generation(name: str) -> str:
 def _own_addresses(addresses: tuple[str, ...]) -> tuple[str, ...]:
     import socket
 
-    return tuple(dict.fromkeys([*addresses, socket.gethostname(), "localhost", "127.0.0.1", "::1"]))
+    return tuple(dict.fromkeys([*addresses, socket.gethostname(), *_LOOPBACK]))

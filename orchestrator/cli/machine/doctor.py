@@ -32,13 +32,14 @@ Exit codes: 0 nothing has failed, perhaps with warnings; 1 something has."""
     "--connect",
     default="",
     callback=check_endpoint_option,
-    help="Check the router there, and the versions of all parts.",
+    help="Check the router there, the versions of all parts, and TLS.",
 )
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="The state folder; its disk is measured.")
 @json_option
 def doctor(file: Path | None, hosts: tuple[str, ...], connect: str, state: Path | None, *, as_json: bool) -> None:
     """Check this computer: Python, real-time limits, USB latency timers, permissions, ports, clock source, disk, the
-    certificate, the router, and versions; with FILE also the links of its controllers. Nothing is changed.
+    certificate, the router, versions, and whether other computers reach the bus without TLS; with FILE also the links
+    of its controllers. Nothing is changed.
     """
     found = _examine(file, hosts, connect, state)
     if as_json:
@@ -61,7 +62,7 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
     from orchestrator.runtime.doctor import system
     from orchestrator.runtime.doctor.links import check_links
     from orchestrator.runtime.doctor.parts import check_parts
-    from orchestrator.runtime.doctor.router import check_router
+    from orchestrator.runtime.doctor.router import check_openness, check_router
     from orchestrator.runtime.state_folder import default_state
 
     fleet = None
@@ -77,7 +78,11 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
         found += check_links(fleet, hosts or fleet.hosts)
     if connect:
         router = asyncio.run(check_router(connect))
-        found += [router] if router.state == "failed" else [router, *asyncio.run(check_parts(connect))]
+        found += (
+            [router]
+            if router.state == "failed"
+            else [router, *asyncio.run(check_parts(connect)), asyncio.run(check_openness(connect))]
+        )
     return found
 
 

@@ -58,6 +58,10 @@ Examples:
 @click.option(
     "--keys", type=click.Path(path_type=Path), default=None, help="Folder of the fleet's authority, for `router`."
 )
+@click.option(
+    "--web-host", default="", help="Address of the page, for `gateway`: by TLS, with the certificate of --identity."
+)
+@click.option("--web-port", type=click.IntRange(1, 65_535), default=None, help="Port of the page, for `gateway`.")
 @_to_option(UNITS, "Folder of the units.")
 @json_option
 def install(
@@ -70,6 +74,8 @@ def install(
     user: str | None,
     identity: Path | None,
     keys: Path | None,
+    web_host: str,
+    web_port: int | None,
     to: Path,
     *,
     as_json: bool,
@@ -85,6 +91,9 @@ def install(
 
     fleet = load_checked_fleet(file, tolerant=True)
     _require_hosts(fleet, parts, host, local)
+    if web_host and identity is None:
+        remedy = "give the folder that `tutti keys add-gateway` has made: --identity FOLDER"
+        exit_with_error("--web-host needs the gateway's certificate", BAD_INPUT, remedy, code="bad-certificate")
     place = ServicePlace(
         fleet=fleet,
         file=file.absolute(),
@@ -99,6 +108,8 @@ def install(
         listen=listen,
         keys=None if keys is None else keys.absolute(),
         identity=None if identity is None else identity.absolute(),
+        web_host=web_host,
+        web_port=web_port,
     )
     written: list[Path] = []
     for part in dict.fromkeys(parts):

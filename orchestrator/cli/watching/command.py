@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -37,13 +38,16 @@ def watch(connect: str, fleet: str | None, *, as_json: bool) -> None:
     `{"key", "value"}`.
     """
     from orchestrator.cli.base.names import require_states
+    from orchestrator.model.errors import Refusal
     from orchestrator.monitor.fleet_view import LiveView
 
     async def watch_fleet(tutti: "Tutti") -> None:
-        view = LiveView(tutti.keys, time.monotonic)
+        view = LiveView(tutti.keys, time.monotonic, connect)
         async with tutti.subscribe_samples(*view.key_expressions) as samples:
             view.take_states(await require_states(tutti), await tutti.list_leases())
             view.queue = await load_queue(tutti)
+            with suppress(Refusal):  # without a coordinator
+                view.take_alarms(await tutti.list_alarms())
             if as_json:
                 await _print_messages(samples)
             if not (can_redraw() and sys.stdin.isatty()):
@@ -72,6 +76,7 @@ async def _print_lines(view: "LiveView", samples: "asyncio.Queue[BusSample]") ->
     def print_note(line: str | None) -> None:
         print_line(None if line is None else f"{format_time(_utc_now(), precise=True)} {line}")
 
+    print_note(view.openness or None)
     while True:
         try:
             async with asyncio.timeout(LINES_CHECK_S):

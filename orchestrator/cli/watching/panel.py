@@ -123,6 +123,8 @@ class WatchPanel:
         lost = f"DISCONNECTED: nothing received for {self.connection.silence_s:.0f} s"
         state = ("connected", "green") if self.connection.is_connected else (lost, "bold red")
         head = Text.assemble((f"fleet {self.view.keys.fleet}", "bold"), "  ", state, no_wrap=True, overflow="ellipsis")
+        if self.view.openness:
+            head.append("  INSECURE: the bus has no TLS", "bold red")
         if self.filter or self.is_typing:
             head.append(f"  filter: {self.filter}{'_' if self.is_typing else ''}", "bold yellow")
         if self._scrolled["events"]:

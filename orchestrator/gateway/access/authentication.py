@@ -1,7 +1,7 @@
 """Authentication: users and their sessions, tokens, and the limit of failed sign-ins.
 
-Without users, whatever reaches this machine's own address is an operator. A file of users that cannot be read lets
-nothing in.
+Without users, whatever reaches this machine's own address is an operator; where other computers reach the gateway,
+nothing is let in without. A file of users that cannot be read lets nothing in.
 """
 
 from collections import OrderedDict
@@ -52,10 +52,19 @@ class TooManyTries(Refusal):
 
 class Authentication:
     """Finds the identity of each request. execute: for the verification of passwords, which takes long. new_secret:
-    returns 32 random bytes as text."""
+    returns 32 random bytes as text. open_without_users: whatever comes is an operator while there are no users."""
 
-    def __init__(self, file: UserFile, clock: Clock, execute: Executor, new_secret: Callable[[], str]) -> None:
+    def __init__(
+        self,
+        file: UserFile,
+        clock: Clock,
+        execute: Executor,
+        new_secret: Callable[[], str],
+        *,
+        open_without_users: bool = True,
+    ) -> None:
         self._file, self._clock, self._execute, self._new_secret = file, clock, execute, new_secret
+        self._open_without_users = open_without_users
         self._sessions: OrderedDict[str, _Session] = OrderedDict()
         self._failures: OrderedDict[str, _Failures] = OrderedDict()
         self._table = UserTable()
@@ -78,6 +87,9 @@ class Authentication:
         if authorization:
             return self._identify_token(address, authorization)
         if not self._table.users:
+            if not self._open_without_users:
+                text = "the fleet has no users, and other computers reach this gateway"
+                raise NotSignedIn("no-users", text, "add one on its computer: `tutti user add NAME --role operator`")
             return Identity("", "operator", address, "open")
         return self._identify_session(address, _find_cookie(cookie))
 

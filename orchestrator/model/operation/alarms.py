@@ -14,6 +14,8 @@ AlarmState = Literal["unacknowledged", "acknowledged", "returned", "normal"]
 MAX_SHELVED_S = 24 * 3600.0
 MAX_ALARM_IDS, MAX_HISTORY = 1_000, 10_000
 MAX_SUBJECT = 140
+OPEN_BUS = "open-bus"
+"""The kind of the alarm that other computers reach the bus without TLS: each view shows it by itself."""
 
 _JOINT = re.compile(r"[.+]")
 _OTHER_SIGNS = re.compile(r"[^a-z0-9_-]+")

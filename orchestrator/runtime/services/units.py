@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
+from orchestrator.bus.identity import CERTIFICATE_FILE, KEY_FILE
 from orchestrator.model.fleet import CanBusLink, Fleet, SerialLink
 
 PARTS = ("router", "coordinator", "host", "gateway", "recorder")
@@ -46,7 +47,8 @@ class ServicePlace:
     command: the `tutti` command; python: its interpreter. file: the fleet file. connect: the router. identity: the
     folder of its certificate; None: without. host: the adapter host of this computer. local: the hosts that the
     coordinator's service runs. listen: where the router listens. keys: the folder of the fleet's authority, for the
-    router.
+    router. web_host: the address of the page, by TLS with the certificate of `identity`; empty: 127.0.0.1, without.
+    web_port: None: the first free one of 8080 to 8089.
     """
 
     fleet: Fleet
@@ -60,6 +62,8 @@ class ServicePlace:
     listen: str = ""
     keys: Path | None = None
     identity: Path | None = None
+    web_host: str = ""
+    web_port: int | None = None
 
 
 def make_unit_name(part: str, place: ServicePlace) -> str:
@@ -153,6 +157,7 @@ def _make_command(part: str, place: ServicePlace) -> list[str]:
                 state,
                 *log,
                 "--service",
+                *_list_web_options(place),
             ]
         case "recorder":
             return [
@@ -163,6 +168,14 @@ def _make_command(part: str, place: ServicePlace) -> list[str]:
             ]
         case _:
             raise ValueError(f"no part {part}; parts: {', '.join(PARTS)}")
+
+
+def _list_web_options(place: ServicePlace) -> list[str]:
+    options = [] if place.web_port is None else ["--port", str(place.web_port)]
+    if place.web_host and place.identity is not None:
+        options += ["--address", place.web_host, "--ssl-certfile", str(place.identity / CERTIFICATE_FILE)]
+        options += ["--ssl-keyfile", str(place.identity / KEY_FILE)]
+    return options
 
 
 def _list_devices(part: str, place: ServicePlace) -> list[str]:

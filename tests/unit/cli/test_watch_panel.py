@@ -7,6 +7,7 @@ from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.cli.jog.keys import KeyEvent, KeyParser
 from orchestrator.cli.watching.panel import WatchPanel
+from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState, FaultReport
 from orchestrator.monitor.fleet_view import LiveView
 
@@ -72,6 +73,17 @@ def test_the_whole_height_is_used_and_no_more(columns: int, rows: int) -> None:
     assert lines[0] == "fleet lab  connected"
     assert ("number 99" if columns >= 80 else "gantry: online") in lines[-2]
     assert lines[-1].startswith("↑/↓ PgUp/PgDn scroll")
+
+
+def test_an_open_bus_is_in_the_first_line_as_long_as_it_is_open() -> None:
+    watcher = Watcher()
+    for state, shown in (("unacknowledged", True), ("acknowledged", True), ("returned", False)):
+        alarm = AlarmRecord(
+            id="open-bus-bus", kind=OPEN_BUS, subject="bus", priority="high", text="INSECURE: it has no TLS", action="",
+            state=state, raised_utc="2026-01-01T00:00:00Z",
+        )  # fmt: skip
+        watcher.take(BusSample(KEYS.alarm(alarm.id), alarm.to_json()))
+        assert ("INSECURE: the bus has no TLS" in watcher.lines()[0]) == shown
 
 
 def test_events_scroll_and_stay_where_they_are_read() -> None:

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,14 @@ def test_a_unit_says_when_it_is_ready_and_how_long_it_may_take_to_end(part: str)
         a.limits.velocity / a.limits.acceleration for c in place().fleet.controllers.values() for a in c.axes.values()
     ]
     assert find_stop_s(place().fleet) > max(ramps_s)
+
+
+def test_the_page_of_other_computers_is_served_with_the_certificate_of_the_gateway() -> None:
+    beyond = replace(place(), web_host="0.0.0.0", web_port=8443)
+    (command,) = [line for line in make_unit("gateway", beyond).splitlines() if line.startswith("ExecStart=")]
+    assert "--port 8443 --address 0.0.0.0" in command
+    assert "--ssl-certfile /etc/tutti/local/cert.pem --ssl-keyfile /etc/tutti/local/key.pem" in command
+    assert "--address" not in make_unit("gateway", place())
 
 
 def test_only_the_part_with_serial_ports_may_use_them() -> None:

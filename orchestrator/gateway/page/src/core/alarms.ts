@@ -29,6 +29,11 @@ function rank(alarm: Alarm): number {
   return at < 0 ? ORDER.length : at;
 }
 
+/** Other computers reach the bus without TLS: shown as long as it is so, also when the alarm was acknowledged or shelved. */
+export const openBus = computed(
+  () => sortedAlarms.value.find((alarm) => alarm.kind === "open-bus" && alarm.state !== "returned")?.text ?? "",
+);
+
 /** Those that wait for a user. */
 export const openAlarms = computed(() => sortedAlarms.value.filter((alarm) => !isSetAside(alarm)));
 export const newAlarms = computed(() => openAlarms.value.filter((alarm) => alarm.state !== "acknowledged"));

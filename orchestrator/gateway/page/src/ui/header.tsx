@@ -1,7 +1,7 @@
 /** The head of the page: what the fleet does, its alarms one step away, the views. */
 
 import type { JSX } from "preact";
-import { newAlarms, openAlarms } from "../core/alarms.ts";
+import { newAlarms, openAlarms, openBus } from "../core/alarms.ts";
 import { timeOfDay } from "../core/format.ts";
 import { showView, soundOn, theme, view, VIEWS, type Theme } from "../core/look.ts";
 import { isBusy } from "../core/manual.ts";
@@ -71,7 +71,20 @@ export function Header(): JSX.Element {
         </span>
         <Act label="☰" name={T.settings.title} kind="small" onAct={() => openDialog(T.settings.title, <Settings />)} />
       </div>
+      <OpenBus />
     </header>
+  );
+}
+
+/** Other computers reach the bus: not among the messages, because it stands for days, and would take a place from them. */
+function OpenBus(): JSX.Element | null {
+  if (!openBus.value) return null;
+  return (
+    <p class="message bad" role="alert">
+      <span class="text">
+        <span aria-hidden="true">▲</span> {openBus.value}
+      </span>
+    </p>
   );
 }
 

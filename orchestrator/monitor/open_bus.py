@@ -1,0 +1,13 @@
+"""What every view says of a bus that other computers reach without TLS."""
+
+from collections.abc import Iterable
+
+from orchestrator.bus.endpoint import describe_openness
+from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
+
+
+def find_openness(endpoint: str, alarms: Iterable[AlarmRecord]) -> str:
+    """By the endpoint that the view itself uses, and by the alarms of the fleet; "" where nothing is known of it. An
+    alarm that was acknowledged or shelved counts as well: the bus is still open."""
+    told = (each.text for each in alarms if each.kind == OPEN_BUS and each.is_active)
+    return (describe_openness(endpoint) if endpoint else "") or next(told, "")
