@@ -19,7 +19,7 @@ from orchestrator.bus.base import (
 )
 from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.bus.fleets import find_fleets
-from orchestrator.bus.identity import find_session_name
+from orchestrator.bus.identity import find_session_identity
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
@@ -131,9 +131,10 @@ class FleetConnection:
 
     def _name_denial(self, absent: Refusal, verb: str) -> Refusal:
         """The refusal for an empty answer: a router with roles leaves out what a name may not do, without a word."""
-        name = find_session_name(self._endpoint)
-        if not name:
+        identity = find_session_identity(self._endpoint)
+        if identity is None:
             return absent
+        name = identity.common_name
         remedy = f"see `tutti keys ls`: is {name} there, and may its role do `{verb}`? Else {absent.remedy}"
         return Refusal(absent.code, f"not allowed as {name}, or {absent.text}", remedy, absent.controller)
 
