@@ -1,4 +1,4 @@
-"""Put what stands in a file on keys, as fast as this process can: `flood.py ENDPOINT FILE KEY…`.
+"""Put what stands in a file on keys, as fast as this process can: `flood.py ENDPOINT FILE KEY…`; `?KEY` is requested.
 
 It has the lowest priority, and the identity of its environment. When its standard input ends it prints how much it put.
 """
@@ -23,7 +23,10 @@ def main() -> None:
     sys.stdout.flush()
     while not ended.is_set():
         for key in keys:
-            session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+            if key.startswith("?"):
+                session.get(key[1:], lambda _: None, payload=payload, timeout=1.0)
+            else:
+                session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
         put += len(keys)
     sys.stdout.write(f"{put}\n")
     sys.stdout.flush()

@@ -222,7 +222,7 @@ class Flood:
         command = [sys.executable, str(Path(__file__).with_name("flood.py")), fleet.tls, str(file)]
         self.put = 0
         self._process = subprocess.Popen(
-            [*command, *(f"{PREFIX}/{key}" for key in keys)],
+            [*command, *("?" * key.startswith("?") + f"{PREFIX}/{key.lstrip('?')}" for key in keys)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -242,11 +242,12 @@ class Flood:
             self._process.wait()
 
 
-# All that the table lets a role put, but for clock and link of the same controller.
+# What the table lets a role put, but for clock and link of the same controller; `?` stands for requests.
 FLOODS = {
     "host": ("right", ("ctl/stage/state", "ctl/stage/event", "log/host/right", "alarm-request/host/right")),
     "operator": ("anna", ("session/x", "log/operator/anna", "estop-reset", "alarm-request/operator/anna")),
     "maintainer": ("anna", ("estop", "session/x")),
+    "gateway": ("anna", ("?ctl/gantry/cmd/jog", "?svc/submit", "?ctl/stage/info")),
     "viewer": ("anna", ("leader", "ctl/gantry/state", "estop", "log/viewer/anna")),
 }
 
@@ -272,7 +273,8 @@ def test_a_flood_on_what_a_role_may_use_leaves_the_stop(keyed: KeyedFleet, role:
     sys.stdout.write(f"{role}: put {flood.put}, at rest after {took}, grown by {grown} MB; {report.reason}\n")
     assert all(each < STOPPED_S for each in took.values()), took
     assert grown < 2 * MAX_BYTES_QUEUED / MB, grown
-    assert flood.put > 1000 and report.state in ("aborted", "failed"), report.reason
+    assert flood.put > 100, "it floods"
+    assert report.state in ("aborted", "failed"), report.reason
     if role != "maintainer":
         keyed.works()  # else it is latched
 
