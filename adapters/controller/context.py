@@ -15,6 +15,7 @@ from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TraceRing
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.model.state import CertificateEnd
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,8 @@ class ControllerContext:
     follow_leader: called with the coordinator that has adopted the controller.
     replace_supervisor: requests from the host that it replaces this supervisor by one with another configuration.
     sessions: when the commands that a person waits for were last seen.
-    lowering_lock: lock that lets one controller of the host lower profiles at a time."""
+    lowering_lock: lock that lets one controller of the host lower profiles at a time.
+    certificate: of the host's session, if it has one."""
 
     controller: str
     config: Controller
@@ -46,3 +48,4 @@ class ControllerContext:
     replace_supervisor: Callable[[str, Controller], None]
     sessions: SessionSigns
     lowering_lock: asyncio.Lock
+    certificate: CertificateEnd | None

@@ -299,6 +299,7 @@ class StatePublisher:
             options_schema=_options_schema(self._context.make.options_model),
             tutti=find_own_version(),
             protocol=str(PROTOCOL),
+            certificate=self._context.certificate,
         ).to_json()
 
 

@@ -30,7 +30,7 @@ from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
 from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.messages import KeptEstop, LeaderHeartbeat
-from orchestrator.model.state import EstopLatch
+from orchestrator.model.state import CertificateEnd, EstopLatch
 
 REPLY_SEND_NS = 20 * NS_PER_MS  # for the reply to `configure` to be sent before its supervisor is closed
 BACKLOG_LIMIT = 200  # samples; some seconds of states and events
@@ -38,7 +38,8 @@ BACKLOG_LIMIT = 200  # samples; some seconds of states and events
 
 @dataclass(frozen=True, slots=True)
 class HostEnvironment:
-    """The environment of a host: everything that differs between live and virtual runs."""
+    """The environment of a host: everything that differs between live and virtual runs. certificate: of its session, if
+    it has one."""
 
     bus: Bus
     keys: FleetKeys
@@ -49,6 +50,7 @@ class HostEnvironment:
     runs: Executor
     sink: LogSink
     instance: str
+    certificate: CertificateEnd | None = None
 
 
 @dataclass(slots=True)
@@ -138,6 +140,7 @@ class AdapterHost:
                 self._replace_supervisor(controller, config)
             ),
             sessions=self._sessions,
+            certificate=around.certificate,
             lowering_lock=self._lowering_lock,
         )
         return ControllerSupervisor(seat, PersistentMemory(around.store(controller), around.runs))

@@ -25,6 +25,7 @@ from adapters.host.firing_process import ProcessTimedWriter
 from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import apply_make_defaults, find_controller_problems
 from adapters.link.open import make_link_opener
+from orchestrator.bus.expiry import find_session_certificate
 from orchestrator.bus.identity import BadIdentity
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.limits import MAX_HOST_MESSAGE_BYTES
@@ -182,6 +183,7 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
             ThreadExecutor("memory"),
             sink,
             uuid4().hex,
+            find_session_certificate(chosen.connect),
         )
         try:
             host = AdapterHost(chosen.host, fleet, around)

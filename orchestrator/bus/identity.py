@@ -64,15 +64,15 @@ def find_identity() -> Path | None:
     return Path(named) if named else None
 
 
-def find_session_name(endpoint: str = "") -> str:
-    """The common name that sessions of this process have; "" where they have none. endpoint: of the bus, if known."""
+def find_session_identity(endpoint: str = "") -> Identity | None:
+    """The identity that sessions of this process have; None where they have none. endpoint: of the bus, if known."""
     folder = find_identity()
     if folder is None or (endpoint and "tls/" not in endpoint):
-        return ""
+        return None
     try:
-        return read_identity(folder).common_name
+        return read_identity(folder)
     except BadIdentity:
-        return ""
+        return None
 
 
 def read_identity(folder: Path) -> Identity:

@@ -15,6 +15,9 @@ ANY_ESTOP = f"{ROOT}/*/estop"
 ANY_STATE, ANY_TIME = f"{ROOT}/*/ctl/*/state", f"{ROOT}/*/time"
 """What the fleets on a bus are found by."""
 
+ANY_KEPT_ESTOP = f"{ROOT}/*/kept-estop/*"
+"""What a router answers itself, so that a session sees whether its name counts there."""
+
 _ID = re.compile(r"[a-z0-9_-]+")
 
 

@@ -19,8 +19,8 @@ from orchestrator.bus.base import (
 )
 from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.bus.fleets import find_fleets
-from orchestrator.bus.identity import find_session_name
-from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.identity import find_session_identity
+from orchestrator.bus.keys import ANY_KEPT_ESTOP, FleetKeys
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply, Request
@@ -67,7 +67,7 @@ class FleetConnection:
             except BaseException as error:
                 await self.close()
                 if isinstance(error, Refusal) and error.code == "no-fleet":
-                    raise self._name_denial(error, "status") from None
+                    raise await self._explain_silence(error, "status") from None
                 raise
         return self
 
@@ -126,16 +126,35 @@ class FleetConnection:
         except BusError as error:
             self._leader = ""
             text = f"fleet {self.keys.fleet} has no active coordinator"
-            absent = self._name_denial(Refusal("no-coordinator", text, "start one: `tutti up FILE`"), verb)
-            raise _explain_failure(error, absent) from None
+            failure = _explain_failure(error, Refusal("no-coordinator", text, "start one: `tutti up FILE`"))
+            if isinstance(error, NoReply):
+                failure = await self._explain_silence(failure, verb, self.keys.leader_answer())
+            raise failure from None
 
-    def _name_denial(self, absent: Refusal, verb: str) -> Refusal:
-        """The refusal for an empty answer: a router with roles leaves out what a name may not do, without a word."""
-        name = find_session_name(self._endpoint)
-        if not name:
+    async def _explain_silence(self, absent: Refusal, verb: str, served: str = "") -> Refusal:
+        """The refusal for an empty answer: a router with roles leaves out what a name may not do, without a word.
+
+        absent: if nothing is left out. served: a key that every reader may ask, served by the process that should have
+        answered. The router serves one itself: where not even that answers, the name has no right at all.
+        """
+        identity = find_session_identity(self._endpoint)
+        if identity is None:
             return absent
-        remedy = f"see `tutti keys ls`: is {name} there, and may its role do `{verb}`? Else {absent.remedy}"
-        return Refusal(absent.code, f"not allowed as {name}, or {absent.text}", remedy, absent.controller)
+        name = identity.common_name
+        if served and await self._is_answered(served):
+            text, remedy = f"its role may not do `{verb}`", "use the identity of a role that may: `tutti keys ls`"
+        elif await self._is_answered(ANY_KEPT_ESTOP):
+            return absent
+        else:
+            text = "not even the router answers it"
+            remedy = f"see `tutti keys ls`: does {name} count, and may its role look? Else copy its folder again"
+        return Refusal(absent.code, f"not allowed as {name}: {text}", remedy, absent.controller)
+
+    async def _is_answered(self, expression: str) -> bool:
+        try:
+            return bool(await self.bus.request_all(expression, b"", LEADER_S))
+        except BusError:
+            return False
 
     async def find_absence(self) -> Refusal:
         """The refusal, code `no-fleet`, for a fleet of which no controller answers; names the fleets that do."""
@@ -145,7 +164,8 @@ class FleetConnection:
             return Refusal("no-fleet", text, "are its adapter hosts running? see `tutti up`")
         there = f"there are: {', '.join(fleets)}" if fleets else "no fleet is on this bus"
         remedy = "choose one with --fleet" if fleets else "start it: `tutti up FILE`"
-        return self._name_denial(Refusal("no-fleet", f"no fleet {self.keys.fleet}; {there}", remedy), "status")
+        absent = Refusal("no-fleet", f"no fleet {self.keys.fleet}; {there}", remedy)
+        return await self._explain_silence(absent, "status")
 
     async def request_controller(
         self, controller: str, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S
@@ -155,13 +175,12 @@ class FleetConnection:
         Raises `Refusal`; its text names the controller, because adapters know only their own axis names.
         """
         try:
-            return await self._request(
-                self.keys.command(controller, verb),
-                request,
-                reply,
-                timeout_s,
-                self._name_denial(absence_refusal(controller), verb),
-            )
+            return await self._ask(self.keys.command(controller, verb), request, reply, timeout_s)
+        except BusError as error:
+            failure = _explain_failure(error, absence_refusal(controller))
+            if isinstance(error, NoReply):
+                failure = await self._explain_silence(failure, verb, self.keys.state(controller))
+            raise failure from None
         except Refusal as error:
             if error.controller != controller or controller in error.text:
                 raise

@@ -15,6 +15,7 @@ from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.alarms.service import AlarmService
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.certificates import CertificateEnds
 from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.fleet.permits import PermitMonitor
@@ -63,7 +64,8 @@ class Coordinator:
         self._view = FleetView(fleet, bus, keys, clock, self._log)
         requests = MemberRequests(bus, keys, self.leadership, environment.new_id, self._view)
         permits = PermitMonitor(self._view, clock)
-        access = self._fleet = FleetAccess(self._view, requests, permits, clock, self._log, tasks)
+        certificates = CertificateEnds(self._view, clock, environment.certificate)
+        access = self._fleet = FleetAccess(self._view, requests, permits, certificates, clock, self._log, tasks)
         self._leases = LeaseRegistry(access, bus, keys)
         self._positions = PositionBook(access, environment.journal, self._execute)
         publisher = StepPublisher(bus, keys)
@@ -172,7 +174,7 @@ class Coordinator:
     async def _adopt_controller(self, controller: str, instance: str) -> None:
         try:
             await self._view.bind_server(controller)
-            await self._require_version(controller)
+            await self._check_part(controller)
             request = AdoptRequest(
                 **self._fleet.requests.request_fields("coordinator"), leader=self.leadership.make_heartbeat()
             )
@@ -199,11 +201,12 @@ class Coordinator:
         finally:
             self._adopting.discard(controller)
 
-    async def _require_version(self, controller: str) -> None:
-        """Raises `Refusal` for an adapter that is of a version too far from this one, `BusError`."""
+    async def _check_part(self, controller: str) -> None:
+        """Take note of the adapter's certificate. Raises `Refusal` for a version too far from this one, `BusError`."""
         try:
             info = await self._view.ask_info(controller)
             stated = PartVersion(info.tutti, info.protocol)
+            self._fleet.certificates.note_stated(controller, info.certificate)
         except ValidationError:
             stated = PartVersion("", "")
         host = self._view.fleet.controllers[controller].host

@@ -15,6 +15,7 @@ import uuid
 from pathlib import Path
 
 from orchestrator.bus.base import Bus
+from orchestrator.bus.expiry import find_session_certificate
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.latch import FileLatchStore, LatchKeeper
 from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES
@@ -101,6 +102,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         latches=latches,
         run_command=run_command_process,
         find_free=lambda: runs(_find_free_bytes, options.journal.parent),
+        certificate=find_session_certificate(options.connect),
     )
     coordinator = Coordinator(fleet, court)
     try:

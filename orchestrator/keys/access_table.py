@@ -7,7 +7,7 @@ needs a row that is as wide, and a row for `ctl/*/state` does not open `ctl/**`.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
-from orchestrator.bus.keys import ANY_ESTOP, ANY_STATE, ANY_TIME, FleetKeys
+from orchestrator.bus.keys import ANY_ESTOP, ANY_KEPT_ESTOP, ANY_STATE, ANY_TIME, FleetKeys
 from orchestrator.bus.service_verbs import VIEW_VERBS
 from orchestrator.keys.names import KeyName, Role
 
@@ -54,6 +54,7 @@ def _find_reading(keys: FleetKeys) -> Rights:
             keys.leader_answer(),
             keys.kept_estop(),
             keys.time,
+            ANY_KEPT_ESTOP,
             ANY_STATE,
             ANY_TIME,
             *map(keys.service, VIEW_VERBS),

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from orchestrator.model.base import HostNs, Id, Int53, Label, Model, Rational
 from orchestrator.model.errors import ControllerFault
+from orchestrator.model.queue import Utc
 from orchestrator.model.version import ProtocolText
 
 Mode = Literal["offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault"]
@@ -193,6 +194,13 @@ class StepCosts(Model):
     stop_ns: Int53
 
 
+class CertificateEnd(Model):
+    """The certificate of a session: the common name, e.g. `host-lab3.2`, and when it ends."""
+
+    name: Label
+    ends_utc: Utc
+
+
 class ControllerInfo(Model):
     """Identity and capabilities of a controller."""
 
@@ -215,6 +223,11 @@ class ControllerInfo(Model):
     options_schema: dict[str, Any]
     tutti: Label = Field(default="", description="Version of Tutti of its adapter host.")
     protocol: ProtocolText = Field(default="", description="Version of the messages that it understands, major.minor.")
+    certificate: CertificateEnd | None = Field(
+        default=None,
+        exclude_if=lambda certificate: certificate is None,
+        description="That of its adapter host's session; left out where it has none.",
+    )
 
 
 class ClockMapping(Model):

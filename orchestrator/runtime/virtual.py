@@ -41,7 +41,7 @@ from orchestrator.coordinator.leadership.standby import wait_for_vacancy
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, WireConnection, group_by_link
-from orchestrator.model.state import ControllerState
+from orchestrator.model.state import CertificateEnd, ControllerState
 from orchestrator.runtime.bridge import network_wire
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.virtual_disk import VirtualDisk
@@ -113,6 +113,8 @@ class VirtualFleet:
         self.computers: dict[str, ComputerClock] = {}
         """Clocks of adapter hosts that run on computers of their own, to be set before the start; the others, the
         coordinator, clients and the router are on one computer, whose clock is `computers[""]`, or virtual time."""
+        self.certificates: dict[str, CertificateEnd] = {}
+        """By adapter host, "" for the coordinator: the certificates of those that start from now on."""
         self.clock = clock
         self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
         self.keys = FleetKeys(fleet.fleet)
@@ -262,6 +264,7 @@ class VirtualFleet:
             runs=disk.make_executor(),
             sink=self.lines.append,
             instance=label,
+            certificate=self.certificates.get(name),
         )
         process.add_death_callback(lambda: self._clean_up_host(host, label))
 
@@ -344,6 +347,7 @@ class VirtualFleet:
             latches=FileLatchStore(Path("estop.json"), self.coordinator_disk.access_files()),
             run_command=lambda words, text, variables, timeout_ns: self.run_command(words, text, variables, timeout_ns),
             find_free=self.coordinator_disk.find_free,
+            certificate=self.certificates.get(""),
         )
 
     def _make_journal_executor(self) -> Executor:

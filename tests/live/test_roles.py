@@ -1,5 +1,6 @@
 """The table of roles against a running router: what arrives of each act, with the names in the certificates."""
 
+import asyncio
 import os
 import shutil
 import subprocess
@@ -22,8 +23,10 @@ from zenoh.handlers import Callback
 
 from orchestrator.bus.identity import VARIABLE, BadIdentity
 from orchestrator.bus.zenoh.sessions import RouterUnreachable, open_session
+from orchestrator.client import Tutti
 from orchestrator.keys.folder import KeyFolder
 from orchestrator.keys.names import USER_ROLES
+from orchestrator.model.errors import Refusal
 
 pytestmark = pytest.mark.live
 
@@ -431,6 +434,23 @@ def test_a_changed_table_counts_once_the_fleet_is_at_rest(router: RolesRouter) -
     assert not arrives(anna, "anna after")
     for each in (observer, anna, ben):
         each.close()
+
+
+def test_without_a_coordinator_a_name_that_counts_is_not_blamed(router: RolesRouter) -> None:
+    async def ask() -> None:
+        async with Tutti(router.tls, "lab", "test") as tutti:
+            await tutti.list_jobs()
+
+    for role, text in (
+        ("viewer", "fleet lab has no active coordinator"),
+        ("older", r"not allowed as host-left\.1: not"),
+    ):
+        os.environ[VARIABLE] = str(router.identity(role))
+        try:
+            with pytest.raises(Refusal, match=f"^{text}"):
+                asyncio.run(ask())
+        finally:
+            del os.environ[VARIABLE]
 
 
 def router_admits(router: RolesRouter, role: str) -> bool:

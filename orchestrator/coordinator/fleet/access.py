@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import Clock
 from orchestrator.clock.owner import TaskOwner
+from orchestrator.coordinator.fleet.certificates import CertificateEnds
 from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.fleet.view import FleetView
@@ -13,11 +14,13 @@ from orchestrator.model.messages import Reply, StopMode, StopRequest
 
 @dataclass(frozen=True, slots=True)
 class FleetAccess:
-    """The view of the fleet, requests to its controllers, its permits, and the coordinator's clock, log and tasks."""
+    """The view of the fleet, requests to its controllers, its permits, the ends of its certificates, and the
+    coordinator's clock, log and tasks."""
 
     view: FleetView
     requests: MemberRequests
     permits: PermitMonitor
+    certificates: CertificateEnds
     clock: Clock
     log: ProcessLog
     tasks: TaskOwner

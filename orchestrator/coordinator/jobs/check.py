@@ -3,12 +3,13 @@
 import asyncio
 from collections.abc import Generator, Iterable, Mapping, Sequence
 
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.model.errors import Refusal
 from orchestrator.model.files import format_place
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import StepForecast, StepProblem
-from orchestrator.model.job import FollowPath, Repeat, Scan, Step, iterate_steps
+from orchestrator.model.job import Dwell, FollowPath, Home, Repeat, Scan, Step, iterate_steps
 from orchestrator.model.scans.step_order import RemainingStep
 from orchestrator.plan.forecast import JobForecaster
 
@@ -16,19 +17,29 @@ STEPS_AT_ONCE = 20  # that are checked before other work gets its turn
 MAX_LISTED = 10  # problems in one refusal
 
 
-async def check_job(fleet: Fleet, steps: Iterable[RemainingStep], plan: Executor) -> None:
-    """Run steps forward, from an unknown beginning. More passes and points cost no more. plan: plans paths.
+async def check_job(fleet: Fleet, steps: Iterable[RemainingStep], plan: Executor) -> float:
+    """Run steps forward, from an unknown beginning; return how long they take at least, s. More passes and points cost
+    no more. plan: plans paths.
 
     Raises `Refusal` for what cannot work wherever the axes are.
     """
-    forecaster, written = JobForecaster(fleet), dict[int, Step]()
+    forecaster, written, least_s = JobForecaster(fleet), dict[int, Step](), 0.0
     for done, (_, number, step) in enumerate(steps):
         if done and done % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
         written[number] = step
-        await forecast_step(forecaster, number, step, plan)
+        least_s += (await forecast_step(forecaster, number, step, plan)).least_s
     if forecaster.problems:
         raise _make_refusal(written, forecaster.problems)
+    return least_s
+
+
+def predict_s(fleet: Fleet, step: Step) -> float:
+    """How long a step without a plan of its own takes, s: a homing as long as it may, a dwell its duration; 0 for
+    others."""
+    if isinstance(step, Home):
+        return JobForecaster(fleet).take(0, step).most_s or 0.0
+    return step.duration / NS_PER_S if isinstance(step, Dwell) else 0.0
 
 
 async def forecast_step(forecaster: JobForecaster, number: int, step: Step, plan: Executor) -> StepForecast:

@@ -7,7 +7,7 @@ from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.path_intake import split_paths
 from orchestrator.coordinator.jobs.point_intake import PointIntake
-from orchestrator.coordinator.jobs.queue import find_axes
+from orchestrator.coordinator.jobs.queue import find_axes, find_needed_controllers
 from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
 from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal import journal
@@ -36,7 +36,7 @@ class JobIntake:
         job = await split_paths(self._services.view, await self.points.resolve_points(request.job))
         _order_steps(job, request.terms)
         order = self._services.positions.make_resolver().resolve_remaining(job.steps, request.terms.repeat)
-        await check_job(self._services.view.fleet, order.list_remaining(), self._services.motion.plan)
+        await self._check_steps(order.list_remaining(), request.terms)
         await self._check_terms(request.terms, request.client_key)
         if request.terms.now:
             await self._require_free_way(request)
@@ -57,7 +57,7 @@ class JobIntake:
         from_step = _find_first_step(record.id, order, request)
         resolver = services.positions.make_resolver()
         remaining = resolver.resolve_remaining(job.steps, terms.repeat, from_step).list_remaining(from_step)
-        await check_job(services.view.fleet, remaining, services.motion.plan)
+        await self._check_steps(remaining, terms)
         await self._check_terms(terms, request.client_key)
         axes = find_axes(services.view.fleet, [each.step for each in remaining])
         described = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]
@@ -83,6 +83,13 @@ class JobIntake:
         return gone
 
     # Inside
+
+    async def _check_steps(self, steps: list[RemainingStep], terms: QueueTerms) -> None:
+        """Raises `Refusal` for steps that cannot work, and for those that would outlive a certificate."""
+        services, fleet = self._services, self._services.view.fleet
+        least_s = await check_job(fleet, steps, services.motion.plan)
+        members = find_needed_controllers(fleet, [each.step for each in steps])
+        services.fleet.certificates.require_until(members, least_s, terms.at)
 
     async def _accept_job(
         self, client_key: str, job: Job, terms: QueueTerms, retried: journal.RetryOrigin | None

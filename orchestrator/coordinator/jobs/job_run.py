@@ -15,7 +15,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.jobs.check import check_job
+from orchestrator.coordinator.jobs.check import check_job, predict_s
 from orchestrator.coordinator.jobs.job_plan import PlannedJob, list_written, make_plan
 from orchestrator.coordinator.jobs.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.point_readings import PointReadings
@@ -342,7 +342,8 @@ class JobRun:
         self._take_positions()
         # Again, because the fleet may have changed since the job was accepted.
         remaining = self._steps.order.list_remaining(self.row.from_step)
-        await check_job(services.view.fleet, remaining, services.motion.plan)
+        least_s = await check_job(services.view.fleet, remaining, services.motion.plan)
+        services.fleet.certificates.require_until(self.needs, least_s)
         axes = find_axes(services.view.fleet, self.steps_to_run)
         since_ns = services.clock.now_ns()
         user = LeaseUser(self.row.id, self.row.actor, f"job {self.row.name!r}", self.row.session or "")
@@ -436,6 +437,7 @@ class JobRun:
         try:
             if self._motion_step is not None:
                 return await self._run_motion(self._motion_step)
+            services.fleet.certificates.require_until(self.needs, predict_s(services.view.fleet, step))
             await self._on_state("running", "")
             latched = await services.plain_steps.run_step(step, self.row.id, self.row.actor, self._on_progress)
         except Refusal as error:

@@ -8,6 +8,7 @@ from typing import Literal
 from orchestrator.bus.base import BusError
 from orchestrator.coordinator.jobs.check import forecast_step
 from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.queue import find_needed_controllers
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
 from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove
@@ -59,7 +60,22 @@ class JobRehearsal:
                 for done in await asyncio.gather(*rehearsals):
                     steps[done.index - request.first] = done
                 rehearsals.clear()
+        self._check_certificates(request, steps, forecaster)
         return DryRunDone(forecast=forecaster.finish(steps), end=forecaster.axes)
+
+    def _check_certificates(self, request: DryRun, steps: list[StepForecast], forecaster: JobForecaster) -> None:
+        """Add the first step that would outlive a certificate to the problems, if these steps began now."""
+        if forecaster.problems:
+            return
+        fleet, certificates = self._services.view.fleet, self._services.fleet.certificates
+        members, least_s = find_needed_controllers(fleet, request.job.steps), 0.0
+        for step in steps:
+            least_s += step.least_s
+            try:
+                certificates.require_until(members, least_s)
+            except Refusal as error:
+                forecaster.add_refusal(step.index, error)
+                return
 
     async def _rehearse(
         self, planned: PlannedStep, forecast: StepForecast, problems: list[StepProblem]

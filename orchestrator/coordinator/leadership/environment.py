@@ -12,6 +12,7 @@ from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.state import CertificateEnd
 
 
 class CommandResult(NamedTuple):
@@ -38,7 +39,7 @@ class CoordinatorEnvironment:
 
     save_fleet: stores a reloaded fleet for the next start. latches: stores the e-stop latch. run_command: runs the
     command of `notify`. find_free: returns the free bytes on the disk of the journal, None: not known. plan: plans
-    paths, which may take seconds; heartbeats and stops go on meanwhile.
+    paths, which may take seconds; heartbeats and stops go on meanwhile. certificate: of its session, if it has one.
     """
 
     bus: Bus
@@ -53,3 +54,4 @@ class CoordinatorEnvironment:
     run_command: RunCommand
     find_free: Callable[[], Awaitable[int | None]]
     plan: Executor = run_inline
+    certificate: CertificateEnd | None = None

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
 
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
@@ -63,6 +64,8 @@ class PlannedMotion:
         """Negotiate with the members. Raises `Refusal`. present: the moving step that it follows."""
         negotiation = StartNegotiation(services, planned, present)
         agreement = await negotiation.agree()
+        certificates, ends_s = services.fleet.certificates, _find_duration_s(planned, agreement)
+        certificates.require_until(agreement.members, agreement.lead_ns / NS_PER_S + ends_s)
         stop_times_ns = {name: each.costs.stop_ns for name, each in agreement.proposals.items() if each.costs}
         services.stop_times_ns.update(stop_times_ns)
         # Events and permits count from before arming: a stop, or the loss of a permit, may come at any moment.
@@ -76,8 +79,7 @@ class PlannedMotion:
     @property
     def duration_s(self) -> float:
         """From T0 to the end, as planned."""
-        first = self.agreement.first
-        return self.agreement.plan.duration_s if first is None else first.course.duration_s - self.planned.begun_s
+        return _find_duration_s(self.planned, self.agreement)
 
     def make_present(self, between: BetweenSteps) -> PresentMove:
         """The step as the one that another step follows; once T0 is decided."""
@@ -105,6 +107,11 @@ class PlannedMotion:
                 await self.feed.hold(actor)
             elif begun:
                 await fleet.stop_members(self.agreement.actors, "feed-hold", actor, f"paused by {actor}")
+
+
+def _find_duration_s(planned: PlannedStep, agreement: StartAgreement) -> float:
+    first = agreement.first
+    return agreement.plan.duration_s if first is None else first.course.duration_s - planned.begun_s
 
 
 class MotionStep:
