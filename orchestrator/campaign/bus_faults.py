@@ -1,5 +1,6 @@
 """Faults of the bus between an adapter host and others."""
 
+from collections.abc import Sequence
 from contextvars import Context
 from random import Random
 
@@ -36,6 +37,21 @@ class BusFaults:
             case _:  # bus-loss
                 self._net.set_loss(host, self._draw.choice((0.3, 0.7, 1.0)))
                 return lambda: self._net.set_loss(host, 0.0)
+
+    def cut_coordinator(self, coordinator: str, hosts: Sequence[str]) -> Repair:
+        """Cut the coordinator off all adapter hosts, in both directions or in one of them; return the repair."""
+        if (way := self._draw.choice(("both", "to", "from"))) == "both":
+            self._net.partition_net({coordinator}, set(hosts))
+            return self._net.heal_partition
+        lasts_ns = self._draw.randint(*PARTITION_NS)
+        ends = [(host, coordinator) if way == "to" else (coordinator, host) for host in hosts]
+        opened = [self._block_way(*each, lasts_ns) for each in ends]
+
+        def open_all() -> None:
+            for each in opened:
+                each()
+
+        return open_all
 
     def _block_way(self, sender: str | None, receiver: str, lasts_ns: int | None = None) -> Repair:
         """Block one direction, for `lasts_ns` or until the repair."""

@@ -15,10 +15,10 @@ _START_COLUMNS = ("name", "actor", "body", "state", "submitted_utc", "missed", "
 
 
 def inject_fault(fleet: VirtualFleet, fault: str, draw: Random) -> Repair:
-    """Inject a fault of all disks of a fleet; return its repair."""
-    disks = [fleet.coordinator_disk, *fleet.host_disks.values()]
+    """Inject a fault of all disks of a fleet, or of the journal's; return its repair."""
+    disks = [fleet.coordinator_disk, *(fleet.host_disks.values() if fault != "journal-full" else ())]
     match fault:
-        case "disk-full":
+        case "disk-full" | "journal-full":
             for disk in disks:
                 disk.full = True
         case "disk-slow":

@@ -37,6 +37,7 @@ class FaultKind:
     of_job: it affects the controllers of the member's job only.
     attended: the member's job belongs to a command that a person waits for.
     makes: makes that it can affect; none named: all.
+    own_seeds: only in seeds that name it, so that those without are as they were.
     """
 
     name: str
@@ -50,6 +51,7 @@ class FaultKind:
     of_job: bool = False
     attended: bool = False
     makes: tuple[str, ...] = ()
+    own_seeds: bool = False
 
 
 FAULTS: dict[str, FaultKind] = {
@@ -102,6 +104,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("disk-full", "fleet", must_stop=False),
         FaultKind("disk-slow", "fleet", must_stop=False),
         FaultKind("disk-bit-flip", "fleet"),
+        FaultKind("coordinator-cut", "fleet", jog_may_continue=True, own_seeds=True),
     )
 }
 
@@ -193,6 +196,9 @@ class FaultInjector:
                 return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=not lost))
             case "fleet-restarted":
                 return self._kill_all_processes()
+            case "coordinator-cut":
+                hosts = [fleet.find_process(f"host/{host}").name for host in self._whole_fleet.hosts]
+                return self._buses.cut_coordinator(fleet.find_process(leader).name, hosts)
             case "coordinator-killed":
                 fleet.kill(leader)
                 return self._start_coordinator
@@ -203,10 +209,7 @@ class FaultInjector:
             case "coordinator-overtaken":
                 self.former_leaders.append(self.leader_name)
                 self._start_coordinator(take_over=True)
-            case "journal-full":
-                fleet.coordinator_disk.full = True
-                return lambda: setattr(fleet.coordinator_disk, "full", False)
-            case "disk-full" | "disk-slow":
+            case "journal-full" | "disk-full" | "disk-slow":
                 return disk_faults.inject_fault(fleet, fault, self._draw)
             case "disk-bit-flip":
                 disk_faults.inject_fault(fleet, fault, self._draw)

@@ -1,7 +1,7 @@
 """The sequence of campaign seeds, and the counts of injected faults by stage, fault and make."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -13,29 +13,46 @@ from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, Seed
 from orchestrator.runtime.workers import map_in_processes
 
 
-def list_cells(stages: Sequence[Stage]) -> list[FaultCell]:
-    """List every possible fault of each make at some `stages`."""
-    return [
-        FaultCell(stage, name, make)
-        for name, fault in FAULTS.items()
-        for make in fault.makes or MAKES
-        for stage in stages
-        if make in STAGE_MAKES.get(stage, MAKES)
-    ]
+@dataclass(frozen=True, slots=True)
+class SeedChoice:
+    """Which faults the seeds of a campaign have. stages, faults: with any, each seed has one fault, of these at these
+    (none named: all). apart: each adapter host runs on a computer of its own."""
+
+    stages: tuple[Stage, ...] = ()
+    faults: tuple[str, ...] = ()
+    apart: bool = False
+
+    @property
+    def is_narrowed(self) -> bool:
+        """Whether its seeds have one fault each."""
+        return bool(self.stages or self.faults)
+
+    def list_cells(self) -> list[FaultCell]:
+        """List every possible fault of each make at each stage."""
+        return [
+            FaultCell(stage, name, make)
+            for name, fault in FAULTS.items()
+            if (name in self.faults if self.faults else not fault.own_seeds)
+            for make in fault.makes or MAKES
+            for stage in self.stages or STAGES
+            if make in STAGE_MAKES.get(stage, MAKES)
+        ]
 
 
-CELLS = list_cells(STAGES)
+EVERY_SEED = SeedChoice()
+CELLS = EVERY_SEED.list_cells()
+ROUND_FAULTS = {name: fault for name, fault in FAULTS.items() if not fault.own_seeds}
 
 
 def _make_round() -> list[FaultCell]:
     """List every cell three times, but cells of a fault that affects the whole fleet twice, because it counts for
     all makes that take part in its step. (Only one member is jogged or homed.)
 
-    The first len(STAGES) * len(FAULTS) are all pairs of stage and fault.
+    The first len(STAGES) * len(ROUND_FAULTS) are all pairs of stage and fault.
     """
     cells: list[FaultCell] = []
     for lap, turn in product(range(1, 4), range(len(MAKES))):
-        for number, (name, fault) in enumerate(FAULTS.items()):
+        for number, (name, fault) in enumerate(ROUND_FAULTS.items()):
             for place, stage in enumerate(STAGES):
                 makes = fault.makes or MAKES
                 if turn >= len(makes):
@@ -47,18 +64,18 @@ def _make_round() -> list[FaultCell]:
 
 
 ROUND = _make_round()
-PAIRS = len(STAGES) * len(FAULTS)
+PAIRS = len(STAGES) * len(ROUND_FAULTS)
 
 # Preparing a fleet takes as long as a phase. With two phases ten thousand seeds target each cell 21 times, and some
 # faults come too late for their target.
 PHASES = 3
 
 
-def cells_of_seed(seed: int, stages: Sequence[Stage] = ()) -> list[FaultCell]:
+def cells_of_seed(seed: int, choice: SeedChoice = EVERY_SEED) -> list[FaultCell]:
     """Return the faults of a seed. Consecutive seeds step through all cells, and in the long run through all pairs
-    of them. stages: one fault, at one of these; consecutive seeds step through their cells."""
-    if stages:
-        cells = list_cells(stages)
+    of them."""
+    if choice.is_narrowed:
+        cells = choice.list_cells()
         return [cells[seed % len(cells)]]
     again = seed // len(ROUND)
     return [ROUND[(seed + act * (PAIRS // PHASES + 157 * again)) % len(ROUND)] for act in range(PHASES)]
@@ -93,24 +110,20 @@ class CampaignResult:
         return min(self.cells[cell] for cell in self.possible)
 
 
-def run_seed(seed: int, *, stages: Sequence[Stage] = (), apart: bool = False) -> SeedRun:
-    """Run a seed as the campaign does. stages: with faults at these only. apart: each adapter host on a computer of
-    its own."""
-    return run_scenario(seed, cells_of_seed(seed, stages), apart=apart)
+def run_seed(seed: int, choice: SeedChoice = EVERY_SEED) -> SeedRun:
+    """Run a seed as the campaign does."""
+    return run_scenario(seed, cells_of_seed(seed, choice), apart=choice.apart)
 
 
 def run_campaign(
     seeds: Iterable[int],
     on_run: Callable[[SeedRun], None] = lambda _: None,
     processes: int = 1,
-    *,
-    stages: Sequence[Stage] = (),
-    apart: bool = False,
+    choice: SeedChoice = EVERY_SEED,
 ) -> CampaignResult:
-    """Run seeds in parallel `processes`; `on_run` receives each run, in the order of the seeds. stages, apart: as for
-    `run_seed`."""
-    found = CampaignResult(list_cells(stages or STAGES))
-    for story in map_in_processes(partial(run_seed, stages=stages, apart=apart), seeds, processes):
+    """Run seeds in parallel `processes`; `on_run` receives each run, in the order of the seeds."""
+    found = CampaignResult(choice.list_cells())
+    for story in map_in_processes(partial(run_seed, choice=choice), seeds, processes):
         found.seeds += 1
         found.cells.update(story.affected)
         found.controllers.append(len(story.fleet.controllers))

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orchestrator.cli.base.codes import FAILED
+from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, json_option, print_json, processes_option
+from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
     from orchestrator.campaign.recorder import Stage
@@ -30,6 +31,7 @@ STAGE_NAMES = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion"
     type=click.Choice(STAGE_NAMES),
     help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk and trigger.",
 )
+@click.option("--fault", "faults", multiple=True, help="Seeds with one fault, of this kind; several can be given.")
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")
 @processes_option
 @json_option
@@ -38,6 +40,7 @@ def campaign(
     first: int,
     seed: int | None,
     stages: "tuple[Stage, ...]",
+    faults: tuple[str, ...],
     processes: int,
     *,
     trace: bool,
@@ -48,10 +51,17 @@ def campaign(
     true motions against the invariants of the design. A seed is fully deterministic. Exit 1 when an invariant is
     violated.
     """
-    from orchestrator.campaign.runs import run_campaign, run_seed
+    from orchestrator.campaign.faults import FAULTS
+    from orchestrator.campaign.runs import SeedChoice, run_campaign, run_seed
+    from orchestrator.model.fleet_names import suggest_name
 
+    for fault in faults:
+        if fault not in FAULTS:
+            remedy = f"{suggest_name(fault, FAULTS)}choose one of: {', '.join(FAULTS)}"
+            exit_with_error(f"there is no fault {fault[:80]!r}", BAD_INPUT, remedy)
+    choice = SeedChoice(stages, faults, apart)
     if seed is not None:
-        story = run_seed(seed, stages=stages, apart=apart)
+        story = run_seed(seed, choice)
         if as_json:
             lines = {"log": story.lines} if trace else {}
             print_json({"seed": seed, "violations": [str(each) for each in story.violations], **lines})
@@ -59,7 +69,8 @@ def campaign(
             _print_plain("\n".join([*(story.lines if trace else []), story.summarize()]))
         raise SystemExit(FAILED if story.violations else 0)
 
-    again = "".join([*(f" --stage {stage}" for stage in stages), " --apart" if apart else ""])
+    named = [*(f" --stage {stage}" for stage in stages), *(f" --fault {fault}" for fault in faults)]
+    again = "".join([*named, " --apart" if apart else ""])
 
     def print_run(story: "SeedRun") -> None:
         if story.violations and not as_json:
@@ -67,13 +78,13 @@ def campaign(
             console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed}{again} --trace")
 
     began_s = _cpu_s()
-    found = run_campaign(range(first, first + seeds), print_run, processes, stages=stages, apart=apart)
+    found = run_campaign(range(first, first + seeds), print_run, processes, choice)
     figures = _make_figures(found, _cpu_s() - began_s)
     if as_json:
         coverage = {f"{cell.stage} {cell.fault} {cell.make}": count for cell, count in sorted(found.cells.items())}
         print_json({**figures, "from": first, "violating": found.violations, "coverage": coverage})
     else:
-        _print_coverage(found, stages)
+        _print_coverage(found)
         console.print(", ".join(f"{name} {value}" for name, value in figures.items()), soft_wrap=True)
     if found.violations:
         raise SystemExit(FAILED)
@@ -101,19 +112,17 @@ def _make_figures(found: "CampaignResult", cpu_s: float) -> dict[str, Any]:
     }
 
 
-def _print_coverage(found: "CampaignResult", stages: "tuple[Stage, ...]") -> None:
+def _print_coverage(found: "CampaignResult") -> None:
     """Print the number of hits by fault, affected make, and stage."""
-    from orchestrator.campaign.faults import FAULTS
     from orchestrator.campaign.fleets import MAKES
-    from orchestrator.campaign.recorder import STAGES
     from orchestrator.campaign.runs import FaultCell
     from orchestrator.monitor.tables import make_plain_table
 
-    shown = stages or STAGES
-    table = make_plain_table(["fault", "make", *(f"{stage}>" for stage in shown)])
-    for fault in FAULTS:
+    stages = list(dict.fromkeys(cell.stage for cell in found.possible))
+    table = make_plain_table(["fault", "make", *(f"{stage}>" for stage in stages)])
+    for fault in dict.fromkeys(cell.fault for cell in found.possible):
         for make in MAKES:
-            table.add_row(fault, make, *(str(found.cells[FaultCell(stage, fault, make)]) for stage in shown))
+            table.add_row(fault, make, *(str(found.cells[FaultCell(stage, fault, make)]) for stage in stages))
     console.print(table)
 
 

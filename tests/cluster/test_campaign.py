@@ -7,7 +7,16 @@ import pytest
 from orchestrator.campaign.faults import FAULTS
 from orchestrator.campaign.fleets import MAKES, TRIGGER_MAKE
 from orchestrator.campaign.recorder import ALL_STAGES, STAGES
-from orchestrator.campaign.runs import CELLS, PAIRS, PHASES, ROUND, cells_of_seed, list_cells, run_campaign
+from orchestrator.campaign.runs import (
+    CELLS,
+    PAIRS,
+    PHASES,
+    ROUND,
+    ROUND_FAULTS,
+    SeedChoice,
+    cells_of_seed,
+    run_campaign,
+)
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, run_scenario
 from orchestrator.cli.sim_campaign import STAGE_NAMES
 
@@ -141,17 +150,21 @@ def test_seeds_that_found_something_do_not_find_it_again(seed: int) -> None:
 
 def test_the_campaign_covers_every_fault_at_every_stage() -> None:
     cells = [cell for seed in range(SEEDS) for cell in cells_here(seed)]
-    assert {(cell.stage, cell.fault) for cell in cells} == {(stage, fault) for stage in STAGES for fault in FAULTS}
+    assert {(cell.stage, cell.fault) for cell in cells} == {
+        (stage, fault) for stage in STAGES for fault in ROUND_FAULTS
+    }
     assert {cell.make for cell in cells} == set(MAKES)
 
 
 def test_seeds_of_named_stages_step_through_every_fault_and_make_of_these() -> None:
-    stages = ("chunk", "trigger")
-    cells = list_cells(stages)
-    assert {cell.stage for cell in cells} == set(stages) and {cell.fault for cell in cells} == set(FAULTS)
+    choice = SeedChoice(("chunk", "trigger"))
+    cells = choice.list_cells()
+    assert {cell.stage for cell in cells} == set(choice.stages) and {cell.fault for cell in cells} == set(ROUND_FAULTS)
     assert {cell.make for cell in cells if cell.stage == "trigger"} == {TRIGGER_MAKE}
-    assert [cell for seed in range(len(cells)) for cell in cells_of_seed(seed, stages)] == cells
+    assert [cell for seed in range(len(cells)) for cell in cells_of_seed(seed, choice)] == cells
     assert STAGE_NAMES == ALL_STAGES
+    alone = SeedChoice(faults=("coordinator-cut",))
+    assert {cells_of_seed(seed, alone)[0].stage for seed in range(len(alone.list_cells()))} == set(STAGES)
 
 
 def test_findings_of_a_campaign_are_counted() -> None:
