@@ -102,9 +102,11 @@ test-browser: $(DEV)/.stamp page
 screenshots: $(DEV)/.stamp page
 	$(DEV)/bin/python tools/screenshots.py build/screenshots docs/figures
 
-# Two computers as network namespaces: needs root, else it is skipped. More faults are in test-nightly.
+# Two computers as network namespaces, and the commands of the pages about them: needs root, else they are skipped. More
+# faults are in test-nightly.
 test-hosts: $(DEV)/.stamp
 	$(DEV)/bin/pytest tests/live/test_namespaces.py -k "cut or refused" $(SLOWEST)
+	$(DEV)/bin/pytest tests/live/test_documents_hosts.py $(SLOWEST)
 
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check

@@ -21,8 +21,7 @@ MAX_NAMES = 2000  # the router compares one by one when a session opens
 
 class RegisterEntry(Model):
     """One name. generation: the one that counts. addresses: under which a router, or a gateway, is
-    reached. expires_utc: of the
-    certificate of that generation."""
+    reached. expires_utc: of the certificate of that generation."""
 
     role: Role
     name: Id

@@ -96,6 +96,10 @@ def exit_with_usage_error(error: click.ClickException) -> NoReturn:
     """Print an error that click has found: in the arguments, or in a file that they name."""
     context = error.ctx if isinstance(error, click.UsageError) else None
     remedy = "" if context is None else f"see `{context.command_path} --help`"
+    if isinstance(error, click.NoSuchOption) and context is not None:
+        root = context.find_root()
+        if any(error.option_name in option.opts for option in root.command.params):
+            remedy = f"give it before the command: `{root.command_path} {error.option_name} …`"
     text = error.format_message()
     exit_with_error(text[:1].lower() + text[1:], BAD_INPUT if context is not None else error.exit_code, remedy)
 

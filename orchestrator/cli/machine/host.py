@@ -24,7 +24,7 @@ FOLLOW_S = 10.0  # between two looks at whether the fleet runs with another file
 @click.command(
     epilog="""\b
 Example, on the computer `lab2` whose controllers have `host: lab2`:
-  tutti host lab2 --fleet lab --connect tls/192.168.1.5:7447 --identity ~/lab2
+  tutti --identity ~/host-lab2 host lab2 --fleet lab --connect tls/192.168.1.5:7447
 
 \b
 Exit codes: 0 ended by Ctrl-C or SIGTERM; 1 a part could not be started, or

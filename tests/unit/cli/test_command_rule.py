@@ -55,6 +55,7 @@ def test_a_wrong_option_is_bad_input_in_both_forms(name: str) -> None:
         (["stattus"], "did you mean one of: 'stats', 'status'"),
         (["axis", "mvoe"], "did you mean 'move'"),
         (["status", "--conect", "x"], "--connect"),
+        (["status", "--identity", "x"], "give it before the command: `tutti --identity …`"),
         (["status", "--connect", "garbage"], "'garbage' is not an endpoint"),
         (["status", "--connect", "tcp/127.0.0.1:99999"], "is not an endpoint"),
         (["status", "--connect", "tcp/127.0.0.1"], "is not an endpoint"),
