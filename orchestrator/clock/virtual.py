@@ -113,6 +113,10 @@ class _VirtualHandle:
         return self.callback is None
 
 
+def _set_running_loop(loop: Any) -> None:
+    asyncio._set_running_loop(loop)  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+
+
 class VirtualLoop(asyncio.AbstractEventLoop):
     """An event loop without input and output: it runs what is ready, then jumps to the next timer."""
 
@@ -164,14 +168,14 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     # Running
 
     def run_forever(self) -> None:
-        asyncio._set_running_loop(self)  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+        _set_running_loop(self)
         self._running = True
         try:
             self._run_ready()
         finally:
             self._running = False
             self._stopping = False
-            asyncio._set_running_loop(None)  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+            _set_running_loop(None)
 
     def run_until_complete(self, future: Any) -> Any:
         task: asyncio.Future[Any] = asyncio.ensure_future(future, loop=self)
@@ -230,17 +234,25 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     def close(self) -> None:
         """Close the loop: unfinished calls are dropped silently, because their process ends with the loop.
 
-        So are the errors of their `finally` and `except` blocks, which Python runs when it drops a coroutine: without a
-        loop they cannot do what they are for.
+        So are the errors of their `finally` and `except` blocks, which Python runs when it drops a coroutine: they
+        cannot wait for what they are for. What they begin belongs to this loop, and is dropped, too; without a running
+        loop asyncio would make one of its own.
         """
+        outer = asyncio._get_running_loop()  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType, reportUnknownVariableType]
+        _set_running_loop(self)
+        try:
+            while self._tasks:  # also those that are begun meanwhile
+                tasks, self._tasks = self._tasks, []
+                for task in tasks:
+                    if not task.done():
+                        task._log_destroy_pending = False  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue]
+                        with suppress(Exception, asyncio.CancelledError):
+                            task.get_coro().close()
+        finally:
+            _set_running_loop(outer)
         self._closed = True
         self._ready.clear()
         self._timers.clear()
-        for task in self._tasks:
-            if not task.done():
-                task._log_destroy_pending = False  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue]
-                with suppress(Exception, asyncio.CancelledError):
-                    task.get_coro().close()
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
         """Stop the run at an error that was not awaited: in virtual time it is always a defect."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import warnings
 
 import pytest
 
@@ -69,6 +70,31 @@ def test_the_cleanup_of_a_killed_process_disturbs_nothing_after_the_run() -> Non
     # Python runs the cleanup when it drops the coroutine; an error of it would be a warning, and so a failed test.
     run_virtual(main)
     gc.collect()
+
+
+def test_what_a_dropped_task_begins_at_the_end_is_dropped_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a loop, `gather` would make one that nothing closes, and coroutines that nothing awaits."""
+    begun: list[str] = []
+
+    async def stop() -> None:
+        begun.append("stop")
+
+    async def work(clock: VirtualClock) -> None:
+        try:
+            await sleep_ns(clock, 10**9)
+        finally:
+            await asyncio.gather(stop(), stop())
+
+    async def main(clock: VirtualClock) -> None:
+        asyncio.get_running_loop().create_task(work(clock))
+        await sleep_ns(clock, 1)
+
+    monkeypatch.setattr(asyncio.get_event_loop_policy(), "get_event_loop", lambda: begun.append("another loop"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        run_virtual(main)
+        gc.collect()
+    assert [str(each.message) for each in caught] == [] and begun == []
 
 
 def test_deadlock_and_errors_end_the_run() -> None:
