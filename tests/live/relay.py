@@ -1,7 +1,7 @@
 """A relay of TCP connections for tests: `python relay.py LISTEN_PORT HOST PORT`, with commands on standard input.
 
 `cut` closes all connections and refuses new ones; `stall` keeps them, and passes nothing; `deaf` passes nothing towards
-the listener's side; `mend` ends that. Each command is answered with itself.
+the listener's side, `mute` nothing from it; `mend` ends that. Each command is answered with itself.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ class Relay:
     def set_fault(self, fault: str) -> None:
         self._cut = fault == "cut"
         for way, event in self._passing.items():
-            stopped = fault == "stall" or (fault == "deaf" and way == "down")
+            stopped = fault == "stall" or (fault, way) in (("deaf", "down"), ("mute", "up"))
             (event.clear if stopped else event.set)()
         if self._cut:
             for writer in self._writers:

@@ -107,41 +107,34 @@ def make_keys(folder: Path) -> Path:
 
 
 class TwoComputers:
-    """The demo fleet on two computers: its stage is on the second one, behind a relay."""
+    """The demo fleet on two computers: its stage is on the second one. behind: what is behind the relay, the host of the
+    stage or everything on the first computer but the router."""
 
-    def __init__(self, folder: Path, computers: tuple[str, str]) -> None:
+    def __init__(self, folder: Path, computers: tuple[str, str], behind: str) -> None:
         self._first, self._second = computers
+        self.behind = behind
         self.folder = folder
         self.keys = make_keys(folder)
         self._anna = self.keys / "identities" / "operator-anna"
         self.parts: list[Part] = []
 
     def start(self) -> None:
-        """Start router, coordinator and the first host; behind a relay the second host."""
+        """Start router and relay, then coordinator and the first host, then the second host."""
         first, folder, fleet = self._first, self.folder, str(write_fleet(self.folder))
-        tls, state = f"tls/{FIRST}:{ROUTER_PORT}", str(folder / "state")
+        tls, relayed, state = f"tls/{FIRST}:{ROUTER_PORT}", f"tls/127.0.0.1:{RELAY_PORT}", str(folder / "state")
         self._start(first, None, "router", fleet, "--keys", str(self.keys), "--listen", f"tls/0.0.0.0:{ROUTER_PORT}")
         self.parts[-1].wait_for("router on")
-        up = [fleet, "--sim", "--host", "left", "--connect", tls, "--keys", str(self.keys), "--state", state]
-        self._start(first, None, "up", *up, "--no-record", "--no-web")
-        self.parts[-1].wait_for("is up")
         relay = [sys.executable, str(HERE / "relay.py"), str(RELAY_PORT), FIRST, str(ROUTER_PORT)]
-        self.relay = Part(folder, self._second, None, *relay)
+        self.relay = Part(folder, self._second if self.behind == "host" else first, None, *relay)
         self.parts.append(self.relay)
         self.relay.wait_for("ready")
-        self.relayed = f"tls/127.0.0.1:{RELAY_PORT}"
-        host = [
-            "host",
-            "right",
-            "--fleet",
-            "demo",
-            "--sim",
-            "--connect",
-            self.relayed,
-            "--state",
-            str(folder / "right"),
-        ]
-        self._start(self._second, self.keys / "identities" / "host-right", *host)
+        to_first, to_second = (tls, relayed) if self.behind == "host" else (relayed, tls)
+        up = [fleet, "--sim", "--host", "left", "--connect", to_first, "--keys", str(self.keys), "--state", state]
+        self._start(first, None, "up", *up, "--no-record", "--no-web")
+        self.parts[-1].wait_for("is up")
+        right = self.keys / "identities" / "host-right"
+        host = ["host", "right", "--fleet", "demo", "--sim", "--connect", to_second, "--state", str(folder / "right")]
+        self._start(self._second, right, *host)
         self.parts[-1].wait_for("drives stage")
 
     def _start(self, computer: str, identity: Path | None, *words: str) -> None:
@@ -164,8 +157,8 @@ class TwoComputers:
 
 
 @pytest.fixture
-def two(tmp_path: Path, computers: tuple[str, str]) -> Iterator[TwoComputers]:
-    fleet = TwoComputers(tmp_path, computers)
+def two(tmp_path: Path, computers: tuple[str, str], behind: str) -> Iterator[TwoComputers]:
+    fleet = TwoComputers(tmp_path, computers, behind)
     try:
         fleet.start()
         yield fleet
@@ -179,7 +172,10 @@ def has_ended(two: TwoComputers) -> bool:
     return "failed" in shown or "aborted" in shown
 
 
-@pytest.mark.parametrize("fault", ["cut", "stall", "deaf"])
+@pytest.mark.parametrize(
+    ("behind", "fault"),
+    [*(("host", fault) for fault in ("cut", "stall", "deaf", "mute")), ("coordinator", "stall")],
+)
 def test_two_computers_do_a_job_and_stop_when_the_network_fails(two: TwoComputers, fault: str) -> None:
     def works() -> bool:
         shown = two.tutti("status").stdout
@@ -193,10 +189,12 @@ def test_two_computers_do_a_job_and_stop_when_the_network_fails(two: TwoComputer
     assert two.submit(MOVE, fault).returncode == 0
     wait_until(lambda: two.tutti("status").stdout.count("moving") >= 2, "it moves")
     two.relay.order(fault)
-    # The stage's own computer stops it; the gantry is stopped by the coordinator.
+    # The stage's own computer stops it; the gantry is stopped by the coordinator, or by its own host without one.
     wait_until(lambda: "moving" not in two.tutti("status").stdout, "all rest")
-    wait_until(lambda: has_ended(two), "the job ends")
+    if two.behind == "host":
+        wait_until(lambda: has_ended(two), "the job ends")
     two.relay.order("mend")
+    wait_until(lambda: has_ended(two), "the job has ended")
     wait_until(works, "both are idle again")
     two.tutti("queue", "start")
     assert two.submit(READY, "after", "--wait").returncode == 0, two.tutti("job", "report", "last").stdout
