@@ -67,7 +67,7 @@ class Laboratory:
 
     def write_fleet(self, fields: Mapping[str, Any]) -> None:
         """Write the fleet file of the pages, with more fields."""
-        plain = {**load_fleet(EXAMPLES / "demo.fleet.yaml").to_plain(), "fleet": "lab", **fields}
+        plain: dict[str, Any] = {**load_fleet(EXAMPLES / "demo.fleet.yaml").to_plain(), "fleet": "lab", **fields}
         for name, host in (("gantry", "a"), ("stage", "b")):
             plain["controllers"][name]["host"] = host
         (self._folders["pc-a"] / "lab.fleet.yaml").write_text(json.dumps(plain))
