@@ -39,6 +39,12 @@ def test_every_command_has_json_or_a_reason() -> None:
     assert without == set(WITHOUT_JSON)
 
 
+def test_an_option_of_the_root_command_behind_another_one_is_put_right() -> None:
+    result = CliRunner().invoke(main, ["status", "--identity", "x", "--json"], prog_name="tutti")
+    assert result.exit_code == 2
+    assert json.loads(result.stdout)["remedy"] == "give it before the command: `tutti --identity …`"
+
+
 @pytest.mark.parametrize("name", [name for name, _ in leaves() if name not in WITHOUT_JSON])
 def test_a_wrong_option_is_bad_input_in_both_forms(name: str) -> None:
     for words in ([*name.split(), "--jsonn"], [*name.split(), "--jsonn", "--json"]):
@@ -55,7 +61,6 @@ def test_a_wrong_option_is_bad_input_in_both_forms(name: str) -> None:
         (["stattus"], "did you mean one of: 'stats', 'status'"),
         (["axis", "mvoe"], "did you mean 'move'"),
         (["status", "--conect", "x"], "--connect"),
-        (["status", "--identity", "x"], "give it before the command: `tutti --identity …`"),
         (["status", "--connect", "garbage"], "'garbage' is not an endpoint"),
         (["status", "--connect", "tcp/127.0.0.1:99999"], "is not an endpoint"),
         (["status", "--connect", "tcp/127.0.0.1"], "is not an endpoint"),
