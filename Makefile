@@ -22,7 +22,7 @@ help:
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
 	@echo "make screenshots      pictures of the page, in build/screenshots, and those of the documents"
-	@echo "make test-hosts       two computers as network namespaces, a router with TLS, a network that fails (root)"
+	@echo "make test-hosts       two computers, a network that fails, keys in hostile hands (root, for namespaces)"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
 	@echo "make test-wheel       the demo, and a user's tests, from an installed wheel in an environment of its own"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
@@ -93,7 +93,7 @@ test-fast: $(DEV)/.stamp
 # compiled modules are kept even where the environment forbids it. The tests of a file share one fleet. They wait for
 # half of their time: three at once use two thirds of two cores.
 test-live: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly and not browser" -n 3 --dist loadfile $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly and not browser and not alone" -n 3 --dist loadfile $(SLOWEST)
 
 # One after the other: they hold keys and buttons down, and look at what moves meanwhile.
 test-browser: $(DEV)/.stamp page
@@ -102,11 +102,10 @@ test-browser: $(DEV)/.stamp page
 screenshots: $(DEV)/.stamp page
 	$(DEV)/bin/python tools/screenshots.py build/screenshots docs/figures
 
-# Two computers as network namespaces, and the commands of the pages about them: needs root, else they are skipped. More
-# faults are in test-nightly.
+# Two computers as network namespaces, the commands of the pages about them, hostile messages by every role, and the page
+# from another computer. Much of it needs root, else it is skipped. More faults are in test-nightly.
 test-hosts: $(DEV)/.stamp
-	$(DEV)/bin/pytest tests/live/test_namespaces.py -k "cut or refused" $(SLOWEST)
-	$(DEV)/bin/pytest tests/live/test_documents_hosts.py $(SLOWEST)
+	$(DEV)/bin/pytest -m "alone and not nightly" tests/live $(SLOWEST)
 
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check

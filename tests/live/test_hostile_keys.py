@@ -26,7 +26,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job
 from orchestrator.model.private_files import replace_private_file
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.alone]
 
 PREFIX = "tutti/v1/demo"
 MB = 1_000_000

@@ -16,7 +16,7 @@ from test_hosts import write_fleet
 
 pytestmark = [
     pytest.mark.live,
-    pytest.mark.nightly,
+    pytest.mark.alone,
     pytest.mark.skipif(os.geteuid() != 0 or shutil.which("ip") is None, reason="network namespaces need root and `ip`"),
 ]
 
@@ -174,7 +174,11 @@ def has_ended(two: TwoComputers) -> bool:
 
 @pytest.mark.parametrize(
     ("behind", "fault"),
-    [*(("host", fault) for fault in ("cut", "stall", "deaf", "mute")), ("coordinator", "stall")],
+    [
+        ("host", "cut"),
+        *(pytest.param("host", fault, marks=pytest.mark.nightly) for fault in ("stall", "deaf", "mute")),
+        pytest.param("coordinator", "stall", marks=pytest.mark.nightly),
+    ],
 )
 def test_two_computers_do_a_job_and_stop_when_the_network_fails(two: TwoComputers, fault: str) -> None:
     def works() -> bool:

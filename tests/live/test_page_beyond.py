@@ -23,6 +23,7 @@ from orchestrator.runtime.state_folder import USERS_FILE
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.alone,
     pytest.mark.skipif(os.geteuid() != 0 or shutil.which("ip") is None, reason="network namespaces need root and `ip`"),
 ]
 
