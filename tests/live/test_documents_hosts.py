@@ -81,8 +81,10 @@ class Laboratory:
         stays = STAYS.search(command)
         if stays is None:
             part = self._start(computer, command)
-            part.process.wait(3 * LIMIT_S)
-            part.end()
+            try:
+                part.process.wait(3 * LIMIT_S)
+            finally:
+                part.end()
             said = part.said.read_text()
             # What a doctor finds on this computer is no fault of the page.
             assert part.process.returncode == 0 or (" doctor" in command and "Traceback" not in said), said
