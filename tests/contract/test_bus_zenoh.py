@@ -65,6 +65,10 @@ def test_plain_tcp_is_for_this_host_alone(endpoint: str) -> None:
         open_router(endpoint)
 
 
+FREE_S = 3.0
+"""A call that waits for the router takes 5 s at least (Zenoh's wait before close); copies on a busy machine take about 1 s."""
+
+
 def test_a_stopped_router_delays_nothing_but_itself() -> None:
     async def body(world: LiveWorld) -> None:
         a, b = await world.join("a"), await world.join("b")
@@ -76,17 +80,17 @@ def test_a_stopped_router_delays_nothing_but_itself() -> None:
         for _ in range(FLOOD):
             a.put("t/x", b"x" * 60_000, Priority.EVENT)
             a.put("t/x", b"x" * 60_000)
-        assert loop.time() - began_s < 1.0
+        assert loop.time() - began_s < FREE_S
         with pytest.raises(RequestTimeout):
             await a.request("t/y", b"", 0.3)
         assert a.backlog > 10
         began_s = loop.time()
         await a.close()
-        assert loop.time() - began_s < 3.0
+        assert loop.time() - began_s < FREE_S
         del a
         began_s = loop.time()
         gc.collect()
-        assert loop.time() - began_s < 1.0
+        assert loop.time() - began_s < FREE_S
 
     run_live(body)
 
