@@ -4,7 +4,7 @@ promise."""
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler
 from orchestrator.bus.memory.bus import MemoryBus
@@ -13,7 +13,6 @@ from orchestrator.clock.base import Clock
 Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger"]
 """chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
 the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way."""
-ALL_STAGES: tuple[Stage, ...] = get_args(Stage)
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
 
 _RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk")

@@ -118,7 +118,7 @@ def _print_coverage(found: "CampaignResult") -> None:
     from orchestrator.campaign.runs import FaultCell
     from orchestrator.monitor.tables import make_plain_table
 
-    stages = list(dict.fromkeys(cell.stage for cell in found.possible))
+    stages: list[Stage] = list(dict.fromkeys(cell.stage for cell in found.possible))
     table = make_plain_table(["fault", "make", *(f"{stage}>" for stage in stages)])
     for fault in dict.fromkeys(cell.fault for cell in found.possible):
         for make in MAKES:
