@@ -294,7 +294,7 @@ class FaultInjector:
 
     def _kill_all_processes(self) -> Repair:
         """Kill the coordinator and all hosts, which their guardians start again."""
-        for host in {config.host for config in self._whole_fleet.controllers.values()}:
+        for host in self._whole_fleet.hosts:
             self._fleet.kill(f"host/{host}")
         self._fleet.kill(f"coordinator/{self.leader_name}")
         return self._start_coordinator

@@ -424,7 +424,7 @@ def test_a_far_epoch_is_repaired_by_the_command_that_the_fleet_names(damaged: st
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.make_client()
-        for host in {config.host for config in fleet.fleet.controllers.values()}:
+        for host in fleet.fleet.hosts:
             fleet.kill(f"host/{host}")
         fleet.kill("coordinator/first")
         if damaged == "adapter":
