@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from fleet import RunningFleet
+from pages import read_blocks
 
 pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
@@ -41,16 +42,15 @@ PAGES = (
 
 def commands(page: Path) -> list[str]:
     """The lines of a page's `console` blocks that begin with a prompt, without it."""
-    blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    return [line.removeprefix("$ ") for block in blocks for line in block.splitlines() if line.startswith("$ ")]
+    lines = [line for block in read_blocks(page, "console") for line in block.splitlines()]
+    return [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
 
 
 def programs(page: Path) -> list[str]:
     """The `python` blocks of a page that are whole programs, each as a command."""
-    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     return [
         f"cd {tempfile.gettempdir()}; python - <<'PROGRAM'\n{block}PROGRAM\n"
-        for block in blocks
+        for block in read_blocks(page, "python")
         if block.startswith(("from ", "import "))
     ]
 

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from children import LIMIT_S
 from fleet import EXAMPLES
+from pages import read_blocks
 from test_namespaces import FIRST, SECOND, Part, computers, pytestmark
 
 from orchestrator.model.files import load_fleet
@@ -35,9 +36,8 @@ STAYS = re.compile(rf"tutti (?:--identity \S+ )?({'|'.join(READY)}) ")
 
 def list_commands(page: str) -> list[str]:
     """The lines of a page's `console` blocks with a prompt."""
-    text = (HOW_TO / page).read_text(encoding="utf-8")
-    blocks = re.findall(r"^ *```console\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
-    return [line.strip() for block in blocks for line in block.splitlines() if re.match(r" *pc-[ab]\$ ", line)]
+    lines = [line for block in read_blocks(HOW_TO / page, "console") for line in block.splitlines()]
+    return [line for line in lines if re.match(r"pc-[ab]\$ ", line)]
 
 
 class Laboratory:

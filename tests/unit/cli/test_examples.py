@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 import pytest
+from pages import read_blocks
 from unit.cli.test_command_rule import leaves
 
 from orchestrator.cli.main import main
@@ -31,9 +32,7 @@ def find_lines() -> Iterator[tuple[str, str]]:
             if BEGINS.match(line):
                 yield f"tutti {name} --help", line
     for page in PAGES:
-        for block in re.findall(
-            r"^ *```(?:console|sh)\n(.*?)^ *```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL
-        ):
+        for block in read_blocks(page, "console", "sh"):
             for line in join_lines(block):
                 if BEGINS.match(line):
                     yield str(page.relative_to(ROOT)), line
