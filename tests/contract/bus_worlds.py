@@ -109,6 +109,12 @@ class LiveWorld:
 
     async def peer(self, name: str) -> None:
         self._start(name, "peer", self.endpoint, name)
+        # Its presence is declared last: what it serves has reached the router, too.
+        present: dict[str, bool] = {}
+        bus = self._buses[0] if self._buses else await self.join("observer")
+        watch = await bus.watch(f"t/live/{name}", present.__setitem__)
+        await until(lambda: present.get(f"t/live/{name}", False))
+        await watch.undeclare()
 
     def kill(self, name: str) -> None:
         child = self._children.pop(name)
