@@ -18,7 +18,7 @@ SLOWEST = --durations=10
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
 	@echo "make page             build the operators' page, which tutti up serves"
-	@echo "make test             set up, run all tests (6 to 7 minutes on two cores)"
+	@echo "make test             set up, run all tests (6 to 16 minutes on two cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
 	@echo "make screenshots      pictures of the page, in build/screenshots, and those of the documents"
@@ -102,8 +102,8 @@ test-browser: $(DEV)/.stamp page
 screenshots: $(DEV)/.stamp page
 	$(DEV)/bin/python tools/screenshots.py build/screenshots docs/figures
 
-# Two computers as network namespaces, the commands of the pages about them, hostile messages by every role, and the page
-# from another computer. Much of it needs root, else it is skipped. More faults are in test-nightly.
+# Two computers as network namespaces, the commands of the pages about them, hostile messages by every role, the page from
+# another computer, and jogs by keys. Much of it needs root, else it is skipped. More faults are in test-nightly.
 test-hosts: $(DEV)/.stamp
 	$(DEV)/bin/pytest -m "alone and not nightly" tests/live $(SLOWEST)
 
