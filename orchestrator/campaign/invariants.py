@@ -211,11 +211,9 @@ class InvariantChecker:
             # A member started by a trigger line begins when the driving controller does.
             if name in self._untrusted or (member.start_class == "line" and name in driven):
                 continue
-            axes = self._whole_fleet.controllers[name].axes
             for axis, evidence in member.evidence.items():
                 label = f"{name}.{axis} of {phase.jobs[job_id].job.name}"
-                motor = axes[axis].motors[0]
-                truth = self._records.find_motions(phase, name, motor, (job_id, step.index), origin_ns + t0_ns)
+                truth = self._records.find_motions(phase, name, axis, (job_id, step.index), origin_ns + t0_ns)
                 if not truth:
                     self.add_violation("8", f"{label} reports a start and did not move")
                     continue

@@ -68,7 +68,7 @@ class MotionChecker:
         # The position is unknown during homing.
         if step is None or step.t0_ns is not None:
             self._check_soft_limits(label, axis, motion)
-        if self._check_jog(phase, name, label, motion, step):
+        if self._check_jog(phase, label, motion, step):
             return
         if step is None:
             self.add_violation("1/2", f"{label} moved at {_format_seconds(motion.start_ns)} without a decision")
@@ -131,14 +131,13 @@ class MotionChecker:
         if not low - 1 <= motion.end_counts <= high + 1:
             self.add_violation("5", f"{label} moved to {motion.end_counts}; limits {low} to {high}")
 
-    def _check_jog(
-        self, phase: CampaignPhase, name: str, label: str, motion: CommandedMotion, step: StepRecord | None
-    ) -> bool:
+    def _check_jog(self, phase: CampaignPhase, label: str, motion: CommandedMotion, step: StepRecord | None) -> bool:
         """Check invariant 3 of a jog; return whether the motion was one."""
+        name, _, axis = label.partition(".")
         mine = (each for each in phase.jogs if (each.controller, each.motor) == (name, motion.axis))
         jog = next((each for each in mine if each.from_ns <= motion.start_ns <= each.renewed_ns + JOG_END_NS), None)
         # A new leader gave the axis to a job immediately.
-        by_job = jog is not None and step is not None and step.from_ns > jog.from_ns
+        by_job = jog is not None and step is not None and step.begins_ns[name, axis] > jog.from_ns
         if jog is None or by_job:
             return False
         if name in phase.unstoppable or motion.end_ns is None:

@@ -2,7 +2,7 @@
 promise."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -56,13 +56,15 @@ class BusRecorder:
     is answered.
 
     first_arms_ns: when the first arm request of each step was sent, host ns.
-    preceding_t0_ns: T0 of the last step that a member of this one was started for before, fleet ns; by step."""
+    preceding_t0_ns: T0 of the last step before this one that a member was started for to move the same axis, fleet ns;
+    by step, member and axis. A member without axes only drives a trigger line."""
 
     def __init__(self, clock: Clock, on_request: Callable[[RecordedRequest], None]) -> None:
         self.requests: list[RecordedRequest] = []
         self.first_arms_ns: dict[tuple[str, int], int] = {}
-        self.preceding_t0_ns: dict[tuple[str, int], int] = {}
-        self._last_go: dict[str, RecordedRequest] = {}
+        self.preceding_t0_ns: dict[tuple[tuple[str, int], str, str], int] = {}
+        self._armed_axes: dict[tuple[tuple[str, int], str], list[str]] = {}
+        self._started: dict[tuple[str, str], list[tuple[tuple[str, int], int]]] = {}
         self._by_verb: dict[str, list[RecordedRequest]] = {}
         self._clock = clock
         self._on_request = on_request
@@ -70,6 +72,10 @@ class BusRecorder:
     def find_requests(self, verb: str) -> Iterator[RecordedRequest]:
         """Return all requests of one verb, in order."""
         return iter(self._by_verb.get(verb, ()))
+
+    def find_armed_axes(self, step: tuple[str, int], member: str) -> Sequence[str]:
+        """Return the axes that a member was armed to move in a step; none for one that only drives a trigger line."""
+        return self._armed_axes.get((step, member), ())
 
     def wrap_bus(self, bus: MemoryBus) -> "RecordedBus":
         """Wrap the `bus` of a coordinator."""
@@ -92,18 +98,23 @@ class BusRecorder:
         self._by_verb.setdefault(verb, []).append(asked)
         if verb == "arm":
             self.first_arms_ns.setdefault(asked.step_id, asked.sent_ns)
+            self._armed_axes[asked.step_id, member] = asked.fields["axes"]
         if verb == "go":
             self._note_preceding(asked)
         self._on_request(asked)
         return asked
 
     def _note_preceding(self, go: RecordedRequest) -> None:
-        """Note the T0 of the member's step before this one."""
-        last = self._last_go.get(go.member)
-        if last is not None and last.step_id != go.step_id:
-            t0_ns = last.fields["t0_fleet_ns"]
-            self.preceding_t0_ns[go.step_id] = max(t0_ns, self.preceding_t0_ns.get(go.step_id, t0_ns))
-        self._last_go[go.member] = go
+        """Note the T0 of the step before this one, for each axis that the member moves. A step that was withdrawn may
+        have been meant to begin later than the one after it: it is not before that one."""
+        step, t0_ns = go.step_id, go.fields["t0_fleet_ns"]
+        for axis in self.find_armed_axes(step, go.member):
+            started = self._started.setdefault((go.member, axis), [])
+            before_ns = next((ns for other, ns in reversed(started) if other != step and ns < t0_ns), None)
+            if before_ns is not None:
+                key = (step, go.member, axis)
+                self.preceding_t0_ns[key] = max(before_ns, self.preceding_t0_ns.get(key, before_ns))
+            started.append((step, t0_ns))
 
     def record_replies(self, key: str, requests: list[RecordedRequest], payload: bytes) -> None:
         """Record the reply, for all members that answered."""

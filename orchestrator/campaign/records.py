@@ -13,8 +13,8 @@ from orchestrator.runtime.virtual import VirtualFleet
 from sim.core.controller import CommandedMotion
 
 # A motion belongs to a step when it begins this near to its T0, or during it; but not before any member was armed for
-# the step: the first step of a new leader can follow the step that it stopped sooner than this. Where a step is shorter
-# than this, a motion between its T0 and that of the next one belongs to the nearer.
+# the step: the first step of a new leader can follow the step that it stopped sooner than this. Where two steps of one
+# axis follow each other sooner than this, a motion between their T0 belongs to the nearer.
 STEP_WINDOW_NS = 300 * NS_PER_MS
 # after homing was abandoned: earlier commands still take effect, and the stop follows them
 IN_TRANSIT_NS = 100 * NS_PER_MS
@@ -67,15 +67,17 @@ class CampaignPhase:
 class StepRecord:
     """A step whose members received `go`, or the homing of one member, by the recorded requests.
 
-    from_ns, until_ns: a motion that begins between them belongs to the step.
+    begins_ns: from when on a motion belongs to the step, by member and axis.
+    until_ns: the last instant at which one does, None for no limit.
     t0_ns: None for a homing.
+    axes: those that each member moves; a member without axes only drives a trigger line.
 
     Instants in host ns."""
 
     job: str
     index: int
     requested_ns: int
-    from_ns: int
+    begins_ns: Mapping[tuple[str, str], int]
     until_ns: int | None
     t0_ns: int | None
     axes: Mapping[str, Sequence[str]]
@@ -114,19 +116,25 @@ class PhaseRecords:
             if until_ns is not None:
                 until_ns = None if home.member in phase.unstoppable else until_ns + IN_TRANSIT_NS
             axes_of = {home.member: home.fields["axes"]}
-            found.append(StepRecord(*home.step_id, home.sent_ns, home.sent_ns, until_ns, None, axes_of))
+            begins_ns = {(home.member, axis): home.sent_ns for axis in home.fields["axes"]}
+            found.append(StepRecord(*home.step_id, home.sent_ns, begins_ns, until_ns, None, axes_of))
         for (job, index), each in gone.items():
             # With a trigger line each member has a T0 of its own.
             t0_ns = min(go.fields["t0_fleet_ns"] for go in each) + self.origin_ns()
-            from_ns = self.earliest_motion_ns((job, index), t0_ns)
-            found.append(StepRecord(job, index, each[0].sent_ns, from_ns, None, t0_ns, axes[job, index]))
+            members = axes[job, index]
+            begins_ns = {
+                (name, axis): self.earliest_motion_ns((job, index), t0_ns, name, axis)
+                for name, moved in members.items()
+                for axis in moved
+            }
+            found.append(StepRecord(job, index, each[0].sent_ns, begins_ns, None, t0_ns, members))
         return sorted(found, key=lambda step: step.requested_ns)
 
-    def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int) -> int:
-        """Return the earliest instant at which a motion may belong to the step: near its T0, nearer than to that of the
-        step before, and after the first arm request. Host ns."""
+    def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int, name: str, axis: str) -> int:
+        """Return the earliest instant at which a motion of an axis may belong to a step that moves it: near its T0,
+        nearer than to that of the step that moved this axis before, and after the first arm request. Host ns."""
         earliest_ns = max(t0_ns - STEP_WINDOW_NS, self._recorder.first_arms_ns[step])
-        before_ns = self._recorder.preceding_t0_ns.get(step)
+        before_ns = self._recorder.preceding_t0_ns.get((step, name, axis))
         # A step is armed while a shorter one before it runs.
         return earliest_ns if before_ns is None else max(earliest_ns, (before_ns + self.origin_ns() + t0_ns) // 2)
 
@@ -141,8 +149,8 @@ class PhaseRecords:
         self, name: str, axis: str, motion: CommandedMotion, steps: Sequence[StepRecord]
     ) -> StepRecord | None:
         """Return the last step that had begun, or was about to, when the axis began to move."""
-        mine = [step for step in steps if axis in step.axes.get(name, ())]
-        begun = [step for step in mine if step.from_ns <= motion.start_ns]
+        mine = [step for step in steps if (name, axis) in step.begins_ns]
+        begun = [step for step in mine if step.begins_ns[name, axis] <= motion.start_ns]
         if not begun or (begun[-1].until_ns is not None and begun[-1].until_ns < motion.start_ns):
             return None
         return begun[-1]
@@ -161,13 +169,14 @@ class PhaseRecords:
         return next(((each, axis) for each, axis in axes.items() if axis.motors[0] == motion.axis), None)
 
     def find_motions(
-        self, phase: CampaignPhase, name: str, motor: str, step: tuple[str, int], t0_host_ns: int
+        self, phase: CampaignPhase, name: str, axis: str, step: tuple[str, int], t0_host_ns: int
     ) -> list[CommandedMotion]:
-        """Return the motions of an axis in the step that begins at T0, up to the next step, homing or jog. Slow motions
-        consist of several pieces."""
-        later = self._find_later_begins(phase, name, motor, step, t0_host_ns)
+        """Return the motions of an axis in the step that begins at T0 and moves it, up to the next step, homing or jog.
+        Slow motions consist of several pieces."""
+        motor = self._fleet.fleet.controllers[name].axes[axis].motors[0]
+        later = self._find_later_begins(phase, name, axis, step, t0_host_ns)
         until_ns = min(later, default=None)
-        from_ns = self.earliest_motion_ns(step, t0_host_ns)
+        from_ns = self.earliest_motion_ns(step, t0_host_ns, name, axis)
         return [
             each
             for each in self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]
@@ -175,16 +184,21 @@ class PhaseRecords:
         ]
 
     def _find_later_begins(
-        self, phase: CampaignPhase, name: str, motor: str, step: tuple[str, int], t0_host_ns: int
+        self, phase: CampaignPhase, name: str, axis: str, step: tuple[str, int], t0_host_ns: int
     ) -> Iterator[int]:
-        """Find the instants from which motions of a motor belong to something after a step: steps, homings, jogs."""
+        """Find the instants from which motions of an axis belong to something after a step: steps, homings, jogs."""
+        motor = self._fleet.fleet.controllers[name].axes[axis].motors[0]
         for go in self._recorder.find_requests("go"):
+            if go.member != name or axis not in self._recorder.find_armed_axes(go.step_id, name):
+                continue
             t0_ns = go.fields["t0_fleet_ns"] + self.origin_ns()
             # Another part of the same step, after a feed hold, is armed anew.
-            if go.member == name and go.step_id == step and t0_ns > t0_host_ns + STEP_WINDOW_NS:
+            if go.step_id == step and t0_ns > t0_host_ns + STEP_WINDOW_NS:
                 yield t0_ns - STEP_WINDOW_NS
-            elif go.member == name and go.step_id != step and t0_ns > t0_host_ns:
-                yield self.earliest_motion_ns(go.step_id, t0_ns)
-        homes = (each.sent_ns for each in self._recorder.find_requests("home") if each.member == name)
+            elif go.step_id != step and t0_ns > t0_host_ns:
+                # Also of a step that was withdrawn before: it may have been meant to begin later than this one.
+                yield max(self.earliest_motion_ns(go.step_id, t0_ns, name, axis), (t0_host_ns + t0_ns) // 2)
+        homes = (each for each in self._recorder.find_requests("home") if each.member == name)
+        homed_ns = (each.sent_ns for each in homes if axis in each.fields["axes"])
         jogs = (each.from_ns for each in phase.jogs if (each.controller, each.motor) == (name, motor))
-        yield from (begin_ns for begin_ns in (*homes, *jogs) if begin_ns > t0_host_ns)
+        yield from (begin_ns for begin_ns in (*homed_ns, *jogs) if begin_ns > t0_host_ns)

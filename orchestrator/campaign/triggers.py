@@ -77,8 +77,8 @@ class TriggerChecker:
         ends = [
             motion.end_ns if motion.end_ns is not None else self._fleet.clock.now_ns()
             for name in names
-            for axis in self._fleet.fleet.controllers[name].axes.values()
-            for motion in self._records.find_motions(phase, name, axis.motors[0], (step.job, step.index), step.t0_ns)
+            for axis in step.axes.get(name, ())
+            for motion in self._records.find_motions(phase, name, axis, (step.job, step.index), step.t0_ns)
         ]
         return max(ends, default=None)
 
