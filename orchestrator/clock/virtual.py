@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from contextvars import Context, ContextVar, copy_context
+from functools import cache
 from typing import Any, TypeVar
 
 from orchestrator.clock.base import NS_PER_S
@@ -38,6 +39,8 @@ class VirtualProcess:
         self.name = name
         self.alive = True
         self.frozen = False
+        self.halted = False
+        """Frozen or killed."""
         self._loop = loop
         self._parked: list[_VirtualHandle] = []
         self._on_death: list[Callable[[], None]] = []
@@ -67,11 +70,11 @@ class VirtualProcess:
 
     def freeze(self) -> None:
         """Like SIGSTOP: nothing of the process runs, its timers included."""
-        self.frozen = True
+        self.frozen = self.halted = True
 
     def resume(self) -> None:
         """Like SIGCONT: everything that became due meanwhile runs now, in order."""
-        self.frozen = False
+        self.frozen, self.halted = False, not self.alive
         parked, self._parked = self._parked, []
         self._loop.requeue_handles(parked)
 
@@ -79,7 +82,7 @@ class VirtualProcess:
         """Like SIGKILL: nothing of the process ever runs again. Does nothing to a dead process."""
         if not self.alive:
             return
-        self.alive = False
+        self.alive, self.halted = False, True
         for callback in self._on_death:
             self._loop.call_soon(callback, context=Context())
 
@@ -201,7 +204,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             if callback is None:
                 continue
             process = context.get(_PROCESS)
-            if process is not None and not process.may_run(handle):
+            if process is not None and process.halted and not process.may_run(handle):
                 continue
             try:
                 context.run(callback, *handle.args)
@@ -308,12 +311,21 @@ class VirtualClock:
         return self.loop.call_at_ns(at_ns, callback, context=context)
 
 
+@cache
+def _freeze_modules() -> None:
+    """Take what has been imported out of all later garbage collections, once in a process: visiting it each time costs
+    a twelfth of the time of a campaign."""
+    gc.collect()
+    gc.freeze()
+
+
 def run_virtual(main: Callable[[VirtualClock], Coroutine[Any, Any, T]]) -> T:
     """Run `main(clock)` to its end in virtual time and return its result.
 
     Raises what `main` raises, the first error of any task that was not awaited, or `VirtualDeadlock`.
     """
     loop = VirtualLoop()
+    _freeze_modules()
     thresholds = gc.get_threshold()
     gc.set_threshold(GC_ALLOCATIONS, *thresholds[1:])
     try:

@@ -80,7 +80,7 @@ class SharedInterpreter:
     def next_check(self, now: int) -> float:
         """Return the next sample at which a waiting thread or port has to be checked."""
         due = inf
-        for thread in self.programs.threads:
+        for thread in self.programs.started:
             if thread.trip is not None:
                 due = min(due, thread.trip.due(self.machine, now))
         for port in self.machine.ports.open_ports():
@@ -94,12 +94,12 @@ class SharedInterpreter:
             return False
         return all(
             thread.trip is None or thread.trip.due(self.machine, now) > due or self.programs.only_waits(thread)
-            for thread in self.programs.threads
+            for thread in self.programs.started
         )
 
     def resume_waiting(self, now: int) -> None:
         """Resume those whose condition is fulfilled."""
-        for thread in self.programs.threads:
+        for thread in self.programs.started:
             if thread.trip is not None and thread.trip.passed(self.machine, now):
                 thread.trip, thread.resting = None, False
         for port in self.machine.ports.open_ports():
@@ -202,10 +202,11 @@ class SharedInterpreter:
     def _sole_program(self) -> ProgramThread | None:
         """Return the only active program of the controller, if it only waits and jumps."""
         machine = self.machine
-        running = [thread for thread in self.programs.threads if thread.running]
-        if len(running) != 1 or running[0].paused or not self.programs.only_waits(running[0]):
+        if len(self.programs.started) != 1:
             return None
-        thread = running[0]
+        thread = self.programs.started[0]
+        if thread.paused or not self.programs.only_waits(thread):
+            return None
         if (
             (self.busy and self._decoding != (None, thread))
             or self._delay.is_instant
@@ -224,7 +225,7 @@ class SharedInterpreter:
             return None, current
         self.programs.current = None
         first = self._turn
-        ready = [thread for thread in self.programs.threads if thread.running and thread.is_ready]
+        ready = [thread for thread in self.programs.started if thread.trip is None and not thread.paused]
         for thread in ready:
             if 0 < first <= thread.number + 1:
                 return None, self._take_turn(thread)

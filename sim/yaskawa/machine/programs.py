@@ -55,7 +55,9 @@ class ProgramThreads:
     def __init__(self, machine: ProgramMachine, delay: FirmwareDelay) -> None:
         self.machine = machine
         self._delay = delay
-        self.threads = [ProgramThread(number) for number in range(machine.model.threads)]
+        self.started: list[ProgramThread] = []
+        """Threads that run, in the order of their numbers."""
+        self.threads = [ProgramThread(number, self.started) for number in range(machine.model.threads)]
         self.contexts = [CommandContext(machine, thread) for thread in self.threads]
         self.trace = False
         self.break_at: tuple[int, int] | None = None
@@ -80,7 +82,7 @@ class ProgramThreads:
         self.current = None
 
     def any_running(self) -> bool:
-        return any(thread.running for thread in self.threads)
+        return bool(self.started)
 
     def halt_all(self) -> None:
         for thread in self.threads:

@@ -1,6 +1,7 @@
 """Program threads: position and subroutine stack of each (L14361-L14423, L14633)."""
 
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.motion.trippoints import TripPoint
@@ -20,11 +21,16 @@ class StackFrame:
     event: str = ""
 
 
-@dataclass(slots=True)
+_NUMBER = attrgetter("number")
+
+
+@dataclass(slots=True, eq=False)
 class ProgramThread:
-    """Thread `number`; `line` and `index` are those of the next statement."""
+    """Thread `number`; `line` and `index` are those of the next statement. started: the threads of its controller that
+    run, in the order of their numbers; each event looks at these only. A thread that does not run waits for nothing."""
 
     number: int
+    started: "list[ProgramThread]"
     running: bool = False
     line: int = 0
     index: int = 0
@@ -51,6 +57,9 @@ class ProgramThread:
         return self.running and self.trip is None and not self.paused
 
     def start_at(self, line: int, index: int, now: int) -> None:
+        if not self.running:
+            self.started.append(self)
+            self.started.sort(key=_NUMBER)
         self.running, self.paused = True, False
         self.line, self.index, self.trip = line, index, None
         self.stack.clear()
@@ -58,6 +67,8 @@ class ProgramThread:
         self.steps = 0
 
     def halt_thread(self) -> None:
+        if self.running:
+            self.started.remove(self)
         self.running = self.paused = False
         self.trip = None
         self.stack.clear()
