@@ -117,14 +117,18 @@ class EventSchedule:
 
     def _handle_alarm(self) -> None:
         self._alarm = None
-        # Earlier events that were allowed to be late have been processed before.
-        self.catch_up()
-        if (
-            self._machine.powered
-            and min(self._wake_ns, self._machine.interpreter.decoded_ns) <= self._machine.timebase.clock.now_ns()
-        ):
-            self._process_next()
-        self.catch_up()
+        outer, self._catching_up = self._catching_up, True
+        try:
+            # Earlier events that were allowed to be late have been processed before.
+            self.catch_up()
+            if (
+                self._machine.powered
+                and min(self._wake_ns, self._machine.interpreter.decoded_ns) <= self._machine.timebase.clock.now_ns()
+            ):
+                self._process_next()
+            self.catch_up()
+        finally:
+            self._catching_up = outer
         self.set_alarm()
 
     def _handle_wake(self) -> None:
