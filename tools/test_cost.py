@@ -1,0 +1,118 @@
+"""What the tests of `make test` cost: `test_cost.py` runs them and writes `tests/COST.md`.
+
+Processor and wall seconds by folder and of the hundred dearest tests, with the processes that they start. What no test
+waited for (collection, fleets of a session, fork servers) is a row of its own.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+ROOT = Path(__file__).parents[1]
+TABLE = ROOT / "tests" / "COST.md"
+HALVES = {
+    "virtual": ("not live and not nightly and not browser", "worksteal"),
+    "live": ("live and not nightly and not browser and not alone", "loadfile"),
+}
+DEAREST = 100
+
+
+@dataclass(slots=True)
+class Cost:
+    """Seconds: cpu_s with children, wall_s from the begin to the end of each test, added up."""
+
+    tests: int = 0
+    cpu_s: float = 0.0
+    wall_s: float = 0.0
+
+    def add(self, cpu_s: float, wall_s: float) -> None:
+        self.tests += 1
+        self.cpu_s += cpu_s
+        self.wall_s += wall_s
+
+    def format_row(self, name: str) -> str:
+        return f"| {name} | {self.tests} | {self.cpu_s:.1f} | {self.wall_s:.1f} |"
+
+
+@dataclass(slots=True)
+class HalfRun:
+    """One half of the suite. lines: a record of each test. cpu_s: of all processes; wall_s: of the command."""
+
+    name: str
+    lines: list[dict[str, float | str]]
+    cpu_s: float
+    wall_s: float
+    code: int
+
+
+def run_half(name: str) -> HalfRun:
+    """Run a half of the suite, as `make test` does, and read what its tests cost."""
+    marks, distribution = HALVES[name]
+    command = [sys.executable, "-m", "pytest", "-m", marks, "-n", "2", "--dist", distribution, "-p", "cost_plugin"]
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "TUTTI_TEST_COST": folder, "PYTHONPATH": str(ROOT / "tests")}
+        if name == "live":
+            environment["PYTHONDONTWRITEBYTECODE"] = ""
+        began_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+        code = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        texts = [path.read_text(encoding="utf-8") for path in sorted(Path(folder).glob("*.jsonl"))]
+    lines = [json.loads(line) for text in texts for line in text.splitlines()]
+    return HalfRun(name, lines, cpu_s, time.perf_counter() - began_s, code)
+
+
+def tabulate_folders(runs: Iterable[HalfRun]) -> list[str]:
+    """A row for each folder of tests, and for what no test waited for."""
+    rows = ["| folder | tests | processor, s | wall, s |", "|---|---|---|---|"]
+    for run in runs:
+        folders: defaultdict[str, Cost] = defaultdict(Cost)
+        for line in run.lines:
+            folder = str(PurePosixPath(str(line["test"]).partition("::")[0]).parent)
+            folders[folder].add(float(line["cpu_s"]) + float(line["children_s"]), float(line["wall_s"]))
+        ranked = sorted(folders.items(), key=lambda item: -item[1].cpu_s)
+        rows += [cost.format_row(f"`{folder}`, {run.name}") for folder, cost in ranked]
+        rest_s = run.cpu_s - sum(cost.cpu_s for cost in folders.values())
+        rows.append(f"| {run.name}: in no test | | {rest_s:.1f} | |")
+        rows.append(f"| **{run.name} half** | {len(run.lines)} | {run.cpu_s:.1f} | {run.wall_s:.1f} |")
+    return rows
+
+
+def tabulate_dearest(runs: Iterable[HalfRun]) -> list[str]:
+    """The dearest tests by processor time, children included."""
+    lines = [line for run in runs for line in run.lines]
+    lines.sort(key=lambda line: -float(line["cpu_s"]) - float(line["children_s"]))
+    rows = ["| test | processor, s | of children | wall, s |", "|---|---|---|---|"]
+    for line in lines[:DEAREST]:
+        name = str(line["test"]).removeprefix("tests/").replace("|", "\\|")
+        cpu_s, children_s = float(line["cpu_s"]), float(line["children_s"])
+        rows.append(f"| `{name}` | {cpu_s + children_s:.2f} | {children_s:.2f} | {float(line['wall_s']):.2f} |")
+    return rows
+
+
+def main() -> int:
+    """Run both halves and write the table; the exit code of pytest where a test failed."""
+    runs = [run_half(name) for name in HALVES]
+    parts = [
+        "# What the tests cost",
+        "Written by `make test-cost`, on two processors; another machine gives other numbers. Wall times of tests add\n"
+        "up to those of two workers.",
+        "\n".join(tabulate_folders(runs)),
+        f"## The {DEAREST} dearest tests",
+        "\n".join(tabulate_dearest(runs)),
+    ]
+    TABLE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    print(f"written: {TABLE.relative_to(ROOT)}")
+    return max(run.code for run in runs)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
