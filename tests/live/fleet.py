@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from children import LIMIT_S, wait_until
+from forks import run_forked
 
 from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
@@ -190,6 +191,15 @@ class RunningFleet:
         report = self.run(READY)
         assert report.state == "done", report.reason
 
+    def bring_back(self) -> None:
+        """As `ready`, but axes that have kept their reference are not homed again: that takes 4 s."""
+        self.ask(lambda tutti: tutti.reset())
+        self.works()
+        self.ask(lambda tutti: tutti.start_queue())
+        axes = [axis for state in self.status().values() for axis in state.axes.values()]
+        report = self.run(READY[-1:] if all(axis.enabled and axis.referenced for axis in axes) else READY)
+        assert report.state == "done", report.reason
+
     # What really moved
 
     def truth(self, controller: str) -> list[Entry]:
@@ -230,17 +240,15 @@ class RunningFleet:
         return last()["end_ns"]
 
 
-def run_tutti(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    """The `tutti` command to its end."""
-    environment = {**os.environ, "COLUMNS": "200"}
-    return subprocess.run(
-        [*COMMAND, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=2 * LIMIT_S,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-    )
+def run_tutti(*arguments: str, **variables: str) -> "subprocess.CompletedProcess[str]":
+    """The `tutti` command to its end, with additional variables of the environment."""
+    environment = {**os.environ, "COLUMNS": "200", **variables}
+    return run_forked([*COMMAND[1:], *arguments], environment, 2 * LIMIT_S)
+
+
+def run_example(name: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
+    """A program of `deploy/examples` to its end."""
+    return run_forked([str(EXAMPLES / name), *arguments], os.environ, LIMIT_S)
 
 
 def _processes() -> dict[int, tuple[int, str]]:
