@@ -33,6 +33,7 @@ READY: Steps = [
     {"do": "home"},
     {"do": "move", "to": {"gantry.x": 1, "gantry.y": 1, "stage.u": 1, "stage.v": 1}},
 ]
+BACK: dict[str, Any] = {"do": "move", "to": {"gantry.x": 1, "stage.u": 1}}
 # Takes 40 s: an axis that is at rest before was stopped.
 SLOW: Steps = [{"do": "move", "to": {"gantry.x": 201, "stage.u": 21}, "speed": 0.05}]
 SLOW_AXES = {"gantry": "X", "stage": "1"}
@@ -192,12 +193,17 @@ class RunningFleet:
         assert report.state == "done", report.reason
 
     def bring_back(self) -> None:
-        """As `ready`, but axes that have kept their reference are not homed again: that takes 4 s."""
+        """As `ready`, for the axes of a slow move, of which only those are homed that have lost their reference: all
+        axes take 4 s."""
         self.ask(lambda tutti: tutti.reset())
         self.works()
         self.ask(lambda tutti: tutti.start_queue())
-        axes = [axis for state in self.status().values() for axis in state.axes.values()]
-        report = self.run(READY[-1:] if all(axis.enabled and axis.referenced for axis in axes) else READY)
+        states = self.status()
+        axes = {f"{name}.{axis}": states[name].axes[axis] for name, axis in (("gantry", "x"), ("stage", "u"))}
+        lost = [name for name, axis in axes.items() if not axis.referenced]
+        steps: Steps = READY[:1] if not all(axis.enabled for axis in axes.values()) else []
+        steps = [*steps, *([{"do": "home", "axes": lost}] if lost else []), BACK]
+        report = self.run(steps)
         assert report.state == "done", report.reason
 
     # What really moved

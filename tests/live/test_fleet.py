@@ -365,7 +365,7 @@ def test_jobs_are_submitted_from_a_script_and_with_zenoh_alone(shared: RunningFl
 
 @pytest.mark.nightly
 def test_a_coordinator_that_slept_loses_leadership_and_moves_nothing(own: RunningFleet) -> None:
-    own.started().ready()
+    own.started().bring_back()
     own.slow_move()
     first = own.pid("orchestrator.coordinator.process")
     os.kill(first, signal.SIGSTOP)
@@ -392,7 +392,7 @@ def test_a_coordinator_that_slept_loses_leadership_and_moves_nothing(own: Runnin
 
 
 def test_ctrl_c_in_a_move_stops_it_and_ends_everything(own: RunningFleet) -> None:
-    own.started().ready()
+    own.started().bring_back()
     own.slow_move()
     asked_ns = raw_ns()
     assert own.end(signal.SIGINT) == 0

@@ -8,7 +8,7 @@ from urllib.request import urlopen
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import READY, RunningFleet, run_tutti
+from fleet import BACK, RunningFleet, run_tutti
 
 pytestmark = pytest.mark.live
 
@@ -20,7 +20,7 @@ def list_recordings(folder: Path) -> list[dict[str, Any]]:
 def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(shared: RunningFleet, tmp_path: Path) -> None:
     folder = shared.state / "recordings"
     shared.bring_back()
-    report = shared.run(READY[-1:])
+    report = shared.run([BACK])
     wait_until(
         lambda: any(
             each["job_id"] == report.job_id and each["state"] == "complete" for each in list_recordings(folder)
@@ -56,7 +56,7 @@ def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(shared: RunningF
         lambda: left <= {each["file"] for each in list_recordings(folder) if each["state"] == "complete"},
         "what the killed recorder has left is repaired",
     )
-    again = shared.run(READY[-1:])
+    again = shared.run([BACK])
     wait_until(
         lambda: any(each["job_id"] == again.job_id and each["state"] == "complete" for each in list_recordings(folder)),
         "the next job is recorded",

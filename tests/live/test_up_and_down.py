@@ -34,7 +34,7 @@ def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tm
         again = run_in(tmp_path, *up)
         assert (again.returncode, again.stdout) == (1, "")
         assert "another `tutti up` uses" in again.stderr
-        for words in (["enable", "gantry"], ["home", "gantry"]):
+        for words in (["enable", "gantry"], ["home", "gantry.x"]):
             assert run_in(tmp_path, "axis", *words, *endpoint).returncode == 0
         job = tmp_path / "slow.job.yaml"
         job.write_text("schema: tutti.job/1\nname: slow\nsteps: [{do: move, to: {gantry.x: 300}, speed: 0.05}]\n")
