@@ -90,10 +90,11 @@ test-fast: $(DEV)/.stamp
 	$(DEV)/bin/pytest -m "not live and not nightly and not browser" -n 2 --dist worksteal $(SLOWEST)
 
 # Live tests by themselves: their processes have to answer each other in time. They start hundreds of interpreters, so
-# compiled modules are kept even where the environment forbids it. The tests of a file share one fleet.
+# compiled modules are kept even where the environment forbids it. Only the folders that have any are collected. Whichever
+# process has none left takes the other's: each has a fleet that all tests share.
 # Two at once: three had no time on two slow cores, and took as long.
 test-live: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly and not browser and not alone" -n 2 --dist loadfile $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "live and not nightly and not browser and not alone" -n 2 --dist worksteal $(SLOWEST) tests/live tests/contract
 
 # One after the other: they hold keys and buttons down, and look at what moves meanwhile.
 test-browser: $(DEV)/.stamp page

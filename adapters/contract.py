@@ -24,6 +24,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
+from orchestrator.link.timed_write import WriteResult
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller, DigitalInput
@@ -271,19 +272,6 @@ class LatchedPosition:
 
     counts: int
     span: HostInterval
-
-
-@dataclass(frozen=True, slots=True)
-class WriteResult:
-    """Result of a timed write.
-
-    written_ns: host time of the write, at its beginning.
-    after_ns: delay after the requested instant, at the end of the write.
-    late: the write could only have happened after `latest_ns`, and was skipped."""
-
-    written_ns: int
-    after_ns: int
-    late: bool
 
 
 @dataclass(frozen=True, slots=True)

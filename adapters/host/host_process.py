@@ -21,9 +21,9 @@ from typing import Any, NoReturn
 from uuid import uuid4
 
 from adapters.controller.store import FileStore
-from adapters.host.firing_process import ProcessTimedWriter
 from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import apply_make_defaults, find_controller_problems
+from adapters.host.timed_writer import ProcessTimedWriter
 from adapters.link.open import make_link_opener
 from orchestrator.bus.expiry import find_session_certificate
 from orchestrator.bus.identity import BadIdentity

@@ -7,15 +7,15 @@ by milliseconds. In virtual time the loop is exact, so the loop itself writes, t
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from adapters.contract import TimedWriter, WriteResult
+from adapters.contract import TimedWriter
 from orchestrator.clock.base import NS_PER_US, Clock, ClockTimer
 from orchestrator.clock.latency import StartLatency
 from orchestrator.link.base import Link
+from orchestrator.link.timed_write import WriteOrder, WriteResult, write_at_instant
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.messages import BudgetTerm
 
@@ -76,28 +76,6 @@ def apply_writer_delay(timed_writer: TimedWriter, options: BaseModel) -> BaseMod
     if isinstance(options, FiringOptions) and "fire_late_us" not in options.model_fields_set:
         return options.model_copy(update={"fire_late_us": timed_writer.max_delay_us})
     return options
-
-
-@dataclass(frozen=True, slots=True)
-class WriteOrder:
-    """Write `data` at host time `at_ns`; skip the write if it can only happen after `latest_ns`."""
-
-    data: bytes
-    at_ns: int
-    latest_ns: int
-
-
-def write_at_instant(order: WriteOrder, now_ns: Callable[[], int], write: Callable[[bytes], object]) -> WriteResult:
-    """Perform the final step once `at_ns` has come. Never begins a write too late.
-
-    The delay counts to the end of the write: the process may lose the processor between the look at the clock and the
-    write.
-    """
-    instant_ns = now_ns()
-    if instant_ns > order.latest_ns:
-        return WriteResult(instant_ns, instant_ns - order.at_ns, late=True)
-    write(order.data)
-    return WriteResult(instant_ns, now_ns() - order.at_ns, late=False)
 
 
 def missed_write_fault(what: str, link: Link, fired: WriteResult) -> ControllerFault:

@@ -13,7 +13,7 @@ from random import Random
 from typing import NamedTuple
 
 from adapters.contract import TimedWriter
-from adapters.host.firing_process import ProcessTimedWriter
+from adapters.host.timed_writer import ProcessTimedWriter
 from adapters.link.tcp import open_tcp
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.fleet import run_measured_fleet

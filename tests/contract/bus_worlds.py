@@ -1,15 +1,15 @@
 """The two surroundings that the bus contract runs in: virtual time in memory, and real processes over Zenoh."""
 
 import asyncio
+import os
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, Protocol
 
 from bus_child import behave
+from forks import ForkedProcess
 
 from orchestrator.bus.base import Bus, BusSample, Priority
 from orchestrator.bus.memory.bus import MemoryNet
@@ -97,7 +97,7 @@ class LiveWorld:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        self._children: dict[str, subprocess.Popen[str]] = {}
+        self._children: dict[str, ForkedProcess] = {}
         self._buses: list[Bus] = []
 
     async def join(self, name: str) -> Bus:
@@ -144,8 +144,7 @@ class LiveWorld:
             self.kill(name)
 
     def _start(self, name: str, *arguments: str) -> None:
-        command = [sys.executable, str(Path(__file__).with_name("bus_child.py")), *arguments]
-        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        child = ForkedProcess([str(Path(__file__).with_name("bus_child.py")), *arguments], os.environ)
         self._children[name] = child
         assert child.stdout is not None
         assert child.stdout.readline() == "up\n"

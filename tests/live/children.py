@@ -3,12 +3,13 @@
 import json
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+
+from forks import ForkedProcess
 
 LIMIT_S = 30.0
 """Generous: an event that takes longer does not occur."""
@@ -36,20 +37,13 @@ class Children:
         (entries / "METADATA").write_text("Metadata-Version: 2.1\nName: fakemake\nVersion: 1\n")
         (entries / "entry_points.txt").write_text("[tutti.adapters]\nfake = fake_make:MAKE\n")
 
-    def start(self, *arguments: str) -> "subprocess.Popen[str]":
+    def start(self, *arguments: str) -> ForkedProcess:
         """`python -m` with `arguments`; its ready line is not read yet."""
-        process = subprocess.Popen(
-            [sys.executable, "-m", *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=self._environment,
-        )
+        process = ForkedProcess(["-m", *arguments], self._environment)
         self._stack.callback(self._end, process)
         return process
 
-    def simulator(self, model: str, listen: str, *more: str) -> "tuple[subprocess.Popen[str], dict[str, Any]]":
+    def simulator(self, model: str, listen: str, *more: str) -> tuple[ForkedProcess, dict[str, Any]]:
         """A simulated controller that can be reached, and where."""
         process = self.start("sim.link.process", "--model", model, "--name", "unit", "--listen", listen, *more)
         return process, json.loads(ready(process))
@@ -57,7 +51,7 @@ class Children:
     def close(self) -> None:
         self._stack.close()
 
-    def _end(self, process: "subprocess.Popen[str]") -> None:
+    def _end(self, process: ForkedProcess) -> None:
         if process.poll() is None:
             process.terminate()
         try:
@@ -70,7 +64,7 @@ class Children:
                 pipe.close()
 
 
-def ready(process: "subprocess.Popen[str]") -> str:
+def ready(process: ForkedProcess) -> str:
     """The first line that the process prints."""
     assert process.stdout is not None
     line = process.stdout.readline()
@@ -80,7 +74,7 @@ def ready(process: "subprocess.Popen[str]") -> str:
     return line.strip()
 
 
-def tell(process: "subprocess.Popen[str]", **change: object) -> None:
+def tell(process: ForkedProcess, **change: object) -> None:
     """Change the world of a simulator."""
     assert process.stdin is not None
     process.stdin.write(json.dumps(change) + "\n")

@@ -21,8 +21,8 @@ def children(tmp_path: Path) -> Iterator[Children]:
 
 @pytest.fixture(scope="session")
 def demo_fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
-    """The demo fleet, started once in each test process."""
-    fleet = RunningFleet(tmp_path_factory.mktemp("shared"))
+    """The demo fleet with all that it may have, started once in each test process."""
+    fleet = RunningFleet(tmp_path_factory.mktemp("shared"), recorded=True, web=True)
     try:
         yield fleet.started()
     finally:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from children import LIMIT_S, wait_until
+from forks import run_forked
 
 from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
@@ -32,6 +33,7 @@ READY: Steps = [
     {"do": "home"},
     {"do": "move", "to": {"gantry.x": 1, "gantry.y": 1, "stage.u": 1, "stage.v": 1}},
 ]
+BACK: dict[str, Any] = {"do": "move", "to": {"gantry.x": 1, "stage.u": 1}}
 # Takes 40 s: an axis that is at rest before was stopped.
 SLOW: Steps = [{"do": "move", "to": {"gantry.x": 201, "stage.u": 21}, "speed": 0.05}]
 SLOW_AXES = {"gantry": "X", "stage": "1"}
@@ -190,6 +192,20 @@ class RunningFleet:
         report = self.run(READY)
         assert report.state == "done", report.reason
 
+    def bring_back(self) -> None:
+        """As `ready`, for the axes of a slow move, of which only those are homed that have lost their reference: all
+        axes take 4 s."""
+        self.ask(lambda tutti: tutti.reset())
+        self.works()
+        self.ask(lambda tutti: tutti.start_queue())
+        states = self.status()
+        axes = {f"{name}.{axis}": states[name].axes[axis] for name, axis in (("gantry", "x"), ("stage", "u"))}
+        lost = [name for name, axis in axes.items() if not axis.referenced]
+        steps: Steps = READY[:1] if not all(axis.enabled for axis in axes.values()) else []
+        steps = [*steps, *([{"do": "home", "axes": lost}] if lost else []), BACK]
+        report = self.run(steps)
+        assert report.state == "done", report.reason
+
     # What really moved
 
     def truth(self, controller: str) -> list[Entry]:
@@ -230,17 +246,15 @@ class RunningFleet:
         return last()["end_ns"]
 
 
-def run_tutti(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    """The `tutti` command to its end."""
-    environment = {**os.environ, "COLUMNS": "200"}
-    return subprocess.run(
-        [*COMMAND, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=2 * LIMIT_S,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-    )
+def run_tutti(*arguments: str, **variables: str) -> "subprocess.CompletedProcess[str]":
+    """The `tutti` command to its end, with additional variables of the environment."""
+    environment = {**os.environ, "COLUMNS": "200", **variables}
+    return run_forked([*COMMAND[1:], *arguments], environment, 2 * LIMIT_S)
+
+
+def run_example(name: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
+    """A program of `deploy/examples` to its end."""
+    return run_forked([str(EXAMPLES / name), *arguments], os.environ, LIMIT_S)
 
 
 def _processes() -> dict[int, tuple[int, str]]:

@@ -3,13 +3,13 @@
 import json
 import os
 import queue
-import subprocess
 import threading
 from pathlib import Path
 
 import pytest
 from children import LIMIT_S
-from fleet import COMMAND, RunningFleet
+from fleet import COMMAND, RunningFleet, run_tutti
+from forks import ForkedProcess
 
 pytestmark = pytest.mark.live
 
@@ -18,8 +18,7 @@ class ArmedProcess:
     """The command, and the kinds of the lines that it prints."""
 
     def __init__(self, *options: str) -> None:
-        command = [*COMMAND, "estop", "--armed", "--json", *options]
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.process = ForkedProcess([*COMMAND[1:], "estop", "--armed", "--json", *options], os.environ)
         self._lines: queue.Queue[str] = queue.Queue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -33,7 +32,7 @@ class ArmedProcess:
         self.process.kill()
         self.process.wait()
         self._reader.join(LIMIT_S)
-        for pipe in (self.process.stdin, self.process.stdout):
+        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
             if pipe is not None:
                 pipe.close()
 
@@ -84,7 +83,5 @@ def test_it_is_loud_without_a_router_and_ends_with_its_input(tmp_path: Path) -> 
         assert armed.process.wait(LIMIT_S) == 1
     finally:
         armed.close()
-    refused = subprocess.run(
-        [*COMMAND, "estop", "--armed"], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S
-    )
+    refused = run_tutti("estop", "--armed")
     assert refused.returncode == 1 and "must be a terminal or a pipe" in refused.stderr

@@ -3,11 +3,12 @@
 import asyncio
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from children import LIMIT_S, Children, tell
+from children import LIMIT_S, Children, tell, wait_until
 from fleet import free_port
 
 from orchestrator.client import Tutti
@@ -75,9 +76,15 @@ def test_the_line_is_still_there_after_a_power_cycle(children: Children) -> None
     with client(place) as one:
         tell(process, power=False)
         tell(process, power=True)
-        time.sleep(0.2)
-        one.sendall(b"?:N\r\n")
-        assert line(one) == b"SHRC-203\r\n"
+        one.settimeout(0.1)
+
+        def answers() -> bool:
+            one.sendall(b"?:N\r\n")
+            with suppress(TimeoutError):  # it begins to answer a while after it has power
+                return line(one) == b"SHRC-203\r\n"
+            return False
+
+        wait_until(answers, "it answers on the same connection")
 
 
 def fleet() -> Fleet:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from children import LIMIT_S
 
-from adapters.host.firing_process import ProcessTimedWriter
+from adapters.host.timed_writer import ProcessTimedWriter
 from adapters.link.open import make_link_opener
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.live import LiveClock, raw_ns

@@ -11,14 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from children import LIMIT_S, wait_until
+from children import wait_until
 from fleet import (
     EXAMPLES,
-    READY,
     SLOW_AXES,
     RunningFleet,
     free_port,
     margin_s,
+    run_example,
     run_tutti,
     wait_a_moment,
 )
@@ -56,15 +56,6 @@ def own(tmp_path: Path) -> Iterator[RunningFleet]:
         yield fleet
     finally:
         fleet.close()
-
-
-def bring_back(fleet: RunningFleet) -> None:
-    """All axes to the beginning, enabled and homed first where one has lost that: the fleet works."""
-    fleet.works()
-    fleet.ask(lambda tutti: tutti.start_queue())
-    axes = [axis for state in fleet.status().values() for axis in state.axes.values()]
-    report = fleet.run(READY[-1:] if all(axis.enabled and axis.referenced for axis in axes) else READY)
-    assert report.state == "done", report.reason
 
 
 def test_the_demo_job_is_done_and_its_evidence_contains_the_truth(shared: RunningFleet) -> None:
@@ -168,7 +159,7 @@ def test_clocks_are_listed_and_a_fleet_without_wires_is_reported(shared: Running
 def test_a_killed_process_stops_everything_and_work_continues(
     shared: RunningFleet, victim: str, bound_s: float
 ) -> None:
-    bring_back(shared)
+    shared.bring_back()
     job_id = shared.slow_move()
     killed_ns = shared.kill(victim)
     took_s = {name: margin_s(killed_ns, shared.rest_ns(name)) for name in SLOW_AXES}
@@ -179,12 +170,12 @@ def test_a_killed_process_stops_everything_and_work_continues(
     assert report.reason
     shared.works()
     assert {name: shared.starts(name) for name in SLOW_AXES} == starts
-    bring_back(shared)
+    shared.bring_back()
     note("rest_s", took_s)
 
 
 def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: RunningFleet) -> None:
-    bring_back(shared)
+    shared.bring_back()
     before = {name: shared.starts(name) for name in SLOW_AXES}
     job_id = shared.slow_move([{"do": "move", "by": {"gantry.x": 40, "stage.u": 4}, "speed": 0.1}])
     killed_ns = shared.kill("orchestrator.bus.zenoh.router")
@@ -195,13 +186,13 @@ def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: Runn
         assert max(took_s.values()) < COORDINATOR_LOST_S + RAMPS_S + BUSY_S, (took_s, report.reason)
     shared.works()
     assert all(shared.starts(name) == count + 1 for name, count in before.items())
-    bring_back(shared)
+    shared.bring_back()
     note("rest_s", took_s)
     note("job", f"{report.state} {report.reason}")
 
 
 def test_a_hung_router_stops_everything_and_work_continues(shared: RunningFleet) -> None:
-    bring_back(shared)
+    shared.bring_back()
     job_id = shared.slow_move()
     router = shared.pid("orchestrator.bus.zenoh.router")
     os.kill(router, signal.SIGSTOP)
@@ -217,13 +208,13 @@ def test_a_hung_router_stops_everything_and_work_continues(shared: RunningFleet)
     assert report.reason
     shared.works()
     assert {name: shared.starts(name) for name in SLOW_AXES} == starts
-    bring_back(shared)
+    shared.bring_back()
     note("rest_s", took_s)
 
 
 @pytest.mark.nightly
 def test_a_killed_simulator_stops_the_others_and_comes_back(shared: RunningFleet) -> None:
-    bring_back(shared)
+    shared.bring_back()
     job_id = shared.slow_move()
     killed_ns = shared.kill("--name gantry")
     took_s = margin_s(killed_ns, shared.rest_ns("stage"))
@@ -231,12 +222,12 @@ def test_a_killed_simulator_stops_the_others_and_comes_back(shared: RunningFleet
     report = shared.wait(job_id)
     assert report.state == "failed"
     assert "gantry" in report.reason
-    bring_back(shared)
+    shared.bring_back()
     note("rest_s", took_s)
 
 
 def test_stop_ends_a_move(shared: RunningFleet) -> None:
-    bring_back(shared)
+    shared.bring_back()
     job_id = shared.slow_move()
     asked_ns = raw_ns()
     done = shared.tutti("stop", "--json")
@@ -251,7 +242,7 @@ def test_stop_ends_a_move(shared: RunningFleet) -> None:
 
 
 def test_an_estop_latches_survives_a_restart_and_is_reset(shared: RunningFleet) -> None:
-    bring_back(shared)
+    shared.bring_back()
     shared.slow_move()
     asked_ns = raw_ns()
     done = shared.tutti("estop", "--reason", "test", "--json")
@@ -276,7 +267,7 @@ def test_an_estop_latches_survives_a_restart_and_is_reset(shared: RunningFleet) 
     finally:
         assert shared.tutti("reset").returncode == 0
     assert all(state.estop is None for state in shared.status().values())
-    bring_back(shared)
+    shared.bring_back()
     note("rest_s", took_s)
 
 
@@ -313,7 +304,7 @@ def test_bad_jobs_and_absent_fleets_have_their_exit_codes(shared: RunningFleet, 
 
 @pytest.mark.nightly
 def test_axes_and_outputs_under_manual_control(shared: RunningFleet) -> None:
-    bring_back(shared)
+    shared.bring_back()
     moved = shared.tutti("axis", "move", "gantry.x=12", "stage.u=1500 um", "--line")
     assert (moved.returncode, moved.stdout.strip()) == (0, "gantry.x 12.000 mm, stage.u 1.500 mm"), moved.stderr
     assert shared.tutti("axis", "move", "gantry.x=-2", "--relative").returncode == 0
@@ -350,8 +341,7 @@ def test_a_fleet_file_is_checked_offline_and_against_the_units(shared: RunningFl
 
 
 def test_positions_can_be_watched_with_zenoh_alone(shared: RunningFleet) -> None:
-    command = [sys.executable, str(EXAMPLES / "watch_positions.py"), shared.endpoint, "4"]
-    seen = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
+    seen = run_example("watch_positions.py", shared.endpoint, "4")
     assert seen.returncode == 0, seen.stderr
     lines = seen.stdout.splitlines()
     assert len(lines) == 4
@@ -360,25 +350,22 @@ def test_positions_can_be_watched_with_zenoh_alone(shared: RunningFleet) -> None
 
 def test_jobs_are_submitted_from_a_script_and_with_zenoh_alone(shared: RunningFleet) -> None:
     job = shared.file([{"do": "enable", "axes": ["gantry"]}, {"do": "dwell", "duration": "100 ms"}], "scripted")
-    script = [sys.executable, str(EXAMPLES / "submit_job.py"), str(job), shared.endpoint]
-    told = subprocess.run(script, capture_output=True, text=True, timeout=LIMIT_S)
-    assert told.returncode == 0, told.stderr
-    states = [line.split()[1] for line in told.stdout.splitlines()]
+    script = run_example("submit_job.py", str(job), shared.endpoint)
+    assert script.returncode == 0, script.stderr
+    states = [line.split()[1] for line in script.stdout.splitlines()]
     assert states[0] == "queued" and states[-1] == "done"
-    plain = [sys.executable, str(EXAMPLES / "submit_with_zenoh.py"), str(job), "demo", shared.endpoint]
-    told = subprocess.run(plain, capture_output=True, text=True, timeout=LIMIT_S)
-    assert told.returncode == 0, told.stderr
-    assert told.stdout.split()[1] == "done"
+    plain = run_example("submit_with_zenoh.py", str(job), "demo", shared.endpoint)
+    assert plain.returncode == 0, plain.stderr
+    assert plain.stdout.split()[1] == "done"
     wrong = shared.file([{"do": "move", "to": {"gantry.q": 1}}], "wrong")
-    plain[2] = str(wrong)
-    told = subprocess.run(plain, capture_output=True, text=True, timeout=LIMIT_S)
-    assert told.returncode == 1
-    assert "gantry" in told.stderr
+    refused = run_example("submit_with_zenoh.py", str(wrong), "demo", shared.endpoint)
+    assert refused.returncode == 1
+    assert "gantry" in refused.stderr
 
 
 @pytest.mark.nightly
 def test_a_coordinator_that_slept_loses_leadership_and_moves_nothing(own: RunningFleet) -> None:
-    own.started().ready()
+    own.started().bring_back()
     own.slow_move()
     first = own.pid("orchestrator.coordinator.process")
     os.kill(first, signal.SIGSTOP)
@@ -405,7 +392,7 @@ def test_a_coordinator_that_slept_loses_leadership_and_moves_nothing(own: Runnin
 
 
 def test_ctrl_c_in_a_move_stops_it_and_ends_everything(own: RunningFleet) -> None:
-    own.started().ready()
+    own.started().bring_back()
     own.slow_move()
     asked_ns = raw_ns()
     assert own.end(signal.SIGINT) == 0

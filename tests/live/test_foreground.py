@@ -67,7 +67,7 @@ class Terminal:
 @pytest.fixture
 def slow_move(shared: RunningFleet) -> Iterator[Terminal]:
     """A manual move of some 40 s on a terminal, in motion."""
-    shared.ready()
+    shared.bring_back()
     before = shared.starts("gantry")
     terminal = Terminal("axis", "move", "gantry.x=200", "--speed", "0.05", "--connect", shared.endpoint)
     try:

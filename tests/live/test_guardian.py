@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import threading
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import pytest
 from children import LIMIT_S, Children, ready, wait_until
 from fake_make import DRIVER_STOP, GUARDIAN_STOP
+from forks import ForkedProcess, server_pid
 
 from orchestrator.bus.base import Bus, Priority
 from orchestrator.bus.estop import put_estop
@@ -93,9 +93,9 @@ class Site:
         self._names = list(controllers)
         self.online(1)
 
-    def start_router(self) -> "subprocess.Popen[str]":
+    def start_router(self) -> ForkedProcess:
         kept = ("f", str(self._children.folder / "estop-router.json"))
-        router = self._children.start("orchestrator.bus.zenoh.router", self.endpoint, str(os.getpid()), *kept)
+        router = self._children.start("orchestrator.bus.zenoh.router", self.endpoint, str(server_pid()), *kept)
         ready(router)
         return router
 

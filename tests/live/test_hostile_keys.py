@@ -46,11 +46,12 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[KeyedFleet]:
 
 
 class Collected(list[tuple[str, bytes]]):
-    """Samples on an expression, from now on."""
+    """Samples on an expression on which the running fleet publishes, from now on: the first one has arrived."""
 
     def __init__(self, session: zenoh.Session, expression: str) -> None:
         super().__init__()
         self.held = session.declare_subscriber(expression, self._receive)
+        wait_until(lambda: len(self) > 0, f"a sample on {expression}")
 
     def _receive(self, sample: zenoh.Sample) -> None:
         self.append((str(sample.key_expr), sample.payload.to_bytes()))
@@ -99,8 +100,9 @@ def test_what_another_owns_is_not_reached(keyed: KeyedFleet) -> None:
     try:
         states, presence = Collected(observer, f"{PREFIX}/ctl/gantry/state"), list[str]()
         watch = observer.liveliness().declare_subscriber(
-            f"{PREFIX}/live/**", lambda each: presence.append(str(each.key_expr))
+            f"{PREFIX}/live/**", lambda each: presence.append(str(each.key_expr)), history=True
         )
+        wait_until(lambda: bool(presence), "what the fleet itself has announced")
         forged = json.loads(keyed.status()["gantry"].to_json()) | {"instance": "forged"}
         tokens = [
             right.liveliness().declare_token(f"{PREFIX}/live/{each}/forged")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import COMMAND, EXAMPLES, READY, SLOW, RunningFleet, run_tutti
+from fleet import COMMAND, EXAMPLES, SLOW, RunningFleet, run_tutti
 
 from orchestrator.model.files import load_fleet
 
@@ -49,9 +49,7 @@ def test_two_hosts_do_a_job_and_stop_with_each_other(tmp_path: Path) -> None:
         assert "stage not reached yet" in fleet.output()
         host = RunningHost(tmp_path, fleet.endpoint)
         wait_until(lambda: "drives stage" in host.said.read_text(), "the host has started")
-        fleet.works()
-        fleet.ask(lambda tutti: tutti.start_queue())
-        assert fleet.run(READY).state == "done"
+        fleet.bring_back()
 
         again = run_tutti(
             "host", "right", "--fleet", "demo", "--connect", fleet.endpoint, "--state", str(tmp_path / "x")

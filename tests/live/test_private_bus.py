@@ -28,7 +28,8 @@ def bus() -> Iterator[Path]:
         Path(name).chmod(0o755)
         fleet = RunningFleet(Path(name), EXAMPLES / "demo.fleet.yaml", "--private", "--no-hosts")
         try:
-            wait_until(lambda: "is up" in fleet.output() or fleet.up.poll() is not None, "it is up")
+            # Not until it is up: that would be 3 s later, when it has given up waiting for controllers without a host.
+            wait_until(lambda: "router on" in fleet.output() or fleet.up.poll() is not None, "its router listens")
             yield fleet.state / "bus.sock"
         finally:
             fleet.close()

@@ -2,39 +2,25 @@
 
 import json
 import re
-import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import COMMAND, READY, RunningFleet
+from fleet import BACK, RunningFleet, run_tutti
 
 pytestmark = pytest.mark.live
 
 
-def tutti(*words: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=2 * LIMIT_S)
-
-
 def list_recordings(folder: Path) -> list[dict[str, Any]]:
-    return json.loads(tutti("record", "ls", "--folder", str(folder), "--limit", "1000", "--json").stdout)
+    return json.loads(run_tutti("record", "ls", "--folder", str(folder), "--limit", "1000", "--json").stdout)
 
 
-@pytest.fixture
-def recorded_fleet(tmp_path: Path) -> Iterator[RunningFleet]:
-    fleet = RunningFleet(tmp_path, recorded=True)
-    try:
-        yield fleet.started()
-    finally:
-        fleet.close()
-
-
-def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(recorded_fleet: RunningFleet, tmp_path: Path) -> None:
-    folder = recorded_fleet.state / "recordings"
-    report = recorded_fleet.run(READY)
+def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(shared: RunningFleet, tmp_path: Path) -> None:
+    folder = shared.state / "recordings"
+    shared.bring_back()
+    report = shared.run([BACK])
     wait_until(
         lambda: any(
             each["job_id"] == report.job_id and each["state"] == "complete" for each in list_recordings(folder)
@@ -42,35 +28,35 @@ def test_a_fleet_is_recorded_also_after_its_recorder_was_killed(recorded_fleet: 
         "the recording of the job is complete",
     )
     output = tmp_path / "run.csv"
-    exported = tutti("export", report.job_id, "--folder", str(folder), "--to", "csv", "-o", str(output))
+    exported = run_tutti("export", report.job_id, "--folder", str(folder), "--to", "csv", "-o", str(output))
     assert exported.returncode == 0, exported.stderr
     assert "gantry.x.position" in output.read_text().splitlines()[0]
     # One recorder uses a folder.
-    second = tutti(
+    second = run_tutti(
         "record",
         "start",
         "--fleet",
         "demo",
         "--connect",
-        recorded_fleet.endpoint,
+        shared.endpoint,
         "--folder",
         str(folder),
         "--metrics-port",
         "0",
     )
     assert second.returncode == 2 and "another recorder uses this folder" in second.stderr
-    address = re.findall(r"metrics on (\S+)", recorded_fleet.output())[-1]
+    address = re.findall(r"metrics on (\S+)", shared.output())[-1]
     with urlopen(address, timeout=LIMIT_S) as answer:
         assert b'tutti_controller_online{controller="gantry"} 1.0' in answer.read()
 
     left = {each["file"] for each in list_recordings(folder) if each["state"] == "being written"}
     assert left
-    recorded_fleet.kill("orchestrator.monitor.recording.process")
+    shared.kill("orchestrator.monitor.recording.process")
     wait_until(
         lambda: left <= {each["file"] for each in list_recordings(folder) if each["state"] == "complete"},
         "what the killed recorder has left is repaired",
     )
-    again = recorded_fleet.run(READY[-1:])
+    again = shared.run([BACK])
     wait_until(
         lambda: any(each["job_id"] == again.job_id and each["state"] == "complete" for each in list_recordings(folder)),
         "the next job is recorded",

@@ -237,11 +237,14 @@ class Trial:
     def send(self) -> None:
         """put, delete: at an observer of everything."""
         self._held.append(self.observer.declare_subscriber("**", self.receive))
+        # The subscription has reached the router, before anything is sent once.
+        self._send_until(self.sessions["coordinator"], "leader", "begin")
+        block = zenoh.CongestionControl.BLOCK  # else a full queue of a busy machine drops it
         for role, session in self.sessions.items():
             for (_, _, column), key in self.cases(role, "put"):
-                session.put(key, f"{role}|{column}")
+                session.put(key, f"{role}|{column}", congestion_control=block)
             for _, key in self.cases(role, "delete"):
-                session.delete(key, attachment=role)
+                session.delete(key, attachment=role, congestion_control=block)
         self.fence()
 
     def receive_all(self) -> None:
@@ -263,9 +266,14 @@ class Trial:
                 receiver = make_receiver(case, announced[case[2]])
                 declared.append(session.liveliness().declare_subscriber(key, receiver, history=True))
         self.fence()
-        for key in published.values():
-            self.observer.put(f"tutti/v1/{key}", "published")
-        wait_until(lambda: {each for each in self.wanted if each[1] in ("sub", "watch")} <= self.arrived, "all samples")
+        wanted = {each for each in self.wanted if each[1] in ("sub", "watch")}
+
+        def arrived() -> bool:
+            for key in published.values():
+                self.observer.put(f"tutti/v1/{key}", "published")
+            return wanted <= self.arrived
+
+        wait_until(arrived, "all samples")
         self.fence()
         for each in (*declared, *tokens):
             each.undeclare()
@@ -349,7 +357,8 @@ class Trial:
             if sample.kind == zenoh.SampleKind.PUT:
                 seen.add(str(sample.key_expr))
 
-        self._held.append(self.observer.liveliness().declare_subscriber("**", receive))
+        # With those that are there already: the first token is waited for, so that later ones find a watch that works.
+        self._held.append(self.observer.liveliness().declare_subscriber("**", receive, history=True))
         for role, session in self.sessions.items():
             for case, key in self.cases(role, "token"):
                 token = session.liveliness().declare_token(key)

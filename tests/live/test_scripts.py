@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import EXAMPLES, READY, RunningFleet
+from fleet import RunningFleet, run_example
 
 from tutti import BlockingTutti, Dwell, Job, Tutti
 
@@ -32,7 +32,7 @@ asyncio.run(main())
 
 @pytest.mark.parametrize("script", [BLOCKING, ASYNC], ids=["blocking", "async"])
 def test_an_interrupted_script_stops_its_axes_and_says_so(shared: RunningFleet, script: str) -> None:
-    shared.run(READY)
+    shared.bring_back()
     code = script.format(endpoint=shared.endpoint)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -54,19 +54,13 @@ def test_the_examples_say_what_is_wrong_with_their_input(shared: RunningFleet, t
         (["submit_job.py", str(tmp_path / "none.yaml"), shared.endpoint], "cannot be read"),
         (["jog_by_hand.py", "gantry.q", "1", shared.endpoint], "gantry.q"),
     ):
-        done = subprocess.run(
-            [sys.executable, str(EXAMPLES / words[0]), *words[1:]],
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+        done = run_example(*words)
         assert done.returncode == 1 and text in done.stderr and "Traceback" not in done.stderr
 
 
 def test_a_notebook_moves_axes_although_its_own_loop_runs(shared: RunningFleet) -> None:
     """A cell of a notebook runs inside an event loop."""
-    shared.run(READY)
+    shared.bring_back()
 
     async def cell() -> float:
         with BlockingTutti(shared.endpoint) as tutti:

@@ -2,9 +2,6 @@
 
 import json
 import socket
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -175,12 +172,10 @@ def test_it_ends_with_its_standard_input(children: Children) -> None:
         (["--model", "shrc203", "--listen", "udp:127.0.0.1:0"], "serial"),
     ],
 )
-def test_a_wrong_argument_is_one_line_and_code_2(wrong: list[str], named: str) -> None:
+def test_a_wrong_argument_is_one_line_and_code_2(children: Children, wrong: list[str], named: str) -> None:
     usual = ["--model", "smc4000", "--name", "unit", "--listen", "tcp:127.0.0.1:0"]
-    command = [sys.executable, "-m", "sim.link.process", *usual, *wrong]
-    done = subprocess.run(
-        command, stdin=subprocess.PIPE, capture_output=True, text=True, timeout=LIMIT_S, cwd=Path.cwd()
-    )
-    assert done.returncode == 2
-    assert named in done.stderr
-    assert done.stderr.count("\n") == 1
+    process = children.start("sim.link.process", *usual, *wrong)
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 2
+    assert named in said
+    assert said.count("\n") == 1

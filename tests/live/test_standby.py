@@ -25,7 +25,7 @@ def coordinators(fleet: RunningFleet) -> set[int]:
 def test_the_queue_is_kept_when_the_leader_is_lost(tmp_path: Path, number: signal.Signals) -> None:
     fleet = RunningFleet(tmp_path, EXAMPLES / "demo.fleet.yaml", "--standby")
     try:
-        fleet.started().ready()
+        fleet.started().bring_back()
         both = coordinators(fleet)
         assert len(both) == 2
         first = fleet.epoch()

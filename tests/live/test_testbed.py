@@ -21,7 +21,7 @@ def pids_of(fleet: LiveTestbed) -> list[int]:
 def use_fleet(fleet: LiveTestbed) -> None:
     """What a test does with it."""
     fleet.tutti.enable("gantry", "stage")
-    fleet.tutti.home()
+    fleet.tutti.home("gantry.x", "stage.u")
     report = fleet.tutti.move({"gantry.x": 20, "stage.u": 2})
     fleet.advance("1 s")
     truth = fleet.truth("gantry.x")
@@ -52,7 +52,7 @@ def test_a_live_fleet_is_used_checked_and_ended() -> None:
         fleet.schedule(lambda: 1 / 0, at="1 ms")
         fleet.tutti.reset()
         fleet.tutti.enable("gantry")
-        fleet.tutti.home("gantry")
+        fleet.tutti.home("gantry.x")
         fleet.tutti.submit(Job("far", [Move(to={"gantry.x": 300}, speed=0.02)]))
         fleet.tutti.start_queue()
         wait_until(lambda: fleet.tutti.axes()["gantry.x"].moving, "it moves")

@@ -7,8 +7,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from children import LIMIT_S, wait_until
-from fleet import COMMAND, EXAMPLES, RunningFleet, free_port
+from children import wait_until
+from fleet import COMMAND, EXAMPLES, RunningFleet, free_port, run_tutti
 
 from orchestrator.runtime.state_folder import find_start_ticks
 from orchestrator.runtime.terminal_process import TerminalProcess
@@ -18,8 +18,7 @@ CODE = COMMAND[-1]
 
 
 def run_in(home: Path, *words: str) -> "subprocess.CompletedProcess[str]":
-    environment = {**os.environ, "XDG_STATE_HOME": str(home)}
-    return subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=2 * LIMIT_S, env=environment)
+    return run_tutti(*words, XDG_STATE_HOME=str(home))
 
 
 def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tmp_path: Path) -> None:
@@ -35,7 +34,7 @@ def test_a_detached_fleet_is_up_when_the_command_returns_and_is_ended_by_down(tm
         again = run_in(tmp_path, *up)
         assert (again.returncode, again.stdout) == (1, "")
         assert "another `tutti up` uses" in again.stderr
-        for words in (["enable", "gantry"], ["home", "gantry"]):
+        for words in (["enable", "gantry"], ["home", "gantry.x"]):
             assert run_in(tmp_path, "axis", *words, *endpoint).returncode == 0
         job = tmp_path / "slow.job.yaml"
         job.write_text("schema: tutti.job/1\nname: slow\nsteps: [{do: move, to: {gantry.x: 300}, speed: 0.05}]\n")

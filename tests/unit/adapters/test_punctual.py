@@ -7,7 +7,8 @@ import pytest
 
 from adapters.contract import TimedWriter
 from adapters.host.makes import find_make
-from adapters.toolkit.firing import ORDINARY_DELAY_US, FiringOptions, WriteOrder, apply_writer_delay, write_at_instant
+from adapters.toolkit.firing import ORDINARY_DELAY_US, FiringOptions, apply_writer_delay
+from orchestrator.link.timed_write import WriteOrder, write_at_instant
 
 FIRER = cast(TimedWriter, SimpleNamespace(max_delay_us=ORDINARY_DELAY_US))
 

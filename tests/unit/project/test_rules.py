@@ -142,3 +142,10 @@ def test_schemas_are_json_schemas(kind: str) -> None:
     schema = json.loads(shown.output)
     assert schema["type"] == "object"
     assert "schema" in schema["properties"]
+
+
+def test_live_tests_are_where_they_are_collected() -> None:
+    marked = {path.parent.name for path in (ROOT / "tests").rglob("test_*.py") if "mark.live" in path.read_text()}
+    assert marked - {"project"} == {"live", "contract"}
+    (command,) = (line for line in (ROOT / "Makefile").read_text().splitlines() if '-m "live and not nightly' in line)
+    assert command.endswith(" tests/live tests/contract")
