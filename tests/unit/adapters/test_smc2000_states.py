@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, LIMITS, World, run, trapezoid, typed
+from unit.random_rounds import share_with_nightly
 
 from adapters.yaskawa.smc2000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -147,7 +148,7 @@ def test_noise_is_a_fault_and_the_next_poll_succeeds(noise: bytes):
     run(main)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", share_with_nightly(range(12), 4))
 def test_lost_and_garbled_bytes_never_become_wrong_values(seed: int):
     async def main(world: World) -> None:
         await world.ready(5)

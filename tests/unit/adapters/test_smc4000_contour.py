@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import JogMove
 from adapters.yaskawa.smc4000.driver import MAKE
@@ -65,7 +66,7 @@ async def usable(world: World) -> None:
         assert [world.controller.position(motor) for motor in "XY"] == [at + 4000 for at in here.values()]
 
 
-@pytest.mark.parametrize(("seed", "ppm"), [(1, 0.0), (2, 100.0), (3, -100.0), (4, 35.0)])
+@pytest.mark.parametrize(("seed", "ppm"), share_with_nightly([(2, 100.0), (3, -100.0), (1, 0.0), (4, 35.0)], 2))
 def test_path_and_evidence_contain_the_truth_over_random_moves_and_crystals(seed: int, ppm: float):
     async def main(world: World) -> None:
         draw = Random(seed)
@@ -166,8 +167,7 @@ def test_nothing_starts_after_a_disarm_and_the_axes_are_free(before_ms: int, way
     run(main)
 
 
-@pytest.mark.parametrize("halts", [True, False])
-@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize(("abort", "halts"), [(False, True), (False, False), (True, True)])  # AB always halts programs
 @pytest.mark.parametrize(
     "after_ms",
     [
@@ -408,7 +408,7 @@ def test_a_power_cycle_clears_a_contour():
     run(main)
 
 
-@pytest.mark.parametrize("stage", range(0, 60, 3))
+@pytest.mark.parametrize("stage", range(0, 60, 5))
 def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage: int):
     async def main(world: World) -> None:
         await world.ready()
