@@ -14,7 +14,9 @@ from orchestrator.conformance.power_cuts import COMMANDED, CUT_MOMENTS_NS, check
     ],
     ids=["", *(f"more, {first} of 5" for first in range(1, 6))],
 )
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=[pytest.mark.nightly] if each.endswith("of three") else []) for each in CASES]
+)
 @pytest.mark.parametrize("act", COMMANDED)
 def test_a_short_power_cut_while_a_motion_is_commanded(name: str, act: str, moments_ns: list[int]) -> None:
     check_power_cuts(CASES[name], COMMANDED[act], moments_ns)
