@@ -107,18 +107,6 @@ def test_another_program_is_not_destroyed_while_it_runs():
     run(main)
 
 
-@pytest.mark.parametrize(("line", "words"), [("TM 500", "servo period"), ("IT 0.5", "smoothing")])
-def test_settings_that_must_not_be_changed_are_refused(line: str, words: str):
-    async def main(world: World) -> None:
-        await world.talk(line)
-        await world.driver.connect()
-        with pytest.raises(ControllerFault, match=words) as fault:
-            await world.driver.configure()
-        assert fault.value.code == "config-mismatch"
-
-    run(main)
-
-
 def test_a_blocked_interpreter_is_a_fault_with_a_remedy():
     async def main(world: World) -> None:
         await world.ready(3)

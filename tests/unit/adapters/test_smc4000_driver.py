@@ -11,7 +11,7 @@ from unit.random_rounds import share_with_nightly
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
@@ -78,26 +78,6 @@ def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(see
     run(main, seed=seed, ppm=ppm)
 
 
-def test_a_gate_that_is_never_opened_means_no_motion():
-    async def main(world: World) -> None:
-        await world.ready()
-        mapping = world.driver.clock_mapping()
-        lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
-        t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm_move(lowered, t0_ns, mapping)
-        await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-        with pytest.raises(Refusal) as late:
-            await world.driver.go()
-        assert late.value.code == "late"
-        with pytest.raises(ControllerFault) as fault:
-            await world.driver.wait_for_start()
-        assert fault.value.code == "late"
-        await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.commanded_motions
-
-    run(main)
-
-
 @pytest.mark.parametrize(
     ("period_us", "decode_us"),
     [(1000, 500), *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((250, 1500), *MORE_PERIODS))],
@@ -148,27 +128,6 @@ def test_a_release_at_the_last_moment_starts_in_time_or_not_at_all(period_us: in
     assert begun[0] and not begun[-1]
 
 
-@pytest.mark.parametrize("abort", [False, True])
-@pytest.mark.parametrize("before_ms", [300, 60, 21, 2, 0])
-def test_a_stop_while_armed_keeps_everything_at_rest_or_stops_it(abort: bool, before_ms: int):
-    async def main(world: World) -> None:
-        await world.ready()
-        mapping = world.driver.clock_mapping()
-        lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 90_000, 900_000)}, StartOptions(), mapping)
-        t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm_move(lowered, t0_ns, mapping)
-        await world.driver.go()
-        await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
-        await world.driver.stop(abort=abort)
-        await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
-        assert world.controller.at_rest()
-        assert abs(world.controller.position("X")) < 100
-        if before_ms >= 21:
-            assert not world.controller.commanded_motions
-
-    run(main)
-
-
 def test_disarmed_and_reconnected_controllers_do_not_start():
     async def main(world: World) -> None:
         await world.ready()
@@ -189,20 +148,6 @@ def test_disarmed_and_reconnected_controllers_do_not_start():
             await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
             await world.driver.poll()
             assert not world.controller.commanded_motions
-
-    run(main)
-
-
-def test_axes_without_a_distance_take_part_without_moving():
-    async def main(world: World) -> None:
-        await world.ready()
-        still = Profile(0, 0, 0.0, [0.0], [0.0], [0.0])
-        for profiles in ({"x": trapezoid(0, 4000, 20_000, 200_000), "y": still}, {"y": still}):
-            lowered, started, outcome, _ = await world.moved(profiles)
-            assert outcome.state == "done"
-            assert set(started) == set(outcome.ended) == set(profiles)
-            assert lowered.durations_s["y"] == 0
-        assert {motion.axis for motion in world.controller.commanded_motions} == {"X"}
 
     run(main)
 
