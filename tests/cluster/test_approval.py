@@ -466,7 +466,7 @@ def test_a_plan_of_many_steps_lets_other_work_have_its_turn() -> None:
     async def main(fleet: VirtualFleet) -> None:
         anna = fleet.make_client("anna")
         await outcome(fleet, PREPARE)
-        steps = ", ".join(f"{{do: move, to: {{gantry.x: {number % 10}}}}}" for number in range(1, 2001))
+        steps = ", ".join(f"{{do: move, to: {{gantry.x: {number % 10}}}}}" for number in range(1, 501))
         job_id = await anna.submit(job(f"[{steps}]"), terms=PROPOSED)
         planned, state = await asyncio.gather(anna.plan_job(job_id), anna.status())
         assert planned.plan is not None and len(planned.plan.parts) < 10 and len(state) == 2

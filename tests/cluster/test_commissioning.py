@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from cluster.worlds import EXAMPLES, changed, job, outcome, run_fleet
+from unit.random_rounds import share_with_nightly
 
 from adapters.host.makes import apply_make_defaults, find_controller_problems
 from orchestrator.model.files import load_fleet, parse_file, read_document
@@ -55,7 +56,7 @@ def draw_fleet(make: str, draw: random.Random) -> Fleet:
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "drawn", "controllers": {"it": controller}})
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", share_with_nightly(range(4), 2))
 @pytest.mark.parametrize("make", LINKS)
 def test_a_fleet_file_without_settings_of_the_simulation_runs(make: str, seed: int) -> None:
     fleet = apply_make_defaults(draw_fleet(make, random.Random(f"{make} {seed}")))

@@ -5,6 +5,7 @@ import json
 
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
+from unit.random_rounds import share_with_nightly
 
 from orchestrator.bench.sync_fleets import make_smc2000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -256,7 +257,7 @@ def test_a_homing_that_is_stopped_while_it_is_prepared_does_not_start(name: str,
     run_fleet(main, searching())
 
 
-@pytest.mark.parametrize("after_ms", range(4, 60, 4))
+@pytest.mark.parametrize("after_ms", share_with_nightly([*range(4, 60, 8), *range(8, 60, 8)], 7))
 def test_an_axis_is_not_passed_on_before_its_homing_has_come_to_rest(after_ms: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry]}]"))

@@ -279,7 +279,7 @@ def test_a_feed_hold_brakes_along_the_path_and_the_path_goes_on_from_there() -> 
         await outcome(fleet, prepare(fleet.fleet, TWO))
         await sleep_ns(fleet.clock, 20 * NS_PER_S)
         client, seen = fleet.make_client(), list[list[float]]()
-        job_id = await begin(fleet, circle(TWO, 4), TWO, 4.0)
+        job_id = await begin(fleet, circle(TWO, 3), TWO, 4.0)
         asked_ns = fleet.clock.now_ns()
         await client.pause_job(job_id, now=True)
         while is_moving(fleet, TWO):
@@ -360,7 +360,7 @@ def test_a_late_chunk_brakes_all_members_along_the_path_and_it_goes_on(monkeypat
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet.fleet, TWO))
         await sleep_ns(fleet.clock, 20 * NS_PER_S)
-        job_id = await begin(fleet, circle(TWO, 5), TWO, 0.0)
+        job_id = await begin(fleet, circle(TWO, 3), TWO, 0.0)
         seen = [*await watch_truth(fleet, TWO), *await watch_truth(fleet, TWO)]
         report = await fleet.make_client().wait_for_job(job_id)
         assert report.state == "done", report.reason
@@ -378,11 +378,11 @@ def test_a_late_chunk_stops_a_member_that_has_the_whole_path(monkeypatch: pytest
         axes = ("gantry.x", "slow.y")
         await outcome(fleet, prepare(fleet.fleet, axes))
         await sleep_ns(fleet.clock, 20 * NS_PER_S)
-        job_id = await begin(fleet, circle(axes, 5), axes, 0.0)
+        job_id = await begin(fleet, circle(axes, 4), axes, 0.0)
         seen = np.array(await watch_truth(fleet, axes))
         report = await fleet.make_client().wait_for_job(job_id)
         assert report.state == "failed" and "not all members can brake along it" in report.reason, report
-        assert len(seen) * SAMPLE_NS < 9 * NS_PER_S, "the whole path takes 16 s"
+        assert len(seen) * SAMPLE_NS < 9 * NS_PER_S, "the whole path takes 13 s"
         assert circle_errors(seen).max() < 12.0 and not is_moving(fleet, axes)
 
     delay_chunks(monkeypatch, "x", 1)

@@ -60,6 +60,14 @@ DRIVE = {**SERVO, "homing": {"method": "home_switch_negative"}}
 SMOOTH = {**DRIVE, "limits": {"velocity": 80, "acceleration": 400, "jerk": 8000}}
 PROMPT = {"cycle_us": 100, "start_us": 50, "start_spread_us": 50}
 SWITCH = {"home_switch": [-3000, -2000]}
+CHAINED = case(
+    "smc2000",
+    {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200, "address": 1},
+    {"x": "X", "y": "Y"},
+    SERVO,
+    {"axes": 2, **YASKAWA},
+    "serial",
+)
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
     "smc4000 on UDP": case(
@@ -91,17 +99,8 @@ CASES = {
         {"axes": 2, **YASKAWA},
         "serial",
     ),
-    "smc2000 in a chain of three": replace(
-        case(
-            "smc2000",
-            {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200, "address": 1},
-            {"x": "X", "y": "Y"},
-            SERVO,
-            {"axes": 2, **YASKAWA},
-            "serial",
-        ),
-        beside=(0, 2),
-    ),
+    "smc2000 in a chain of two": replace(CHAINED, beside=(0,)),
+    "smc2000 in a chain of three": replace(CHAINED, beside=(0, 2)),
     "shrc203 on serial": case(
         "shrc203",
         {"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},

@@ -11,7 +11,12 @@ from orchestrator.conformance.signatures import check_signatures, find_wrong_sig
 from orchestrator.conformance.suite import CONTRACT_CHECKS
 
 # What not all of our makes offer. Everything else must be checked, not skipped.
-MORE_OF_A_MAKE = ("cia402, four on one bus", "cia402, two on two buses", "smc30, seven on a bus with checksum")
+MORE_OF_A_MAKE = (
+    "cia402, four on one bus",
+    "cia402, two on two buses",
+    "smc30, seven on a bus with checksum",
+    "smc2000 in a chain of three",
+)
 """Worlds of a make that has a smaller one; these take long."""
 OPTIONAL = ("start sooner", "its line", "an active line")
 

@@ -1,4 +1,4 @@
-"""Six CiA 402 drives on two buses as a fleet: coordinator, adapters and simulators, judged by the simulators' truth."""
+"""Four CiA 402 drives on two buses as a fleet: coordinator, adapters and simulators, judged by the simulators' truth."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
 from sim.cia402.unit import SimulatedDrive
 
-NAMES = [f"d{number}" for number in range(6)]
+NAMES = [f"d{number}" for number in range(4)]
 
 
 def fleet() -> Fleet:
@@ -31,7 +31,7 @@ def fleet() -> Fleet:
             "simulate": {"options": {"home_switch": [-3000, -2000]}, "drift_ppm": 20 * number},
         }
 
-    controllers = {f"d{number}": controller(number) for number in range(6)}
+    controllers = {f"d{number}": controller(number) for number in range(len(NAMES))}
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "buses", "controllers": controllers})
 
 
@@ -68,7 +68,7 @@ def test_a_drive_that_is_switched_off_ends_the_step_of_all() -> None:
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, PREPARE)).state == "done"
         virtual.clock.call_at_ns(
-            virtual.clock.now_ns() + 3 * NS_PER_S, lambda: virtual.controllers["d4"].set_power(on=False)
+            virtual.clock.now_ns() + 3 * NS_PER_S, lambda: virtual.controllers["d2"].set_power(on=False)
         )
         report = await outcome(virtual, move(190))
         assert report.state != "done"

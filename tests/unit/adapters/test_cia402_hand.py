@@ -4,6 +4,7 @@ import asyncio
 
 import pytest
 from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, Drives, run
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS
@@ -39,7 +40,7 @@ def test_the_reference_is_found_by_its_method(method: str, place: float | None) 
     run(main, simulate=SWITCH, homing={"method": method, "speed": 8000})
 
 
-@pytest.mark.parametrize("inhibit_ms", [10, 20, 40, 100])
+@pytest.mark.parametrize("inhibit_ms", share_with_nightly([10, 100, 20, 40], 2))
 @pytest.mark.parametrize("method", ["current_position", "23", "negative_limit"])
 def test_a_drive_that_has_found_its_reference_is_at_rest(method: str, inhibit_ms: int) -> None:
     """Its position is another one by then, which is no motion."""

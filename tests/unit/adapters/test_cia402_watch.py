@@ -49,56 +49,57 @@ def test_a_drive_that_nothing_has_changed_has_no_differences() -> None:
     run(main, homing={"method": "37"}, options={"watchdog_ms": 500})
 
 
-@pytest.mark.parametrize(
-    ("index", "sub", "value", "at_arm", "moves_reference"),
-    [
-        (0x607E, 0, 0x80, True, True),
-        (0x607C, 0, 500, True, True),
-        (0x6091, 1, 3, True, True),
-        (0x608F, 1, 4096, False, True),
-        (0x6092, 1, 77, False, True),
-        (0x6060, 0, 3, False, False),
-        (0x607D, 2, 900_000, False, False),
-        (0x605A, 0, 2, False, False),
-        (0x605B, 0, 1, False, False),
-        (0x605C, 0, 0, False, False),
-        (0x605D, 0, 2, False, False),
-        (0x605E, 0, 1, False, False),
-        (0x6007, 0, 2, False, False),
-        (0x6065, 0, 123, False, False),
-        (0x6066, 0, 77, False, False),
-        (0x607F, 0, 1000, False, False),
-        (0x60C5, 0, 1000, False, False),
-        (0x6085, 0, 1000, False, False),
-        (0x6096, 1, 2, False, False),
-        (0x1006, 0, 20_000, False, False),
-        (0x1016, 1, 0, False, False),
-        (0x1017, 0, 1000, False, False),
-    ],
-)
-def test_a_setting_that_another_master_has_changed_is_found_and_written_again(
-    index: int, sub: int, value: int, at_arm: bool, moves_reference: bool
-) -> None:
+CHANGES = [  # index, subindex, value, whether it is read before each step, whether it moves the reference
+    (0x607E, 0, 0x80, True, True),
+    (0x607C, 0, 500, True, True),
+    (0x6091, 1, 3, True, True),
+    (0x608F, 1, 4096, False, True),
+    (0x6092, 1, 77, False, True),
+    (0x6060, 0, 3, False, False),
+    (0x607D, 2, 900_000, False, False),
+    (0x605A, 0, 2, False, False),
+    (0x605B, 0, 1, False, False),
+    (0x605C, 0, 0, False, False),
+    (0x605D, 0, 2, False, False),
+    (0x605E, 0, 1, False, False),
+    (0x6007, 0, 2, False, False),
+    (0x6065, 0, 123, False, False),
+    (0x6066, 0, 77, False, False),
+    (0x607F, 0, 1000, False, False),
+    (0x60C5, 0, 1000, False, False),
+    (0x6085, 0, 1000, False, False),
+    (0x6096, 1, 2, False, False),
+    (0x1006, 0, 20_000, False, False),
+    (0x1016, 1, 0, False, False),
+    (0x1017, 0, 1000, False, False),
+]
+
+
+def test_settings_that_another_master_has_changed_are_found_and_written_again() -> None:
+    """All at once: none hides another."""
+
     async def main(world: Drives) -> None:
-        driver = world.driver
+        driver, dictionary = world.driver, world.unit.station.dictionary
         await driver.connect()
         await driver.configure()
         await driver.load_soft_limits({"a": (-50_000, 60_000)})
-        before = world.unit.station.dictionary.get_value(index, sub)
-        put(world, index, sub, value)
+        before = {(index, sub): dictionary.get_value(index, sub) for index, sub, *_ in CHANGES}
+        for index, sub, value, *_ in CHANGES:
+            put(world, index, sub, value)
         found = list(await driver.check_settings(everything=True))
-        assert bool(found) == at_arm
+        assert len(found) == sum(at_arm for *_, at_arm, _ in CHANGES)
         at_rest = await check_round(driver)
-        assert len(at_rest) == 1
-        (difference,) = at_rest.values()
-        assert f"{index:04X}h:{sub:02X}" in difference.item
-        assert (difference.found, difference.expected) == (str(value), str(before))
-        assert (difference.axis, difference.moves_reference) == ("a", moves_reference)
-        assert difference.repairable
-        if index == 0x607E:
-            world.unit.station.dictionary.writes.pop((index, sub))
+        assert len(at_rest) == len(CHANGES)
+        for index, sub, value, at_arm, moves_reference in CHANGES:
+            name = f"{index:04X}h:{sub:02X}"
+            (difference,) = (each for each in at_rest.values() if name in each.item)
+            assert any(name in each.item for each in found) == at_arm
+            assert (difference.found, difference.expected) == (str(value), str(before[index, sub]))
+            assert (difference.axis, difference.moves_reference) == ("a", moves_reference)
+            assert difference.repairable
+        dictionary.writes.pop((0x607E, 0))
         await driver.clear_faults()
-        assert world.unit.station.dictionary.get_value(index, sub) == before
+        assert {(index, sub): dictionary.get_value(index, sub) for index, sub, *_ in CHANGES} == before
         assert not await check_round(driver)
         assert not await driver.check_settings(everything=True)
         # And it moves as planned.

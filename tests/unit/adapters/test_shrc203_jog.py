@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 from unit.adapters.watching import Hand, Polling, Watch, at_rest
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -384,7 +385,7 @@ def hands(bench: Bench, names: str, seed: int) -> list[Hand]:
     ]
 
 
-@pytest.mark.parametrize("seed", range(75))
+@pytest.mark.parametrize("seed", share_with_nightly(range(75), 15))
 def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
@@ -397,7 +398,7 @@ def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int) -> None:
     run(case, seed=seed, simulate=KNOBS[seed % len(KNOBS)], timing=FirmwareTiming(1_000_000, seed % 3 * 1_000_000))
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", share_with_nightly(range(30), 10))
 def test_three_jogs_and_a_stop_of_all(seed: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()

@@ -11,6 +11,7 @@ from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 from unit.adapters.test_shrc203_lowering import controller as one_axis
 from unit.adapters.test_shrc203_lowering import wire
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.shrc203 import MAKE
@@ -78,7 +79,7 @@ async def nothing_is_left(bench: Bench) -> None:
 # The choice
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", share_with_nightly(range(4), 2))
 def test_slow_moves_take_the_planned_time_within_all_limits(seed: int) -> None:
     draw = Random(seed)
     split = 0

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, ChainWorld, run_chain, trapezoid
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import Driver, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -18,7 +19,7 @@ from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.messages import StartOptions
 
 
-@pytest.mark.parametrize("first", [0, *(pytest.param(n, marks=pytest.mark.nightly) for n in range(10, 40, 10))])
+@pytest.mark.parametrize("first", share_with_nightly(range(0, 40, 4), 1))
 def test_replies_are_not_mixed_under_any_overlap(first: int):
     """Each controller stands at a position of its own and stores a number of its own; all are queried at random."""
 
@@ -47,7 +48,7 @@ def test_replies_are_not_mixed_under_any_overlap(first: int):
         for address, unit in world.units.items():
             assert unit.position("X") == 1000 + address
 
-    for seed in range(first, first + 10):
+    for seed in range(first, first + 4):
         run_chain(main, seed=seed, hold_ms=(0, 16)[seed % 2])
 
 
@@ -181,7 +182,7 @@ def test_a_power_cycle_of_one_controller_of_three_affects_only_that_one(hold_ms:
 
 
 @pytest.mark.parametrize("abort", [False, True])
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", share_with_nightly(range(10), 4))
 def test_a_stop_overtakes_everything_and_reaches_only_its_controller_within_milliseconds(abort: bool, seed: int):
     async def main(world: ChainWorld) -> None:
         await world.ready(5)

@@ -18,27 +18,29 @@ async def change(world: World, *commands: str) -> None:
         assert "?" not in await world.driver.send_raw(command)
 
 
-@pytest.mark.parametrize(
-    ("commands", "item", "found", "expected", "at_arm"),
-    [
-        (("GA X", "GRY=0.5"), "GRY of axis y", "0.5", "0", True),
-        (("ITX=0.02",), "ITX of axis x", "0.0195", "1", True),
-        (("KPX=20",), "KPX of axis x", "20", "6", False),
-        (("KDY=3.5",), "KDY of axis y", "3.5", "64", False),
-        (("ERX=100",), "ERX of axis x", "100", "16384", False),
-        (("BLY=-7",), "BLY of axis y", "-7", "-2147483648", False),
-    ],
-)
-def test_a_changed_setting_is_found_and_a_reset_writes_it_again(
-    commands: tuple[str, ...], item: str, found: str, expected: str, at_arm: bool
-):
+CHANGES = [  # commands of another client, setting, its value then and before, whether it is read before each step
+    (("GA X", "GRY=0.5"), "GRY of axis y", "0.5", "0", True),
+    (("ITX=0.02",), "ITX of axis x", "0.0195", "1", True),
+    (("KPX=20",), "KPX of axis x", "20", "6", False),
+    (("KDY=3.5",), "KDY of axis y", "3.5", "64", False),
+    (("ERX=100",), "ERX of axis x", "100", "16384", False),
+    (("BLY=-7",), "BLY of axis y", "-7", "-2147483648", False),
+]
+
+
+def test_changed_settings_are_found_and_a_reset_writes_them_again():
+    """All at once: none hides another."""
+
     async def main(world: World) -> None:
         await world.ready(5)
-        await change(world, *commands)
+        for commands, *_ in CHANGES:
+            await change(world, *commands)
         before = await world.driver.check_settings(everything=True)
-        assert [each.item for each in before] == ([item] if at_arm else [])
-        (difference,) = (await find_at_rest(world.driver, TURNS)).values()
-        assert (difference.item, difference.found, difference.expected) == (item, found, expected)
+        assert sorted(each.item for each in before) == sorted(item for _, item, _, _, at_arm in CHANGES if at_arm)
+        differences = (await find_at_rest(world.driver, TURNS)).values()
+        assert sorted((each.item, each.found, each.expected) for each in differences) == sorted(
+            (item, found, expected) for _, item, found, expected, _ in CHANGES
+        )
         await world.driver.clear_faults()
         assert not await world.driver.check_settings(everything=True)
         assert not await find_at_rest(world.driver, TURNS)

@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, LIMITS, World, run, trapezoid, typed
+from unit.random_rounds import share_with_nightly
 
 from adapters.yaskawa.smc2000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -106,18 +107,6 @@ def test_another_program_is_not_destroyed_while_it_runs():
     run(main)
 
 
-@pytest.mark.parametrize(("line", "words"), [("TM 500", "servo period"), ("IT 0.5", "smoothing")])
-def test_settings_that_must_not_be_changed_are_refused(line: str, words: str):
-    async def main(world: World) -> None:
-        await world.talk(line)
-        await world.driver.connect()
-        with pytest.raises(ControllerFault, match=words) as fault:
-            await world.driver.configure()
-        assert fault.value.code == "config-mismatch"
-
-    run(main)
-
-
 def test_a_blocked_interpreter_is_a_fault_with_a_remedy():
     async def main(world: World) -> None:
         await world.ready(3)
@@ -147,7 +136,7 @@ def test_noise_is_a_fault_and_the_next_poll_succeeds(noise: bytes):
     run(main)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", share_with_nightly(range(12), 4))
 def test_lost_and_garbled_bytes_never_become_wrong_values(seed: int):
     async def main(world: World) -> None:
         await world.ready(5)

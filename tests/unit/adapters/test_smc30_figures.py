@@ -13,7 +13,7 @@ def test_seven_controllers_start_together_by_slots_and_by_a_trigger_line() -> No
 
 
 def test_moves_take_the_planned_and_the_predicted_time() -> None:
-    found = bench_stepper("smc30", 400, seed=2)
+    found = bench_stepper("smc30", 150, seed=2)
     by_name = {each.what: each for each in found.figures}
     assert by_name["all, lowered-planned"].met
     assert by_name["all, real-lowered"].n == 20

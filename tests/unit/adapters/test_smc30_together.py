@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from unit.adapters.test_smc30_bench import HOST, World, run, wait
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import JogMove, MoveOutcome
 from adapters.smc30.driver import Smc30Driver
@@ -134,7 +135,9 @@ def test_seven_that_jog_are_stopped_together() -> None:
 
 
 @pytest.mark.parametrize("act", ["jog", "home"])
-@pytest.mark.parametrize("after_ms", range(0, 450, 15))
+@pytest.mark.parametrize(
+    "after_ms", share_with_nightly([*range(0, 450, 45), *range(15, 450, 45), *range(30, 450, 45)], 10)
+)
 def test_a_controller_on_a_busy_line_that_is_restarted_before_a_manual_motion_does_not_move(
     act: str, after_ms: int
 ) -> None:

@@ -1,6 +1,6 @@
 """A simulated SMC-4000 on a wire in virtual time with a driver before it, as the other tests of the driver use it."""
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from contextvars import copy_context
 from dataclasses import dataclass
 from random import Random
@@ -16,10 +16,12 @@ from orchestrator.link.memory import LAN, MemoryWire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC4000
 
+VELOCITY, ACCELERATION, JERK = 100_000.0, 1_000_000.0, 2e7  # of jerk-limited moves, counts
 LIMITS = {"velocity": 100.0, "acceleration": 1000.0}
 FLEET = {
     "adapter": "smc4000",
@@ -104,3 +106,12 @@ def trapezoid(start: int, end: int, speed: float, ramp: float, stretch: float = 
     t, hold = speed / ramp, way / speed - speed / ramp
     profile = Profile(start, end, sign * 1.0, [t, max(hold, 0.0), t], [ramp, 0.0, -ramp], [0.0, 0.0, 0.0])
     return profile.stretch_time(stretch)
+
+
+def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[str, Profile]:
+    """By axis from where to where, all in one time, at a share of the axes' speed."""
+    moves = [
+        AxisMove(axis, start, end, VELOCITY * share, ACCELERATION, JERK, order=3)
+        for axis, (start, end) in targets.items()
+    ]
+    return dict(plan_step(moves).profiles)

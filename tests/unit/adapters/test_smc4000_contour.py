@@ -2,12 +2,12 @@
 
 import asyncio
 import re
-from collections.abc import Mapping
 from random import Random
 from typing import Any
 
 import pytest
-from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
+from unit.adapters.test_smc4000_bench import ACCELERATION, FLEET, LIMITS, World, jerked, run, trapezoid
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import JogMove
 from adapters.yaskawa.smc4000.driver import MAKE
@@ -19,17 +19,7 @@ from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import FirmwareTiming
 
-VELOCITY, ACCELERATION, JERK = 100_000.0, 1_000_000.0, 2e7
 MOTORS = {"x": "X", "y": "Y"}
-
-
-def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[str, Profile]:
-    """By axis from where to where, all in one time, at a share of the axes' speed."""
-    moves = [
-        AxisMove(axis, start, end, VELOCITY * share, ACCELERATION, JERK, order=3)
-        for axis, (start, end) in targets.items()
-    ]
-    return dict(plan_step(moves).profiles)
 
 
 async def armed(world: World, profiles: dict[str, Profile], lead_s: float = 1.5) -> tuple[Any, int]:
@@ -65,7 +55,7 @@ async def usable(world: World) -> None:
         assert [world.controller.position(motor) for motor in "XY"] == [at + 4000 for at in here.values()]
 
 
-@pytest.mark.parametrize(("seed", "ppm"), [(1, 0.0), (2, 100.0), (3, -100.0), (4, 35.0)])
+@pytest.mark.parametrize(("seed", "ppm"), share_with_nightly([(2, 100.0), (3, -100.0), (1, 0.0), (4, 35.0)], 2))
 def test_path_and_evidence_contain_the_truth_over_random_moves_and_crystals(seed: int, ppm: float):
     async def main(world: World) -> None:
         draw = Random(seed)
@@ -124,25 +114,6 @@ def test_path_and_evidence_contain_the_truth_over_random_moves_and_crystals(seed
     run(main, seed=seed, ppm=ppm)
 
 
-def test_a_gate_that_is_never_opened_means_no_motion():
-    async def main(world: World) -> None:
-        await world.ready()
-        _, t0_ns = await armed(world, jerked({"x": (0, 20_000)}))
-        await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-        with pytest.raises(Refusal) as late:
-            await world.driver.go()
-        assert late.value.code == "late"
-        with pytest.raises(ControllerFault) as fault:
-            await world.driver.wait_for_start()
-        assert fault.value.code == "late"
-        await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.commanded_motions
-        await world.driver.disarm_move()
-        await usable(world)
-
-    run(main)
-
-
 @pytest.mark.parametrize("before_ms", [900, 60, 38, 36, 30, 21, 10])
 @pytest.mark.parametrize("way", ["disarm", "reconnect", "other"])
 def test_nothing_starts_after_a_disarm_and_the_axes_are_free(before_ms: int, way: str):
@@ -166,8 +137,7 @@ def test_nothing_starts_after_a_disarm_and_the_axes_are_free(before_ms: int, way
     run(main)
 
 
-@pytest.mark.parametrize("halts", [True, False])
-@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize(("abort", "halts"), [(False, True), (False, False), (True, True)])  # AB always halts programs
 @pytest.mark.parametrize(
     "after_ms",
     [
@@ -241,45 +211,6 @@ def test_every_open_point_of_the_manual_is_supported(options: dict[str, Any]):
         assert (world.controller.position("X"), world.controller.position("Y")) == (70_000, -3_000)
 
     run(main, options=options)
-
-
-def test_a_contour_is_played_during_continuous_polls():
-    async def main(world: World) -> None:
-        await world.ready()
-        _, t0_ns = await armed(world, jerked({"x": (0, 150_000), "y": (0, -30_000)}))
-        await world.driver.go()
-        await sleep_until_ns(world.clock, t0_ns + 5 * NS_PER_MS)
-
-        async def polls() -> None:
-            while True:
-                await world.driver.poll()
-
-        polling = asyncio.get_running_loop().create_task(polls())
-        await world.driver.wait_for_start()
-        outcome = await world.driver.wait_for_end()
-        polling.cancel()
-        assert outcome.state == "done", outcome
-
-    run(main)
-
-
-def test_a_stop_in_motion_is_reported_as_a_stop():
-    async def main(world: World) -> None:
-        await world.ready()
-        _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
-        await sleep_until_ns(world.clock, t0_ns + 400 * NS_PER_MS)
-        await world.driver.stop(abort=False)
-        outcome = await watching
-        assert outcome.state == "stopped"
-        assert "axis x stopped by a stop command" in outcome.reason
-        end_ns = world.controller.commanded_motions[0].end_ns
-        assert end_ns is not None
-        assert outcome.ended["x"].earliest_ns <= end_ns <= outcome.ended["x"].latest_ns
-
-    run(main)
 
 
 @pytest.mark.parametrize("contour", [True, False])
@@ -408,7 +339,7 @@ def test_a_power_cycle_clears_a_contour():
     run(main)
 
 
-@pytest.mark.parametrize("stage", range(0, 60, 3))
+@pytest.mark.parametrize("stage", range(0, 60, 5))
 def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage: int):
     async def main(world: World) -> None:
         await world.ready()

@@ -6,11 +6,12 @@ from typing import Any, cast
 
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, World, run, trapezoid
+from unit.random_rounds import share_with_nightly
 
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
@@ -37,7 +38,9 @@ def test_a_step_runs_from_connect_to_its_outcome():
     run(main)
 
 
-@pytest.mark.parametrize(("seed", "ppm"), [(1, 0.0), (2, 90.0), (7, -90.0), (4, 35.0), (5, -12.0)])
+@pytest.mark.parametrize(
+    ("seed", "ppm"), share_with_nightly([(2, 90.0), (7, -90.0), (1, 0.0), (4, 35.0), (5, -12.0)], 2)
+)
 def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(seed: int, ppm: float):
     async def main(world: World) -> None:
         draw = Random(world.wire.seed)
@@ -75,26 +78,6 @@ def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(see
     run(main, seed=seed, ppm=ppm)
 
 
-def test_a_gate_that_is_never_opened_means_no_motion():
-    async def main(world: World) -> None:
-        await world.ready()
-        mapping = world.driver.clock_mapping()
-        lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
-        t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm_move(lowered, t0_ns, mapping)
-        await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-        with pytest.raises(Refusal) as late:
-            await world.driver.go()
-        assert late.value.code == "late"
-        with pytest.raises(ControllerFault) as fault:
-            await world.driver.wait_for_start()
-        assert fault.value.code == "late"
-        await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.commanded_motions
-
-    run(main)
-
-
 @pytest.mark.parametrize(
     ("period_us", "decode_us"),
     [(1000, 500), *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((250, 1500), *MORE_PERIODS))],
@@ -102,13 +85,13 @@ def test_a_gate_that_is_never_opened_means_no_motion():
 def test_a_release_at_the_last_moment_starts_in_time_or_not_at_all(period_us: int, decode_us: int):
     begun: list[bool] = []
 
-    async def main(world: World, before_ns: int) -> None:
-        cast(Any, world.controller).machine.memory.burn_period(period_us)
-        await world.ready()
+    async def release(world: World, before_ns: int) -> None:
+        moved = len(world.controller.commanded_motions)
+        here = round(world.controller.position("X"))
         mapping = world.driver.clock_mapping()
         t0_ns = world.clock.now_ns() + NS_PER_S
         lowered = world.driver.lower_profiles(
-            {"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(lead_ns=NS_PER_S), mapping
+            {"x": trapezoid(here, here + 5000, 20_000, 200_000)}, StartOptions(lead_ns=NS_PER_S), mapping
         )
         await world.driver.arm_move(lowered, t0_ns, mapping)
         await sleep_until_ns(world.clock, t0_ns - before_ns)
@@ -119,43 +102,30 @@ def test_a_release_at_the_last_moment_starts_in_time_or_not_at_all(period_us: in
         else:
             begun.append(True)
             await world.driver.wait_for_start()
-            (motion,) = world.controller.commanded_motions
+            (motion,) = world.controller.commanded_motions[moved:]
             off_ns = motion.start_ns - t0_ns
             assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
+            await world.driver.wait_for_end()
             return
         begun.append(False)
         await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.commanded_motions
+        assert len(world.controller.commanded_motions) == moved
+        await world.driver.disarm_move()
+
+    async def main(world: World, instants: range) -> None:
+        cast(Any, world.controller).machine.memory.burn_period(period_us)
+        await world.ready()
+        for k in instants:
+            await release(world, release_ns - k * 400_000)
 
     options = {"servo_period_us": period_us, "decode_us": decode_us + 50, "begin_max_us": 3 * decode_us}
     release_ns = round(
         GateTiming.for_options(YaskawaOptions.model_validate(options)).release_before * period_us * 1000 / 1.024
     )
-    for k in range(-20, 40):  # from more than a sample and a half before
-        late = partial(main, before_ns=release_ns - k * 400_000)
-        run(late, seed=k + 20, fleet={**FLEET, "options": options}, decode_ns=1000 * decode_us)
+    for first in range(-20, 40, 10):  # from more than a sample and a half before, with six seeds of the wire
+        late = partial(main, instants=range(first, first + 10))
+        run(late, seed=first + 20, fleet={**FLEET, "options": options}, decode_ns=1000 * decode_us)
     assert begun[0] and not begun[-1]
-
-
-@pytest.mark.parametrize("abort", [False, True])
-@pytest.mark.parametrize("before_ms", [300, 60, 21, 2, 0])
-def test_a_stop_while_armed_keeps_everything_at_rest_or_stops_it(abort: bool, before_ms: int):
-    async def main(world: World) -> None:
-        await world.ready()
-        mapping = world.driver.clock_mapping()
-        lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 90_000, 900_000)}, StartOptions(), mapping)
-        t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm_move(lowered, t0_ns, mapping)
-        await world.driver.go()
-        await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
-        await world.driver.stop(abort=abort)
-        await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
-        assert world.controller.at_rest()
-        assert abs(world.controller.position("X")) < 100
-        if before_ms >= 21:
-            assert not world.controller.commanded_motions
-
-    run(main)
 
 
 def test_disarmed_and_reconnected_controllers_do_not_start():
@@ -182,24 +152,10 @@ def test_disarmed_and_reconnected_controllers_do_not_start():
     run(main)
 
 
-def test_axes_without_a_distance_take_part_without_moving():
-    async def main(world: World) -> None:
-        await world.ready()
-        still = Profile(0, 0, 0.0, [0.0], [0.0], [0.0])
-        for profiles in ({"x": trapezoid(0, 4000, 20_000, 200_000), "y": still}, {"y": still}):
-            lowered, started, outcome, _ = await world.moved(profiles)
-            assert outcome.state == "done"
-            assert set(started) == set(outcome.ended) == set(profiles)
-            assert lowered.durations_s["y"] == 0
-        assert {motion.axis for motion in world.controller.commanded_motions} == {"X"}
-
-    run(main)
-
-
 def test_minutes_of_polls_take_seconds_of_cpu_time():
     async def main(world: World) -> None:
         await world.ready()
-        for _ in range(6000):  # far more than the estimate keeps
+        for _ in range(1500):  # far more than the estimate keeps
             assert not (await world.driver.poll()).restarted
             await sleep_ns(world.clock, 100 * NS_PER_MS)
         mapping = world.driver.clock_mapping()

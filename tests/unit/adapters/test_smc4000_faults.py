@@ -228,18 +228,6 @@ def test_soft_limits_are_loaded_and_end_a_move_as_a_fault():
     run(main, fleet=FLEET | {"axes": axes})
 
 
-@pytest.mark.parametrize(("line", "words"), [("TM 500", "servo period"), ("IT 0.5", "smoothing")])
-def test_settings_that_must_not_be_changed_are_refused(line: str, words: str):
-    async def main(world: World) -> None:
-        await world.talk(line)
-        await world.driver.connect()
-        with pytest.raises(ControllerFault, match=words) as fault:
-            await world.driver.configure()
-        assert fault.value.code == "config-mismatch"
-
-    run(main)
-
-
 def test_limit_switches_are_seen_whatever_their_polarity():
     async def main(world: World) -> None:
         for polarity in (-1, 1):

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc4000_bench import World, run, trapezoid
 from unit.adapters.watching import Hand, Polling, Watch, at_rest
+from unit.random_rounds import share_with_nightly
 
 from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -328,7 +329,7 @@ def hands(world: World, names: str, seed: int) -> list[Hand]:
     ]
 
 
-@pytest.mark.parametrize("seed", [*range(10), *(pytest.param(n, marks=pytest.mark.nightly) for n in range(10, 100))])
+@pytest.mark.parametrize("seed", share_with_nightly(range(100), 4))
 def test_random_jogs_never_exceed_the_limit_nor_the_speed(seed: int):
     async def main(world: World) -> None:
         await world.ready(3)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, trapezoid
+from unit.random_rounds import share_with_nightly
 
 from adapters.yaskawa.common.contour import FEWEST_RECORDS, ContourLimits, axis_increments, fit_contour, least_interval
 from adapters.yaskawa.common.lowering import ContourLoad, LoweringContext, RegisterLoad, YaskawaLowered, lower_moves
@@ -51,7 +52,7 @@ def random_plans(draw: Random, order: int, slowest: float = 10.0) -> dict[str, P
     return dict(plan_step(moves).profiles)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", share_with_nightly(range(10), 3))
 def test_contours_of_random_plans_are_exact_at_every_instant_and_in_their_sum(seed: int):
     draw = Random(seed)
     for _ in range(40):

@@ -23,38 +23,39 @@ from sim.yaskawa import SMC4000
 TURNS = 80  # checks at rest that cover every part of the settings and of the program
 
 
-@pytest.mark.parametrize(
-    ("command", "item", "found", "expected"),
-    [
-        ("GAY=X;GRY=0.5", "GRY of axis y", "0.5", "0"),
-        ("ITX=0.02", "ITX of axis x", "0.0195", "1"),
-        ("KPX=20", "KPX of axis x", "20", "1"),
-        ("KDY=3.5", "KDY of axis y", "3.5", "10"),
-        ("OFX=1.25", "OFX of axis x", "1.25", "0"),
-        ("TLX=5", "TLX of axis x", "5", "9.9988"),
-        ("ERX=100", "ERX of axis x", "100", "16384"),
-        ("OEX=1", "OEX of axis x", "1", "0"),
-        ("FLX=100", "FLX of axis x", "100", "2147483647"),
-        ("BLY=-7", "BLY of axis y", "-7", "-2147483648"),
-        ("DVX=1", "DVX of axis x", "1", "0"),
-        ("LTX=50", "LTX of axis x", "50", "0"),
-        ("CN 1", "CN0", "1", "-1"),
-        ("CN ,,,1", "CN3", "1", "0"),
-        ("PLX=.5", "PLX of axis x", "0.5", "0"),
-    ],
-)
-def test_a_changed_setting_is_found_before_a_step_and_at_rest_and_a_reset_writes_it_again(
-    command: str, item: str, found: str, expected: str
-):
+CHANGES = [  # command of another user, setting, its value then and before
+    ("GAY=X;GRY=0.5", "GRY of axis y", "0.5", "0"),
+    ("ITX=0.02", "ITX of axis x", "0.0195", "1"),
+    ("KPX=20", "KPX of axis x", "20", "1"),
+    ("KDY=3.5", "KDY of axis y", "3.5", "10"),
+    ("OFX=1.25", "OFX of axis x", "1.25", "0"),
+    ("TLX=5", "TLX of axis x", "5", "9.9988"),
+    ("ERX=100", "ERX of axis x", "100", "16384"),
+    ("OEX=1", "OEX of axis x", "1", "0"),
+    ("FLX=100", "FLX of axis x", "100", "2147483647"),
+    ("BLY=-7", "BLY of axis y", "-7", "-2147483648"),
+    ("DVX=1", "DVX of axis x", "1", "0"),
+    ("LTX=50", "LTX of axis x", "50", "0"),
+    ("CN 1", "CN0", "1", "-1"),
+    ("CN ,,,1", "CN3", "1", "0"),
+    ("PLX=.5", "PLX of axis x", "0.5", "0"),
+]
+
+
+def test_changed_settings_are_found_before_a_step_and_at_rest_and_a_reset_writes_them_again():
+    """All at once: none hides another."""
+
     async def main(world: World) -> None:
         await world.ready(5)
-        await world.talk(command.split(";")[0])
-        for part in command.split(";")[1:]:
-            await world.talk(part)
-        (difference,) = await world.driver.check_settings(everything=True)
-        assert (difference.item, difference.found, difference.expected) == (item, found, expected)
-        assert difference.repairable
-        assert set(await find_at_rest(world.driver, TURNS)) == {item}
+        for command, *_ in CHANGES:
+            for part in command.split(";"):
+                await world.talk(part)
+        differences = await world.driver.check_settings(everything=True)
+        assert sorted((each.item, each.found, each.expected) for each in differences) == sorted(
+            (item, found, expected) for _, item, found, expected in CHANGES
+        )
+        assert all(each.repairable for each in differences)
+        assert set(await find_at_rest(world.driver, TURNS)) == {item for _, item, _, _ in CHANGES}
         await world.driver.clear_faults()
         assert not await world.driver.check_settings(everything=True)
         assert not await find_at_rest(world.driver, TURNS)

@@ -31,7 +31,7 @@ from tutti.testing import virtual_fleet as make_fleet
 def test_that_passes(virtual_fleet):
     fleet = virtual_fleet(DEMO, seed=3)
     fleet.tutti.enable("gantry")
-    fleet.tutti.home("gantry")
+    fleet.tutti.home("gantry.x")
     with fleet:
         fleet.tutti.move({"gantry.x": 5})
 
@@ -43,14 +43,14 @@ def test_that_asserts(virtual_fleet):
 def test_that_leaves_an_axis_moving(virtual_fleet):
     fleet = virtual_fleet(DEMO, seed=9)
     fleet.tutti.enable("gantry")
-    fleet.tutti.home("gantry")
+    fleet.tutti.home("gantry.x")
     fleet.tutti.submit(Job("far", [Move(to={"gantry.x": 300}, speed=0.01)]))
     fleet.advance("1 s")
 
 def test_that_is_not_checked(virtual_fleet):
     fleet = virtual_fleet(DEMO, seed=9, check=False)
     fleet.tutti.enable("gantry")
-    fleet.tutti.home("gantry")
+    fleet.tutti.home("gantry.x")
     fleet.tutti.submit(Job("far", [Move(to={"gantry.x": 300}, speed=0.01)]))
     fleet.advance("1 s")
 
@@ -61,7 +61,7 @@ def test_that_forgets_its_fleet():
 def homed(virtual_fleet):
     fleet = virtual_fleet(DEMO)
     fleet.tutti.enable("gantry")
-    fleet.tutti.home("gantry")
+    fleet.tutti.home("gantry.x")
     return fleet
 
 def test_with_a_fixture_of_its_own(homed):

@@ -2,6 +2,9 @@
 
 from random import Random
 
+import pytest
+from unit.random_rounds import share_with_nightly
+
 from orchestrator.coordinator.jobs.queue import WaitingJob, choose_jobs, find_needed_controllers, sort_waiting
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.files import parse_document
@@ -62,8 +65,9 @@ def test_priority_comes_before_place() -> None:
     assert ids(sort_waiting(queue)) == ["b", "c", "a", "d"]
 
 
-def test_no_seed_lets_a_job_overtake_or_two_share_a_controller_or_one_starve() -> None:
-    for seed in range(300):
+@pytest.mark.parametrize("first", share_with_nightly(range(0, 300, 100), 1))
+def test_no_seed_lets_a_job_overtake_or_two_share_a_controller_or_one_starve(first: int) -> None:
+    for seed in range(first, first + 100):
         draw = Random(seed)
         controllers = "vwxyz"[: draw.randint(1, 5)]
         queue: list[tuple[WaitingJob, frozenset[str]]] = []

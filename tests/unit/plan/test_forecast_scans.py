@@ -4,6 +4,7 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from unit.random_rounds import share_with_nightly
 
 from orchestrator.model.files import load_fleet, parse_document
 from orchestrator.model.fleet import Fleet
@@ -178,7 +179,7 @@ def write_out(steps: list[Step]) -> list[Step]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", share_with_nightly(range(60), 20))
 def test_random_jobs_are_judged_as_if_they_were_written_out(seed: int) -> None:
     draw = Random(seed)
 

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from unit.random_rounds import share_with_nightly
 
 from orchestrator.bench.paths.lower_bound import find_least_time
 from orchestrator.bench.paths.random_paths import (
@@ -60,13 +61,13 @@ def check_motion(run: Run, limits: PathLimits) -> None:
         assert abs(motion.a[0]) + abs(a[-1]) <= 1e-3 * np.abs(motion.a).max()
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", share_with_nightly(range(25), 8))
 def test_limits_hold_at_every_sample(seed: int) -> None:
     _, limits, run = plan_random(seed)
     check_motion(run, limits)
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", share_with_nightly(range(25), 8))
 def test_limits_hold_with_uneven_limits_and_tiny_pieces(seed: int) -> None:
     _, limits, run = plan_hard(seed)
     check_motion(run, limits)
