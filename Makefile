@@ -13,7 +13,7 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-python test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
@@ -25,6 +25,9 @@ help:
 	@echo "make test-hosts       two computers, a network that fails, keys in hostile hands (root, for namespaces)"
 	@echo "make test-docs        the commands of tutorials and how-to pages, against a simulated fleet"
 	@echo "make test-wheel       the demo, and a user's tests, from an installed wheel in an environment of its own"
+	@echo "make test-python PYTHON=python3.13   the tests that another Python could change: a tenth"
+	@echo "make test-decisions   the decisions of ten campaign seeds, against the recorded ones"
+	@echo "make test-cost        run all tests and write what each costs, tests/COST.md"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
 	@echo "make test-thirdparty  simulated controllers and fleets against clients from PyPI"
 	@echo "make check            linters, type checks, import contracts"
@@ -89,6 +92,17 @@ test: test-fast test-live
 test-fast: $(DEV)/.stamp
 	$(DEV)/bin/pytest -m "not live and not nightly and not browser" -n 2 --dist worksteal $(SLOWEST)
 
+# Syntax and imports of every module, asyncio, typing, SQLite, JSON, random draws: what a version of Python can change.
+test-python: $(DEV)/.stamp
+	$(DEV)/bin/pytest -m "python and not live and not nightly" -n 2 --dist worksteal tests/unit tests/contract tests/cluster
+
+# A change that is not meant to decide anything otherwise does not. `--write` records what is meant.
+test-decisions: $(DEV)/.stamp
+	$(DEV)/bin/python tools/campaign_decisions.py 0 9
+
+test-cost: $(DEV)/.stamp
+	$(DEV)/bin/python tools/test_cost.py
+
 # Live tests by themselves: their processes have to answer each other in time. They start hundreds of interpreters, so
 # compiled modules are kept even where the environment forbids it. Only the folders that have any are collected. Whichever
 # process has none left takes the other's: each has a fleet that all tests share.
@@ -123,8 +137,13 @@ test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp page
 	$(DEV)/bin/python tools/wheel_project.py $(WHEEL)/bin/python
 
 test-nightly: $(DEV)/.stamp test-thirdparty
+	$(DEV)/bin/python tools/campaign_decisions.py
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
 	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
+
+	here=$$($(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'); for version in 3.11 3.12 3.13; do \
+		if [ "$$version" != "$$here" ] && "python$$version" -c '' 2>/dev/null; then \
+			$(MAKE) test-fast PYTHON="python$$version" || exit 1; fi; done
 
 # Simulated controllers and fleets against clients from PyPI; a skipped test is a failed one.
 test-thirdparty: $(THIRDPARTY)/.stamp
