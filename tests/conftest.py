@@ -36,3 +36,7 @@ def pytest_collection_finish() -> None:
     """Modules and collected tests live to the end: no garbage collection has to visit them."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    gc.unfreeze()

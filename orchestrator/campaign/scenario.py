@@ -417,13 +417,16 @@ class _Scenario:
         self.checker.add_violation("3", f"not ready {READY_TIMEOUT_S} s after the repair: {shown}")
 
     async def _restore_axes(self, client: Tutti) -> bool:
-        """Enable and home the axes that the fault has left disabled or unreferenced."""
+        """Enable and home the axes that the fault has left disabled, unreferenced or on a limit switch.
+
+        A controller that cannot read its switches (SMC30) is on one until its axis has moved away.
+        """
         # The fault may have been detected only after its repair.
         await self._wait_until_ready(client)
         states = await client.status()
         axes = [(f"{name}.{axis}", each) for name, state in states.items() for axis, each in state.axes.items()]
         off = [name for name, each in axes if not each.enabled]
-        lost = [name for name, each in axes if not each.referenced]
+        lost = [name for name, each in axes if not each.referenced or each.limit != "none"]
         if not off and not lost:
             return True
         self._log_event(f"homing {', '.join(lost)}" if lost else f"enabling {', '.join(off)}")

@@ -7,6 +7,7 @@ seeds.
 """
 
 import asyncio
+import atexit
 import gc
 import heapq
 from collections import deque
@@ -314,9 +315,11 @@ class VirtualClock:
 @cache
 def _freeze_modules() -> None:
     """Take what has been imported out of all later garbage collections, once in a process: visiting it each time costs
-    a twelfth of the time of a campaign."""
+    a twelfth of the time of a campaign. At the end of the process they are collected again: libraries report what is
+    left (nanobind, Ruckig's)."""
     gc.collect()
     gc.freeze()
+    atexit.register(gc.unfreeze)
 
 
 def run_virtual(main: Callable[[VirtualClock], Coroutine[Any, Any, T]]) -> T:
