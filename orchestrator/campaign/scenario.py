@@ -419,7 +419,7 @@ class _Scenario:
     async def _restore_axes(self, client: Tutti) -> bool:
         """Enable and home the axes that the fault has left disabled, unreferenced or on a limit switch.
 
-        A controller that cannot read its switches (SMC30) is on one until its axis has moved away.
+        A controller that cannot read its switches is on one until its axis has moved away.
         """
         # The fault may have been detected only after its repair.
         await self._wait_until_ready(client)
