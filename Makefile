@@ -13,7 +13,7 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-python test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
@@ -96,6 +96,13 @@ test-fast: $(DEV)/.stamp
 test-python: $(DEV)/.stamp
 	$(DEV)/bin/pytest -m "python and not live and not nightly" -n 2 --dist worksteal tests/unit tests/contract tests/cluster
 
+# The same, or the target that EACH names, on each other version of Python that this machine has.
+EACH = test-python
+test-other-pythons:
+	here=$$($(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'); for version in 3.11 3.12 3.13; do \
+		if [ "$$version" != "$$here" ] && "python$$version" -c '' 2>/dev/null; then \
+			$(MAKE) $(EACH) PYTHON="python$$version" || exit 1; fi; done
+
 # A change that is not meant to decide anything otherwise does not. `--write` records what is meant.
 test-decisions: $(DEV)/.stamp
 	$(DEV)/bin/python tools/campaign_decisions.py 0 9
@@ -140,10 +147,7 @@ test-nightly: $(DEV)/.stamp test-thirdparty
 	$(DEV)/bin/python tools/campaign_decisions.py
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
 	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
-
-	here=$$($(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'); for version in 3.11 3.12 3.13; do \
-		if [ "$$version" != "$$here" ] && "python$$version" -c '' 2>/dev/null; then \
-			$(MAKE) test-fast PYTHON="python$$version" || exit 1; fi; done
+	$(MAKE) test-other-pythons EACH=test-fast
 
 # Simulated controllers and fleets against clients from PyPI; a skipped test is a failed one.
 test-thirdparty: $(THIRDPARTY)/.stamp

@@ -1,7 +1,5 @@
 """What holds for all tests."""
 
-import gc
-
 import pytest
 from processes import give_children_default_signals
 
@@ -30,13 +28,3 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.removeprefix("tests/").startswith(PYTHON):
             item.add_marker(pytest.mark.python)
-
-
-def pytest_collection_finish() -> None:
-    """Modules and collected tests live to the end: no garbage collection has to visit them."""
-    gc.collect()
-    gc.freeze()
-
-
-def pytest_sessionfinish() -> None:
-    gc.unfreeze()

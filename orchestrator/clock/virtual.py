@@ -40,8 +40,6 @@ class VirtualProcess:
         self.name = name
         self.alive = True
         self.frozen = False
-        self.halted = False
-        """Frozen or killed."""
         self._loop = loop
         self._parked: list[_VirtualHandle] = []
         self._on_death: list[Callable[[], None]] = []
@@ -71,11 +69,11 @@ class VirtualProcess:
 
     def freeze(self) -> None:
         """Like SIGSTOP: nothing of the process runs, its timers included."""
-        self.frozen = self.halted = True
+        self.frozen = True
 
     def resume(self) -> None:
         """Like SIGCONT: everything that became due meanwhile runs now, in order."""
-        self.frozen, self.halted = False, not self.alive
+        self.frozen = False
         parked, self._parked = self._parked, []
         self._loop.requeue_handles(parked)
 
@@ -83,7 +81,7 @@ class VirtualProcess:
         """Like SIGKILL: nothing of the process ever runs again. Does nothing to a dead process."""
         if not self.alive:
             return
-        self.alive, self.halted = False, True
+        self.alive = False
         for callback in self._on_death:
             self._loop.call_soon(callback, context=Context())
 
@@ -205,7 +203,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             if callback is None:
                 continue
             process = context.get(_PROCESS)
-            if process is not None and process.halted and not process.may_run(handle):
+            if process is not None and not process.may_run(handle):
                 continue
             try:
                 context.run(callback, *handle.args)

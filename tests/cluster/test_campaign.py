@@ -143,7 +143,10 @@ def test_no_seed_violates_an_invariant(first: int) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("seed", [885, 993, 2712, 3173, 8093, 51175, 52181, 53295, 54477])
+@pytest.mark.parametrize(
+    "seed",
+    [885, 993, 2712, 3173, 8093, 51175, 52181, 53295, 54477, 6200402, 7310005, 7310146, 7310147],
+)
 def test_seeds_that_found_something_do_not_find_it_again(seed: int) -> None:
     story = run_scenario(seed, cells_of_seed(seed))
     assert not story.violations, story.summarize()

@@ -1,4 +1,4 @@
-"""Rounds of random numbers: a few in every run, more at night."""
+"""Rounds of random numbers, and close rows of a grid: a few in every run, more at night."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,7 +7,8 @@ import pytest
 
 
 def share_with_nightly(rounds: Sequence[Any], every_run: int) -> list[Any]:
-    """Rows that differ in nothing but their random numbers: the first ones are for every run, the others nightly."""
+    """Rows that differ in their random numbers, or are further instants and settings of one grid: the first ones are for
+    every run, the others nightly."""
     return [
         *rounds[:every_run],
         *(
