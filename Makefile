@@ -18,7 +18,7 @@ SLOWEST = --durations=10
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
 	@echo "make page             build the operators' page, which tutti up serves"
-	@echo "make test             set up, run all tests (5 to 14 minutes on two cores)"
+	@echo "make test             set up, run all tests (some 6 minutes on two idle cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
 	@echo "make screenshots      pictures of the page, in build/screenshots, and those of the documents"
