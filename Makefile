@@ -90,7 +90,7 @@ demo: $(RUN)/.stamp page-if-possible
 test: test-fast test-live
 
 test-fast: $(DEV)/.stamp
-	$(DEV)/bin/pytest -m "not live and not nightly and not browser" -n 2 --dist worksteal $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "not live and not nightly and not browser" -n 2 --dist worksteal $(SLOWEST)
 
 # Syntax and imports of every module, asyncio, typing, SQLite, JSON, random draws: what a version of Python can change.
 test-python: $(DEV)/.stamp

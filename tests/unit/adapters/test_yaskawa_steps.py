@@ -13,6 +13,7 @@ import unit.adapters.test_smc4000_bench as smc4000
 import unit.adapters.test_smc4000_contour as smc4000_contours
 from unit.adapters.test_smc4000_bench import jerked, trapezoid
 
+from adapters.yaskawa.common.program import STEP_THREAD
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import StartOptions
@@ -74,6 +75,38 @@ def test_a_gate_that_is_never_opened_plays_no_contour(model: Model):
         await require_late(world, t0_ns)
         await world.driver.disarm_move()
         await model.contours.usable(world)
+
+    model.run(main)
+
+
+@BOTH
+def test_a_late_release_is_refused_before_it_is_sent(model: Model):
+    """The program would refuse it, too; what depends on one of both is safe with either."""
+
+    async def main(world: World) -> None:
+        await world.ready()
+        t0_ns = await armed(world, {"x": trapezoid(0, 5000, 20_000, 200_000)})
+        await world.driver.verify_armed()
+        await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
+        with pytest.raises(Refusal, match="too late to release the start"):
+            await world.driver.go()
+        (opened, *_), _ = await world.driver._device.session.read_numbers("XGO")
+        assert not opened
+
+    model.run(main)
+
+
+@BOTH
+def test_a_start_whose_instant_has_passed_is_late_whatever_its_program_says(model: Model):
+    async def main(world: World) -> None:
+        await world.ready()
+        t0_ns = await armed(world, {"x": trapezoid(0, 5000, 20_000, 200_000)})
+        await world.driver._device.session.send_settings((f"HX{STEP_THREAD}",))
+        await sleep_until_ns(world.clock, t0_ns + NS_PER_MS)
+        (late, *_), _ = await world.driver._device.session.read_numbers("XLATE")
+        assert not late
+        with pytest.raises(Refusal, match="already shut"):
+            await world.driver.verify_armed()
 
     model.run(main)
 
