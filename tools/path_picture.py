@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from orchestrator.bench.paths.circles import CircleCase, make_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_course import SWITCH_S, ChunkPlan, PathCourse
 from orchestrator.plan.path_profiles import FittedAxis, FittedMotion

@@ -17,7 +17,7 @@ import tutti.testing
 from orchestrator.cli.main import main as command
 from orchestrator.model.duration import format_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.templates.parameters import ParameterDeclarations
 
 WITH_MEMBERS = ("orchestrator.client", "orchestrator.testing", "orchestrator.model.templates")

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.terminal_theme import DEFAULT_TERMINAL_THEME
 
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.report import JobReport
 from orchestrator.model.templates.template import load_job
 from orchestrator.monitor.report_table import make_report_tables

@@ -19,25 +19,10 @@ from orchestrator.client.manual import ManualControl
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.steps import JobFailed
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
-from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
-from orchestrator.model.job import (
-    Disable,
-    Dwell,
-    Enable,
-    FollowPath,
-    Home,
-    Job,
-    Latch,
-    Move,
-    Repeat,
-    Scan,
-    SetOutput,
-    SetPosition,
-    Step,
-    WaitInput,
-)
+from orchestrator.model.jobs.files import FileError, load_fleet
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
@@ -52,6 +37,17 @@ from orchestrator.model.report import (
     StepReport,
 )
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
+from orchestrator.model.steps.dwell import Dwell
+from orchestrator.model.steps.home import Home
+from orchestrator.model.steps.io import SetOutput, WaitInput
+from orchestrator.model.steps.latch import Latch
+from orchestrator.model.steps.motors import Disable, Enable
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.repeat import JobStep as Step
+from orchestrator.model.steps.repeat import Repeat
+from orchestrator.model.steps.scan import Scan
+from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.templates.template import Template, load_job
 
 __version__ = _version("tutti")

@@ -10,7 +10,7 @@ from adapters.ascii.patterns import LinePattern
 from adapters.toolkit.lines.dialect import LineState
 from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.files import FileError, parse_file, read_file
+from orchestrator.model.jobs.files import FileError, parse_file, read_file
 
 PACKAGED = Path(__file__).with_name("descriptions")
 

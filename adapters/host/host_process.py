@@ -38,8 +38,8 @@ from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.files import FileError, parse_file, read_file
 from orchestrator.model.fleet import Controller, Fleet
+from orchestrator.model.jobs.files import FileError, parse_file, read_file
 
 HEARTBEAT_S = 0.05
 STOP_SEND_S = 1.0  # for the stops to be sent when the process ends

@@ -22,7 +22,7 @@ from orchestrator.clock.live import raw_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.motion.lead_time import KEPT_STEPS, KNOWN_AFTER
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport, JobTransition
 from orchestrator.runtime.live import LiveFleet
 from orchestrator.runtime.virtual import VirtualFleet

@@ -21,7 +21,7 @@ from orchestrator.client import SubmittedJob, Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import RealtimePriority, reset_priority, set_realtime_priority
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.live import LiveFleet
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from orchestrator.bench.truth import POLL_S, TIMEOUT_S, NothingHappened
 from orchestrator.client import Tutti
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.runtime.live import LiveFleet, WebOptions, find_free_port
 
 Steps = list[dict[str, object]]

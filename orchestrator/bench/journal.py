@@ -15,7 +15,7 @@ from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, run_no_command
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobReport, JobState, JobTransition
 from orchestrator.runtime.virtual_disk import VirtualDisk

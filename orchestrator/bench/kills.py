@@ -22,7 +22,7 @@ from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.live import STANDBY, LiveFleet
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.runtime.virtual import VirtualFleet
 from sim.core.controller import SimulatedController
 

@@ -17,9 +17,9 @@ from orchestrator.bench.truth import NothingHappened, read_motions
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.files import load_fleet
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.examples import find_example

@@ -7,7 +7,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.units import parse_quantity
 from orchestrator.runtime.virtual import VirtualFleet
 

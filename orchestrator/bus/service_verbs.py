@@ -4,27 +4,7 @@ them, and for gateways, which pass them on."""
 from typing import NamedTuple
 
 from orchestrator.model.base import Model
-from orchestrator.model.messages import Reply, Request
-from orchestrator.model.operation.alarms import (
-    AcknowledgeAlarms,
-    AlarmsAcknowledged,
-    AlarmShelved,
-    AlarmsListed,
-    ListAlarms,
-    ShelveAlarm,
-)
-from orchestrator.model.operation.approval import ApproveJob, JobPlanned
-from orchestrator.model.operation.commands import CommandsListed, ListCommands
-from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
-from orchestrator.model.positions.entries import (
-    PositionRemoved,
-    PositionSaved,
-    PositionsListed,
-    RemovePosition,
-    SavePosition,
-)
-from orchestrator.model.report import QueueState
-from orchestrator.model.service import (
+from orchestrator.model.jobs.service import (
     AcquireAxes,
     AxesAcquired,
     DryRun,
@@ -59,6 +39,26 @@ from orchestrator.model.service import (
     SubmitJob,
     WiringChecked,
 )
+from orchestrator.model.messages import Reply, Request
+from orchestrator.model.operation.alarms import (
+    AcknowledgeAlarms,
+    AlarmsAcknowledged,
+    AlarmShelved,
+    AlarmsListed,
+    ListAlarms,
+    ShelveAlarm,
+)
+from orchestrator.model.operation.approval import ApproveJob, JobPlanned
+from orchestrator.model.operation.commands import CommandsListed, ListCommands
+from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
+from orchestrator.model.positions.entries import (
+    PositionRemoved,
+    PositionSaved,
+    PositionsListed,
+    RemovePosition,
+    SavePosition,
+)
+from orchestrator.model.report import QueueState
 
 
 class ServiceVerb(NamedTuple):

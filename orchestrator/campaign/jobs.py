@@ -9,8 +9,9 @@ from typing import Any, Literal, NamedTuple
 from orchestrator.campaign.fleets import PATH_MAKE, find_traits
 from orchestrator.campaign.trigger_outputs import TRIGGER_OUTPUT, TRIGGER_PERIOD
 from orchestrator.model.fleet import Fleet, group_by_link
-from orchestrator.model.job import Job, Move
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
+from orchestrator.model.steps.move import Move
 from orchestrator.model.triggers import Trigger
 
 SPEED_FRACTION = 0.17  # of the speed limits: no axis reaches its target before the fault

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from orchestrator.client.api import Tutti
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import QueueEntry
 
 _COMMAND = re.compile(r"`tutti ([^`]+)`")

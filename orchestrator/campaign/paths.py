@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.campaign.records import CampaignPhase
-from orchestrator.model.job import FollowPath
 from orchestrator.model.path import LinePiece, Within
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.runtime.virtual import VirtualFleet
 
 Array = NDArray[np.float64]

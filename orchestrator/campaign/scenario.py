@@ -43,7 +43,7 @@ from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
-from orchestrator.model.job import Job, named_axes
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.state import ControllerState
@@ -384,7 +384,7 @@ class _Scenario:
         async with client.attend() as attendance:
             terms = QueueTerms(session=attendance.session, now=True)
             job_id = await client.submit(job, terms=terms)
-            controllers = tuple(group_by_controller(named_axes(job.steps[0])))
+            controllers = tuple(group_by_controller(job.steps[0].named_axes))
             phase.jobs[job_id] = JobOrder(job, terms, controllers)
             await client.wait_for_job(job_id)
 

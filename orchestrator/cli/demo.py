@@ -55,7 +55,7 @@ def demo(
     if as_path or out is not None:
         run_path(out, wanted=as_path, as_json=as_json)
         return
-    from orchestrator.model.files import load_fleet
+    from orchestrator.model.jobs.files import load_fleet
     from orchestrator.model.report import JobReport
     from orchestrator.model.templates.template import load_job
     from orchestrator.runtime.demo_truth import VerdictCheck, check_verdicts

@@ -15,7 +15,7 @@ from orchestrator.cli.base.errors import errors
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
-    from orchestrator.model.job import Job
+    from orchestrator.model.jobs.job import Job
     from orchestrator.model.report import JobReport
     from orchestrator.model.state import ControllerState
 
@@ -191,12 +191,12 @@ def say(text: str) -> None:
 
 def controllers_of(job: "Job") -> list[str]:
     """The controllers, or groups, that a job's steps name; none for the whole fleet."""
-    from orchestrator.model.job import Move, SetOutput, iterate_steps, named_axes
     from orchestrator.model.names import ALL_AXES
+    from orchestrator.model.steps.tree import iterate_steps
 
     names: list[str] = []
     for step in iterate_steps(job.steps):
-        if isinstance(step, Move) and ALL_AXES in step.to:
+        if ALL_AXES in step.absolute_axes:
             return []  # those of a position, which the fleet knows
-        names += [step.output] if isinstance(step, SetOutput) else named_axes(step)
+        names += step.switched_outputs or step.named_axes
     return list(dict.fromkeys(name.partition(".")[0] for name in names))

@@ -79,7 +79,7 @@ def submit(
         stop_own_job,
     )
     from orchestrator.client import Tutti
-    from orchestrator.model.files import read_file
+    from orchestrator.model.jobs.files import read_file
     from orchestrator.model.templates.template import Template
     from orchestrator.monitor.report_table import make_report_tables
 
@@ -142,9 +142,7 @@ for command in (
 def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show JOB: its steps and the history of its state. JOB: the beginning of its id, its name, or `last`."""
     from orchestrator.client import Tutti
-    from orchestrator.model.job import Repeat, iterate_steps
-    from orchestrator.model.operation.step_words import describe_step
-    from orchestrator.model.scans.step_order import StepOrder
+    from orchestrator.model.steps.order import StepOrder
     from orchestrator.monitor.fleet_view import format_step
     from orchestrator.monitor.report_table import describe_gap, describe_used
     from orchestrator.monitor.times import format_time, localize_times
@@ -163,13 +161,13 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown.report.steps} if shown.report else {}
         for index, step in StepOrder(shown.job.steps).iterate_written() if shown.job else ():
-            line = f"  {index} {describe_step(step)}"
+            line = f"  {index} {step.describe()}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
                 line += f", {followed}" if (followed := describe_gap(over)) else ""
             console.print(line, highlight=False, markup=False, soft_wrap=True)
-            for inner in iterate_steps([step]) if isinstance(step, Repeat) else ():
-                console.print(f"      {describe_step(inner)}", highlight=False, markup=False, soft_wrap=True)
+            for inner in () if step.is_single else step.iterate_written():
+                console.print(f"      {inner.describe()}", highlight=False, markup=False, soft_wrap=True)
         if shown.progress is not None:
             console.print(f"now: {format_step(shown.progress)}", highlight=False, markup=False)
         for change in shown.transitions:
@@ -216,7 +214,7 @@ def report(job: str, connect: str, fleet: str | None, *, verbose: bool, as_json:
 async def _show_dry_run(tutti: "Tutti", filled: "FilledJob", *, as_json: bool) -> None:
     """Run a job forward from the present positions and print what every controller would be sent."""
     from orchestrator.cli.job_check import describe_totals, make_plain, print_steps, show_progress
-    from orchestrator.model.files import FileError
+    from orchestrator.model.jobs.files import FileError
 
     with show_points(hidden=as_json) as on_points:
         loaded = await tutti.send_points(filled.job, on_points)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from orchestrator.model.forecast import JobForecast, StepForecast
-    from orchestrator.model.job import Job
+    from orchestrator.model.jobs.job import Job
     from orchestrator.model.templates.template import ParameterSetting
 
 PROGRESS_STEPS = 200  # a job of fewer is checked before anyone could read how far it is
@@ -56,10 +56,10 @@ async def _check_file(
     file: Path, fleet_file: Path | None, repeat: int, settings: "Mapping[str, ParameterSetting]", *, as_json: bool
 ) -> None:
     from orchestrator.client.points import PointSummaries
-    from orchestrator.model.files import FileError, read_file
     from orchestrator.model.forecast import JobForecast
+    from orchestrator.model.jobs.files import FileError, read_file
     from orchestrator.model.templates.template import Template
-    from orchestrator.plan.forecast import forecast_job
+    from orchestrator.plan.forecast.job import forecast_job
     from orchestrator.runtime.checked import load_checked_fleet
 
     template = Template(read_file(file))

@@ -34,7 +34,7 @@ def list_jobs(
 ) -> None:
     """List the newest jobs. #: the place of a waiting job in the queue."""
     from orchestrator.client import Tutti
-    from orchestrator.model.service import ListJobs
+    from orchestrator.model.jobs.service import ListJobs
 
     async def show_jobs(tutti: Tutti) -> None:
         asked = ListJobs.model_validate({**tutti.request_fields(), "state": state})

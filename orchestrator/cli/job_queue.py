@@ -13,7 +13,7 @@ from orchestrator.cli.job_terms import print_accepted
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
-    from orchestrator.model.service import JobRetried
+    from orchestrator.model.jobs.service import JobRetried
 
 _yes = click.option("--yes", is_flag=True, help="Do not ask for confirmation after showing the positions.")
 

@@ -14,9 +14,9 @@ from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
-    from orchestrator.model.job import Step
+    from orchestrator.model.jobs.service import FleetNames
     from orchestrator.model.report import JobReport
-    from orchestrator.model.service import FleetNames
+    from orchestrator.model.steps.base import Step
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -39,7 +39,7 @@ def run_single_step(
     from pydantic import ValidationError
 
     from orchestrator.cli.foreground import run_attended
-    from orchestrator.model.job import Job
+    from orchestrator.model.jobs.job import Job
 
     try:
         job = Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {step['do']}", "steps": [step]})
@@ -62,8 +62,8 @@ def run_single_step(
 def _spread_groups(names: "FleetNames", step: "Step") -> "Step":
     """A move to a position, with the axes of it that its groups and controllers stand for. Raises `Refusal`."""
     from orchestrator.model.errors import Refusal
-    from orchestrator.model.job import Move
     from orchestrator.model.names import is_position_name
+    from orchestrator.model.steps.move import Move
 
     if not isinstance(step, Move) or not any(map(is_position_name, step.to.values())):
         return step
@@ -84,16 +84,17 @@ def _check_names(names: "FleetNames", step: "Step") -> list[str]:
     """Check names and quantities of a step; return its axes. Raises `Refusal`, which speaks of no job file."""
     from orchestrator.cli.base.names import require_axes, unknown_name
     from orchestrator.model.errors import Refusal
-    from orchestrator.model.job import Move, SetOutput, SetPosition, named_axes
     from orchestrator.model.names import ALL_AXES, is_position_name
+    from orchestrator.model.steps.move import Move
+    from orchestrator.model.steps.set_position import SetPosition
     from orchestrator.model.units import UnitError, parse_quantity
 
-    if isinstance(step, SetOutput):
-        if step.output not in names.outputs:
-            raise unknown_name("output", step.output, names.outputs)
+    for output in step.switched_outputs:
+        if output not in names.outputs:
+            raise unknown_name("output", output, names.outputs)
         return []
     if not isinstance(step, Move | SetPosition):
-        return require_axes(names, named_axes(step) or names.controllers)
+        return require_axes(names, step.named_axes or names.controllers)
     values = step.to | step.by if isinstance(step, Move) else step.axes
     wanted = {str(target): None for target in values.values() if is_position_name(target)}
     for name in wanted:

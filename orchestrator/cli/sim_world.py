@@ -127,7 +127,7 @@ def stall(name: str, to: str, fleet: str | None, state: Path | None, *, as_json:
 
 def _find_simulation(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
     """Return state folder and controllers of the selected simulated fleet."""
-    from orchestrator.model.files import FileError, load_fleet
+    from orchestrator.model.jobs.files import FileError, load_fleet
     from orchestrator.runtime.state_folder import default_state, find_running_fleets
 
     if state is None:

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from orchestrator.client.connection import ANSWER_S, FleetConnection
 from orchestrator.client.manual import ManualControl
+from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import RawReply, RawRequest, Reply
 from orchestrator.model.report import LeaseState
-from orchestrator.model.service import AcquireAxes, AxesAcquired, ReleaseAxes
 
 
 class AxisRequests(FleetConnection):

@@ -26,7 +26,8 @@ from orchestrator.client.worker import BlockingObject, LoopThread, Worker
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
-from orchestrator.model.job import Job, Step
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.service import FleetNames, JobRetried, JobShown, WireFinding
 from orchestrator.model.messages import TraceReply
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobPlan, JobPlanned
@@ -44,8 +45,8 @@ from orchestrator.model.report import (
     QueueEntry,
     StepRecording,
 )
-from orchestrator.model.service import FleetNames, JobRetried, JobShown, WireFinding
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo
+from orchestrator.model.steps.base import Step
 from orchestrator.model.templates.template import Template
 from orchestrator.model.units import Quantity
 

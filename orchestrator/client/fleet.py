@@ -15,6 +15,16 @@ from orchestrator.client.results import FleetStates
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.service import (
+    EpochRepaired,
+    FleetLoaded,
+    FleetNames,
+    FleetReloaded,
+    ReloadFleet,
+    StopFleet,
+    WireFinding,
+    WiringChecked,
+)
 from orchestrator.model.messages import (
     EstopReset,
     Reply,
@@ -24,16 +34,6 @@ from orchestrator.model.messages import (
     TracePart,
     TraceReply,
     TraceRequest,
-)
-from orchestrator.model.service import (
-    EpochRepaired,
-    FleetLoaded,
-    FleetNames,
-    FleetReloaded,
-    ReloadFleet,
-    StopFleet,
-    WireFinding,
-    WiringChecked,
 )
 from orchestrator.model.state import ControllerInfo, ControllerState
 from orchestrator.model.units import Unit

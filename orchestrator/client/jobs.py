@@ -12,23 +12,8 @@ from orchestrator.client.points import PointRequests
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
-from orchestrator.model.job import MOTION_STEPS, UNKNOWN_ACTOR, Job, iterate_steps
-from orchestrator.model.messages import Reply, Request
-from orchestrator.model.operation.approval import ApproveJob, JobPlan, JobPlanned
-from orchestrator.model.queue import QueueTerms
-from orchestrator.model.report import (
-    FINISHED_STATES,
-    JobProgress,
-    JobReport,
-    JobState,
-    JobTransition,
-    PointRecord,
-    QueueEntry,
-    StepRecording,
-    make_queued_progress,
-)
-from orchestrator.model.scans.step_order import StepOrder
-from orchestrator.model.service import (
+from orchestrator.model.jobs.job import UNKNOWN_ACTOR, Job
+from orchestrator.model.jobs.service import (
     DryRun,
     DryRunDone,
     FindJob,
@@ -49,6 +34,23 @@ from orchestrator.model.service import (
     RetryJob,
     SubmitJob,
 )
+from orchestrator.model.messages import Reply, Request
+from orchestrator.model.operation.approval import ApproveJob, JobPlan, JobPlanned
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import (
+    FINISHED_STATES,
+    JobProgress,
+    JobReport,
+    JobState,
+    JobTransition,
+    PointRecord,
+    QueueEntry,
+    StepRecording,
+    make_queued_progress,
+)
+from orchestrator.model.steps.kinds import MOTION_STEPS
+from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.templates.template import Template, load_job
 
 POLL_S = 1.0  # period of reading the journal while the bus is silent

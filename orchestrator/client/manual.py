@@ -17,8 +17,8 @@ from typing import Self
 from orchestrator.client.connection import FleetConnection
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import JogRequest, Reply
-from orchestrator.model.service import AcquireAxes, AxesAcquired, ReleaseAxes
 
 VALID_MS = 200  # maximum validity of a jog
 ANSWER_S = 0.5  # a later answer is useless: the axis has stopped by itself long before

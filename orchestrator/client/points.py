@@ -11,12 +11,14 @@ from typing import IO, TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from orchestrator.client.connection import FleetConnection
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job, Scan, find_moved_twice, find_scans, replace_scans
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.service import FleetNames, PointsPut, PointsRead, PutPoints, ReadPoints
 from orchestrator.model.messages import Request
 from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.report import PointRecord
 from orchestrator.model.scan import PART_BYTES, ROW_TYPE, PointAxis, PointTable, find_row_bytes, make_header
-from orchestrator.model.service import FleetNames, PointsPut, PointsRead, PutPoints, ReadPoints
+from orchestrator.model.steps.scan import Scan, find_moved_twice
+from orchestrator.model.steps.tree import find_scans
 from orchestrator.model.units import Unit
 
 if TYPE_CHECKING:
@@ -65,7 +67,7 @@ class PointRequests(FleetConnection):
         for scan in unread:
             table = await self._send_table(make_point_source(scan, names.axes), on_points or _ignore_progress)
             found[id(scan)] = place_points(scan, table)
-        return job.model_copy(update={"steps": replace_scans(job.steps, found)})
+        return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]})
 
     async def _send_table(self, source: PointSource, on_points: OnPoints) -> PointTable:
         # Only on a disk, because a million points as Python numbers take some 100 MB.
@@ -126,7 +128,7 @@ class PointSummaries:
         found = {
             id(scan): place_points(scan, self._find_table(scan)) for scan in find_scans(job.steps) if _is_unread(scan)
         }
-        return job.model_copy(update={"steps": replace_scans(job.steps, found)}) if found else job
+        return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]}) if found else job
 
     def _find_table(self, scan: Scan) -> PointTable:
         source = json.dumps([scan.scanspec, None if scan.points is None else scan.points.file])

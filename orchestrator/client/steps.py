@@ -16,20 +16,16 @@ from typing import Literal
 from orchestrator.client.jobs import JobRequests
 from orchestrator.client.results import JobResult
 from orchestrator.model.errors import Refusal, TuttiError
-from orchestrator.model.job import (
-    Disable,
-    Dwell,
-    Enable,
-    Home,
-    Job,
-    Move,
-    SetOutput,
-    SetPosition,
-    Step,
-    WaitInput,
-)
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.dwell import Dwell
+from orchestrator.model.steps.home import Home
+from orchestrator.model.steps.io import SetOutput, WaitInput
+from orchestrator.model.steps.motors import Disable, Enable
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.units import Quantity
 
 STOP_S = 5.0  # for an interrupted job to come to rest
@@ -139,4 +135,4 @@ def _make_job(job: Job | Step | Sequence[Step]) -> Job:
     if isinstance(job, Job):
         return job
     steps = list(job) if isinstance(job, Sequence) else [job]
-    return Job("+".join(dict.fromkeys(step.do for step in steps))[:120] or "nothing", steps)
+    return Job("+".join(dict.fromkeys(step.kind for step in steps))[:120] or "nothing", steps)

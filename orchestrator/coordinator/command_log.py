@@ -8,9 +8,9 @@ from typing import Any
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.base import Model, UnknownName
+from orchestrator.model.jobs.service import AcquireAxes, FleetReloaded, JobSubmitted, ReleaseAxes, RetryJob
 from orchestrator.model.messages import Request
 from orchestrator.model.operation.commands import CommandRecord, CommandsListed, ListCommands
-from orchestrator.model.service import AcquireAxes, FleetReloaded, JobSubmitted, ReleaseAxes, RetryJob
 
 MAX_SUBJECT = 200  # characters
 

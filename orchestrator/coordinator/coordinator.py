@@ -25,7 +25,6 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.intake import JobIntake
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.scheduler import Scheduler
-from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -35,6 +34,8 @@ from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.coordinator.motion.publisher import StepPublisher
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.statistics.collector import StatisticsCollector
+from orchestrator.coordinator.steps.context import StepContext
+from orchestrator.coordinator.steps.motors import switch_motors
 from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -71,7 +72,7 @@ class Coordinator:
         publisher = StepPublisher(bus, keys)
         plan = environment.plan
         motion = MotionServices(access, self.leadership, environment.journal, self._execute, publisher, plan)
-        self._plain_steps = PlainSteps(access, motion.targets)
+        self._targets = motion.targets
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
@@ -85,7 +86,6 @@ class Coordinator:
             view=self._view,
             fleet=access,
             motion=motion,
-            plain_steps=self._plain_steps,
             leases=self._leases,
             positions=self._positions,
             alarms=self._alarms.register,
@@ -221,7 +221,7 @@ class Coordinator:
         holder = f"start-{self._environment.new_id()[:8]}"
         try:
             await self._leases.acquire(LeaseUser(holder, "coordinator", "enabling at the start"), names, brief=True)
-            await self._plain_steps.switch_motors(names, on=True, holder=holder, actor="coordinator")
+            await switch_motors(StepContext(self._fleet, self._targets, holder, "coordinator"), names, on=True)
         except Refusal as error:
             self._log.warning(f"not enabled at start: {error.text}", controller=controller)
         finally:

@@ -25,9 +25,7 @@ from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import RefusalDetails, Reply, Request
-from orchestrator.model.report import QueueState
-from orchestrator.model.service import (
+from orchestrator.model.jobs.service import (
     DryRun,
     DryRunDone,
     EpochRepaired,
@@ -54,6 +52,8 @@ from orchestrator.model.service import (
     StopFleet,
     WiringChecked,
 )
+from orchestrator.model.messages import RefusalDetails, Reply, Request
+from orchestrator.model.report import QueueState
 
 ANSWERED_FIRST = frozenset({"stop", "stop-queue"})  # before they are in the journal, which may be slow
 

@@ -19,8 +19,8 @@ from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.access.roles import may
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import SubmitJob
 from orchestrator.model.messages import ForgetRequest, JogRequest, RawReply, RawRequest, Reply, Request
-from orchestrator.model.service import SubmitJob
 
 MAX_CONNECTIONS = 256  # actors whose connection is kept
 MAX_KEYS = 10_000  # idempotency keys

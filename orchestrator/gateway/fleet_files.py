@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
 from orchestrator.gateway.replies import describe_problems
-from orchestrator.model.files import FileError, read_document
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import FileError, read_document
 from orchestrator.runtime.checked import check_loaded_fleet
 
 # The running fleet has the links of its simulated controllers, and does not show the command for alarms.

@@ -9,9 +9,9 @@ from orchestrator.clock.executor import Executor
 from orchestrator.gateway.preview import draw_job, look_at_axes
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import FileError, FileProblem, LoadedFile, read_document, read_file
 from orchestrator.model.forecast import JobForecast, StepProblem
-from orchestrator.model.job import Job, Scan, iterate_steps
+from orchestrator.model.jobs.files import FileError, FileProblem, LoadedFile, read_document, read_file
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.templates.parameters import describe_parameter
 from orchestrator.model.templates.template import FilledJob, ParameterSetting, Template
 
@@ -112,8 +112,8 @@ def _refuse_files(filled: FilledJob) -> None:
     problems = [
         filled.problem(("steps", number), "points in a file, or in a scanspec: submit it with `tutti submit FILE`")
         for number, written in enumerate(filled.job.steps)
-        for step in iterate_steps([written])
-        if isinstance(step, Scan) and (step.scanspec is not None or (step.points is not None and step.points.file))
+        for step in written.iterate_written()
+        if step.has_unread_points
     ]
     if problems:
         raise FileError(problems)

@@ -3,20 +3,24 @@
 import asyncio
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
-from orchestrator.model.job import MOTION_STEPS, Job, Scan, Step
-from orchestrator.model.operation.step_words import describe_step
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.profile import Profile
 from orchestrator.model.scan import GridPoints
-from orchestrator.model.scans.step_order import StepOrder
 from orchestrator.model.state import ControllerState
-from orchestrator.plan.forecast import ForecastMotion, JobForecaster
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.order import StepOrder, StepPlace
+from orchestrator.model.steps.scan import Scan
+from orchestrator.plan.forecast.job import JobForecaster
+from orchestrator.plan.forecast.ways import ForecastMotion
 
 MAX_STEPS = 1000  # that are drawn
 STEPS_AT_ONCE = 20  # between two turns of other work
@@ -58,7 +62,7 @@ async def draw_job(
     for index in range(min(len(order), MAX_STEPS)):
         place = order.locate(index)
         try:
-            drawing.take(index, _find_step(fleet, place.step, place.point, place.part))
+            drawing.take(index, place.choose_step(partial(_find_move, fleet, place)))
         except Refusal as error:
             drawing.note_gap(index, error.text)
         if index % STEPS_AT_ONCE == 0:
@@ -68,17 +72,14 @@ async def draw_job(
     return drawing.finish()
 
 
-def _find_step(fleet: Fleet, step: Step, point: int | None, part: int) -> Step:
-    """The step that runs: of a scan, the move to its point, or the step there. Raises `Refusal`."""
-    if not isinstance(step, Scan) or point is None:
-        return step
-    if part:
-        return step.at_each[part - 1]
-    if step.points is not None:
+def _find_move(fleet: Fleet, place: StepPlace, scan: Scan) -> Move:
+    """The move to a point of a scan. Raises `Refusal`."""
+    assert place.point is not None
+    if scan.points is not None:
         raise Refusal("not-drawn", "points that were sent as a table are not drawn")
-    units = [fleet.axis(name).unit for name in step.axis_names]
-    position = GridPoints(step.axes).find_position(point, units)
-    return step.make_move(dict(zip(step.axis_names, map(float, position), strict=True)))
+    units = [fleet.axis(name).unit for name in scan.axis_names]
+    position = GridPoints(scan.axes).find_position(place.point, units)
+    return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
 
 
 class _Drawing:
@@ -97,11 +98,11 @@ class _Drawing:
         motion = self._forecaster.motion
         if motion is not None:
             self._draw_motion(motion, before)
-        elif step.do in MOTION_STEPS:
+        elif step.is_motion:
             self.note_gap(index, "it begins at a position that only the machine knows")
         self._now_s += forecast.least_s
         if forecast.most_s is None or forecast.most_s > forecast.least_s:
-            self.note_gap(index, f"{describe_step(step)} takes a time that only the machine knows")
+            self.note_gap(index, f"{step.describe()} takes a time that only the machine knows")
         entry = {"index": index, "text": forecast.text, "t0": round(begun_s, 6), "t1": round(self._now_s, 6)}
         self._steps.append(entry)
 

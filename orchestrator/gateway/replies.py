@@ -8,7 +8,7 @@ from starlette.responses import JSONResponse, Response
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal, TuttiError
-from orchestrator.model.files import FileProblem
+from orchestrator.model.jobs.files import FileProblem
 
 # Everything else that a fleet refuses is a conflict with its present state.
 _STATUS = {

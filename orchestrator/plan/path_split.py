@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import FollowPath
 from orchestrator.model.names import controller_of
 from orchestrator.model.path import (
     ArcPiece,
@@ -22,6 +21,7 @@ from orchestrator.model.path import (
     TablePiece,
     Within,
 )
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 
 Point = Sequence[int | float | str]

@@ -11,10 +11,10 @@ import numpy as np
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.job import FollowPath
 from orchestrator.model.names import controller_of
 from orchestrator.model.path import FrameSpec, LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path

@@ -5,8 +5,8 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import NamedTuple
 
-from orchestrator.model.job import Scan
 from orchestrator.model.scan import GridPoints, PointTable
+from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, parse_quantity
 
 Way = tuple[Fraction, Fraction]

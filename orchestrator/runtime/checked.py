@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from adapters.host.makes import apply_make_defaults, find_controller_problems
-from orchestrator.model.files import FileError, FileProblem, LoadedFile, parse_file, read_file
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import FileError, FileProblem, LoadedFile, parse_file, read_file
 from orchestrator.model.problems import Problem
 from orchestrator.runtime.simulated import find_simulation_problems
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from adapters.contract import ExamplePlace
 from adapters.host.makes import apply_make_defaults, find_controller_problems, find_make
-from orchestrator.model.files import FileError, parse_document
 from orchestrator.model.fleet import Controller, Fleet
+from orchestrator.model.jobs.files import FileError, parse_document
 from orchestrator.model.plugins import PluginError
 
 _HEAD = """\

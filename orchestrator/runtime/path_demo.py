@@ -12,10 +12,11 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import FollowPath, Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.recording import StepSamples
 from orchestrator.model.report import JobReport
+from orchestrator.model.steps.tree import find_paths
 from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path.plan import PathPlan, plan_path
 from orchestrator.runtime.virtual import VirtualFleet
@@ -64,7 +65,7 @@ async def _run(clock: VirtualClock, fleet: Fleet, job: Job) -> PathDemo:
     virtual = VirtualFleet(fleet, clock, seed=1, guardian=False)
     await virtual.start()
     await sleep_ns(clock, SETTLE_S * NS_PER_S)
-    (step,) = (each for each in job.steps if isinstance(each, FollowPath))
+    (step,) = find_paths(job.steps)
     found: list[StepSamples] = []
 
     def take(sample: BusSample) -> None:

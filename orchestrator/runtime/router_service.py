@@ -24,7 +24,7 @@ from orchestrator.keys.places import find_identity_folder
 from orchestrator.keys.register import read_register
 from orchestrator.keys.router_settings import make_access_settings, make_tls_settings
 from orchestrator.model.errors import Refusal, TuttiError
-from orchestrator.model.files import FileError, load_fleet
+from orchestrator.model.jobs.files import FileError, load_fleet
 from orchestrator.model.state import RESTING_MODES, ControllerState
 from orchestrator.runtime.state_folder import ROUTER_LATCH
 

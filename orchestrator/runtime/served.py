@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from orchestrator.model.files import parse_document
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
+from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.links import Link, TcpLink, UdpLink
 from orchestrator.runtime.checked import check_fleet
 from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet

@@ -16,8 +16,9 @@ from orchestrator.campaign.rest import find_at_rest
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.coordinator.journal.records import DamagedRecord
-from orchestrator.model.job import Job, SetOutput, WaitInput, iterate_steps, named_axes
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES
+from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.runtime.virtual import VirtualFleet
 from orchestrator.testing.fault_schedule import InjectedFault
 
@@ -94,7 +95,6 @@ def find_controllers(job: Job, everything: Sequence[str]) -> tuple[str, ...]:
     """The controllers that a job concerns; all of them where it does not name one."""
     names: list[str] = []
     for step in iterate_steps(job.steps):
-        own = [step.output] if isinstance(step, SetOutput) else [step.input] if isinstance(step, WaitInput) else []
-        names += own or named_axes(step) or everything
+        names += step.switched_outputs or step.named_axes or step.awaited_inputs or everything
     found = {name.partition(".")[0] for name in names}
     return tuple(found) if found <= set(everything) else tuple(everything)

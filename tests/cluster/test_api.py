@@ -9,7 +9,7 @@ from cluster.worlds import PREPARE, job, run_fleet
 from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import FileError
+from orchestrator.model.jobs.files import FileError
 from orchestrator.model.report import JobProgress, JobTransition
 from orchestrator.model.templates.template import Template
 from orchestrator.runtime.virtual import VirtualFleet

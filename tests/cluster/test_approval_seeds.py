@@ -19,7 +19,7 @@ from orchestrator.coordinator.jobs.approval import JobApprovals
 from orchestrator.coordinator.jobs.job_run import JobRun
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import Reply
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.queue import QueueTerms

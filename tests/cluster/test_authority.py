@@ -22,6 +22,7 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import JobSubmitted
 from orchestrator.model.messages import (
     HEARTBEAT_NS,
     MAX_EPOCH_STEP,
@@ -34,7 +35,6 @@ from orchestrator.model.messages import (
     RefusalDetails,
     Reply,
 )
-from orchestrator.model.service import JobSubmitted
 from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual import VirtualFleet
 

@@ -11,17 +11,17 @@ from typing import Any
 import pytest
 from cluster.worlds import demo_fleet, demo_job, job, run_fleet
 
+import orchestrator.model.jobs.service
 import orchestrator.model.messages
 import orchestrator.model.operation.alarms
 import orchestrator.model.operation.approval
 import orchestrator.model.operation.recording
 import orchestrator.model.report
-import orchestrator.model.service
 import orchestrator.model.state
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.model.base import Model
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.runtime.virtual import VirtualFleet
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "bus.md").read_text(encoding="utf-8")
@@ -33,7 +33,7 @@ MODELS = {
         orchestrator.model.operation.approval,
         orchestrator.model.operation.recording,
         orchestrator.model.report,
-        orchestrator.model.service,
+        orchestrator.model.jobs.service,
         orchestrator.model.state,
     )
 }

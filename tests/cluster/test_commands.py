@@ -14,9 +14,9 @@ from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.journal import command_table
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import SubmitJob
 from orchestrator.model.operation.commands import CommandRecord
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.service import SubmitJob
 from orchestrator.runtime.virtual import VirtualFleet
 
 DWELL = job("[{do: dwell, duration: 1 s}]")

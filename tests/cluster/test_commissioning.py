@@ -9,8 +9,8 @@ from cluster.worlds import EXAMPLES, changed, job, outcome, run_fleet
 from unit.random_rounds import share_with_nightly
 
 from adapters.host.makes import apply_make_defaults, find_controller_problems
-from orchestrator.model.files import load_fleet, parse_file, read_document
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import load_fleet, parse_file, read_document
 from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet
 from orchestrator.runtime.simulated import find_simulation_problems, make_simulator_options
 from orchestrator.runtime.virtual import VirtualFleet

@@ -10,9 +10,11 @@ from cluster.test_paths import ALONE, positions, prepare
 from cluster.worlds import job, outcome, refusal, run_fleet
 
 from orchestrator.cli.main import main
-from orchestrator.model.files import FileError
-from orchestrator.model.job import FollowPath, Job, Repeat
+from orchestrator.model.jobs.files import FileError
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.paths.files.steps import read_path_steps
+from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.templates.template import load_job
 from orchestrator.runtime.virtual import VirtualFleet
 

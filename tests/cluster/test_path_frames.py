@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from orchestrator.cli.main import main
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.monitor.path_words import describe_path
 from orchestrator.runtime.virtual import VirtualFleet

@@ -3,7 +3,7 @@
 import pytest
 from cluster.worlds import PREPARE, outcome, run_fleet
 
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.paths.files.gcode import GcodeReader
 from orchestrator.model.paths.files.imported import make_job
 from orchestrator.runtime.virtual import VirtualFleet

@@ -14,7 +14,7 @@ from orchestrator.bench.sync_fleets import make_ppsmc, make_smc30
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.virtual import VirtualFleet
 

@@ -15,7 +15,7 @@ from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import ChunkReply, LoadChunkRequest
 from orchestrator.model.report import JobReport, PathReport
 from orchestrator.plan.path_profiles import FIT_SHARE

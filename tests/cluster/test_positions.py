@@ -8,8 +8,8 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Move
 from orchestrator.model.report import JobReport
+from orchestrator.model.steps.move import Move
 from orchestrator.runtime.virtual import VirtualFleet
 
 

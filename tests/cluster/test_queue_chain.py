@@ -7,7 +7,7 @@ from random import Random
 import pytest
 from cluster.worlds import EXAMPLES, changed, job, origin_host_ns, outcome, run_fleet
 
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 from orchestrator.runtime.virtual import VirtualFleet
 
 UNITS = ("feeder", "turner", "outlet")

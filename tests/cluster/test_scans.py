@@ -8,7 +8,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet, wait_for_point
 
 from orchestrator.bus.base import BusSample
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import FileError
+from orchestrator.model.jobs.files import FileError
 from orchestrator.model.report import JobProgress
 from orchestrator.runtime.virtual import VirtualFleet
 

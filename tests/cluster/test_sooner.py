@@ -19,8 +19,8 @@ from orchestrator.coordinator.motion.negotiation import (
     StartNegotiation,
     _find_advance,
 )
-from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.messages import GoRequest, Proposal, Reply
 from orchestrator.model.report import StepReport
 from orchestrator.runtime.virtual import VirtualFleet

@@ -7,7 +7,7 @@ from cluster.worlds import EXAMPLES, PREPARE, demo_fleet, job, outcome, run_flee
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Scan
+from orchestrator.model.steps.scan import Scan
 from orchestrator.model.templates.template import Template
 from orchestrator.runtime.virtual import VirtualFleet
 

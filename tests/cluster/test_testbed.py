@@ -11,7 +11,7 @@ import pytest
 
 from orchestrator.campaign.faults import FAULTS
 from orchestrator.model.base import UnknownName
-from orchestrator.model.files import FileError, load_fleet
+from orchestrator.model.jobs.files import FileError, load_fleet
 from orchestrator.testing.checks import find_controllers
 from tutti import BlockingTutti, Dwell, Enable, Home, Job, JobFailed, Move, Refusal, SetOutput, Tutti
 from tutti.testing import BadTest, CallbackFailed, CallTooLong, FleetViolation, VirtualTestbed, virtual_fleet

@@ -14,8 +14,8 @@ from adapters.toolkit.frames import DecodedFrame, FrameDirection, LineCutter, Te
 from orchestrator.bus.base import RequestRefused
 from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.link.trace import TraceRing
-from orchestrator.model.files import parse_document
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.messages import MAX_TRACE_PART, TracePart, TraceReply
 from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet
 from orchestrator.runtime.virtual import VirtualFleet

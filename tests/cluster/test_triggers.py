@@ -16,7 +16,7 @@ from orchestrator.client.steps import JobFailed
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.recording import RecordedTriggers
 from orchestrator.model.report import JobReport, TriggerRow
 from orchestrator.monitor.export.files import write_tables

@@ -9,9 +9,9 @@ from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import load_fleet, parse_document
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.files import load_fleet, parse_document
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport, LeaseState

@@ -17,7 +17,7 @@ from forks import run_forked
 
 from orchestrator.client import Tutti
 from orchestrator.clock.live import raw_ns
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.model.state import ControllerState
 

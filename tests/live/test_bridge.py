@@ -13,7 +13,7 @@ from fleet import free_port
 
 from orchestrator.client import Tutti
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.live import LiveFleet
 

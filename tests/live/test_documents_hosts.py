@@ -18,7 +18,7 @@ from fleet import EXAMPLES
 from pages import read_blocks
 from test_namespaces import FIRST, SECOND, Part, computers, pytestmark
 
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 
 __all__ = ["computers", "pytestmark"]  # network namespaces, and root for them
 

@@ -20,7 +20,7 @@ from orchestrator.bus.estop import put_estop
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.clock.live import raw_ns
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.messages import EstopReset, KeptEstop
 from orchestrator.model.state import ControllerState
 

@@ -8,7 +8,7 @@ import pytest
 from children import LIMIT_S, wait_until
 from fleet import COMMAND, EXAMPLES, SLOW, RunningFleet, run_tutti
 
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 
 pytestmark = pytest.mark.live
 

@@ -9,7 +9,7 @@ from children import LIMIT_S, wait_until
 from fleet import COMMAND, EXAMPLES, READY, RunningFleet, free_port
 
 from orchestrator.client import Tutti
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.state import ControllerState
 
 pytestmark = [pytest.mark.live, pytest.mark.nightly]

@@ -18,7 +18,7 @@ import pytest
 from children import LIMIT_S
 from fleet import COMMAND, EXAMPLES, free_port, run_tutti
 
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 
 pytestmark = pytest.mark.live
 

@@ -17,7 +17,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.virtual import VirtualFleet
 

@@ -17,8 +17,8 @@ from orchestrator.bench.paths.random_paths import (
     stop_everywhere,
     uneven_limits,
 )
-from orchestrator.model.job import FollowPath
 from orchestrator.model.paths.files.gcode import GcodeReader
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit
 from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path.errors import PathRefusal

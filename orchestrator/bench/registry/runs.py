@@ -34,7 +34,7 @@ class BenchFailed(TuttiError):
 
 
 def _load_demo_fleet() -> "Fleet":
-    from orchestrator.model.files import load_fleet
+    from orchestrator.model.jobs.files import load_fleet
     from orchestrator.runtime.examples import find_example
 
     return load_fleet(find_example("demo.fleet.yaml"))

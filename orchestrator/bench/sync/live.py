@@ -13,7 +13,7 @@ from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
 from orchestrator.bench.sync_fleets import make_sync_fleet
 from orchestrator.bench.truth import NothingHappened
 from orchestrator.clock.live import raw_ns
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.runtime.demo_truth import check_verdicts
 

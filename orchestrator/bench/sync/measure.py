@@ -19,7 +19,7 @@ from orchestrator.bus.memory.network import NetworkPath
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport, StepRecording, StepReport
 from orchestrator.runtime.virtual import VirtualFleet
 from orchestrator.runtime.workers import map_in_processes

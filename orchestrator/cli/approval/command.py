@@ -89,15 +89,14 @@ def _find_wanted(digits: str, plan: "JobPlan", job_id: str) -> str:
 
 
 async def _print_plan(tutti: "Tutti", entry: "QueueEntry", planned: "JobPlanned") -> None:
-    from orchestrator.model.operation.step_words import describe_step
-    from orchestrator.model.scans.step_order import StepOrder
+    from orchestrator.model.steps.order import StepOrder
     from orchestrator.monitor.times import localize_times
 
     assert planned.plan is not None
     shown = (await tutti.show_job(entry.id)).job
     lines = [f"{name_jobs(entry)} of {entry.actor}: {localize_times(entry.reason)}"]
     steps = list(StepOrder(shown.steps).iterate_written()) if shown is not None else []
-    lines += [f"  {index} {describe_step(step)}" for index, step in steps[:MAX_SHOWN_STEPS]]
+    lines += [f"  {index} {step.describe()}" for index, step in steps[:MAX_SHOWN_STEPS]]
     lines += [f"  and {len(steps) - MAX_SHOWN_STEPS} more steps"] if len(steps) > MAX_SHOWN_STEPS else []
     lines += ["plan:", *(f"  {name}: {text}" for name, text in planned.plan.parts.items())]
     lines += [f"changed since it was approved: {each}" for each in planned.changed]

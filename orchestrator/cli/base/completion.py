@@ -13,7 +13,7 @@ from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
-    from orchestrator.model.service import FleetNames
+    from orchestrator.model.jobs.service import FleetNames
 
 T = TypeVar("T")
 

@@ -151,7 +151,7 @@ def _exit_with_known_error(error: Exception) -> None:
     from orchestrator.bus.identity import BadIdentity
     from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable
     from orchestrator.model.errors import Refusal
-    from orchestrator.model.files import FileError
+    from orchestrator.model.jobs.files import FileError
     from orchestrator.model.plugins import PluginError
     from orchestrator.runtime.state_folder import UpFailed
 

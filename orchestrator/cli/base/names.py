@@ -8,7 +8,7 @@ from orchestrator.model.errors import Refusal
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
-    from orchestrator.model.service import FleetNames
+    from orchestrator.model.jobs.service import FleetNames
     from orchestrator.model.state import ControllerState
 
 MAX_SHOWN = 12

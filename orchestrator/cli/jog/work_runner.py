@@ -9,7 +9,7 @@ from orchestrator.cli.jog.panel import JogPanel
 from orchestrator.cli.jog.work import RunWork
 from orchestrator.client import Tutti
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 
 

@@ -19,7 +19,7 @@ def run_path(out: Path | None, *, wanted: bool, as_json: bool) -> None:
         raise click.UsageError("-o is the picture of a path; add --path")
     import numpy as np
 
-    from orchestrator.model.files import load_fleet
+    from orchestrator.model.jobs.files import load_fleet
     from orchestrator.model.templates.template import load_job
     from orchestrator.monitor.path_demo_plot import SampledPath, plot_sampled_path
     from orchestrator.monitor.path_words import describe_path

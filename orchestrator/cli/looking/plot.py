@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from orchestrator.client import Tutti
+    from orchestrator.model.jobs.service import JobShown
     from orchestrator.model.report import PointRecord, QueueEntry, StepRecording
-    from orchestrator.model.service import JobShown
 
 MAX_PLOTTED_STEPS = 200  # of a job
 MAX_PLOTTED_POINTS = 100_000  # of a scan
@@ -99,9 +99,9 @@ async def _load_scans(tutti: "Tutti", entry: "QueueEntry", step: int | None) -> 
 
 def _list_moves(shown: "JobShown") -> list[int]:
     """The numbers of the steps of a job that may have a recording, but for the points of scans."""
-    from orchestrator.model.job import MOTION_STEPS
     from orchestrator.model.queue import MAX_STEPS
-    from orchestrator.model.scans.step_order import StepOrder
+    from orchestrator.model.steps.kinds import MOTION_STEPS
+    from orchestrator.model.steps.order import StepOrder
 
     if shown.report is not None:
         return [step.index for step in shown.report.steps if step.do in MOTION_STEPS]

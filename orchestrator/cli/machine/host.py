@@ -75,8 +75,8 @@ async def _find_fleet(tutti: "Tutti", connect: str, folder: Path, print_line: Ca
     """The fleet file of the coordinator; without one, that which was stored last. Without either it is waited for.
     Raises `Refusal`."""
     from orchestrator.model.errors import Refusal
-    from orchestrator.model.files import FileError, parse_file, read_file
     from orchestrator.model.fleet import Fleet
+    from orchestrator.model.jobs.files import FileError, parse_file, read_file
     from orchestrator.runtime.state_folder import FLEET_FILE
 
     has_said = False

@@ -16,8 +16,9 @@ from orchestrator.cli.paths.import_command import import_path
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
     from orchestrator.model.forecast import AxisForecast
-    from orchestrator.model.job import FollowPath, Job
-    from orchestrator.plan.forecast import JobForecaster
+    from orchestrator.model.jobs.job import Job
+    from orchestrator.model.steps.path import FollowPath
+    from orchestrator.plan.forecast.job import JobForecaster
     from orchestrator.plan.path_step import PlannedPath
 
 
@@ -50,7 +51,7 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     from orchestrator.model.templates.template import load_job
     from orchestrator.monitor.path_plot import PathAxes, plot_path
     from orchestrator.monitor.path_words import describe_path
-    from orchestrator.plan.forecast import JobForecaster
+    from orchestrator.plan.forecast.job import JobForecaster
     from orchestrator.runtime.checked import load_checked_fleet
 
     loaded, job = load_checked_fleet(fleet), load_job(file)
@@ -68,7 +69,7 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
 
 
 def _find_path(job: "Job", step: int | None) -> "tuple[int, FollowPath]":
-    from orchestrator.model.job import FollowPath
+    from orchestrator.model.steps.path import FollowPath
 
     paths = {number: each for number, each in enumerate(job.steps) if isinstance(each, FollowPath)}
     if not paths:

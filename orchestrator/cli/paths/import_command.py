@@ -58,8 +58,8 @@ def import_path(
     Of G-code: G0 to G4, G17 to G21, G61, G64 P, G90, G91, F. Anything else is refused with its line and column, and
     then nothing is written.
     """
-    from orchestrator.model.files import validate_value
-    from orchestrator.model.job import Job
+    from orchestrator.model.jobs.files import validate_value
+    from orchestrator.model.jobs.job import Job
     from orchestrator.model.paths.files.imported import make_job
     from orchestrator.model.paths.files.reading import read_path_file
 

@@ -26,9 +26,9 @@ def check_extremes(
     """What fails with another value that bounds and choices allow, in words. It ends after `MAX_STEPS`, which is
     stated. summaries: of the points of scans."""
     from orchestrator.model.errors import Refusal
-    from orchestrator.model.files import FileError
-    from orchestrator.model.job import iterate_steps
-    from orchestrator.plan.forecast import forecast_job
+    from orchestrator.model.jobs.files import FileError
+    from orchestrator.model.steps.tree import iterate_steps
+    from orchestrator.plan.forecast.job import forecast_job
 
     notes: list[str] = []
     steps = 0
@@ -54,7 +54,7 @@ def _fill_extremes(
     template: "Template", settings: "Mapping[str, ParameterSetting]"
 ) -> "Iterator[tuple[str, FilledJob | str]]":
     """The jobs of all extremes, each with its value in words; for one that cannot be made, what is wrong."""
-    from orchestrator.model.files import FileError
+    from orchestrator.model.jobs.files import FileError
 
     for words, further in template.list_extremes(settings):
         try:

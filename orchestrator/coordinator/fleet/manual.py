@@ -18,8 +18,8 @@ from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.journal.journal import Journal, Reservation
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import MAX_MANUAL_LEASE_S, AcquireAxes, AxesAcquired
 from orchestrator.model.queue import format_utc, parse_utc
-from orchestrator.model.service import MAX_MANUAL_LEASE_S, AcquireAxes, AxesAcquired
 
 
 class ManualLeases:

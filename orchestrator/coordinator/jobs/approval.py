@@ -7,6 +7,7 @@ from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.queue import WaitingJob
 from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import JobReference
 from orchestrator.model.messages import Reply
 from orchestrator.model.operation.approval import (
     ApproveJob,
@@ -16,7 +17,6 @@ from orchestrator.model.operation.approval import (
     join_changes,
     list_changes,
 )
-from orchestrator.model.service import JobReference
 
 MAX_SHOWN = 50  # plans that are kept, to say what has changed since a user has seen one
 

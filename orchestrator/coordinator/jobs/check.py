@@ -6,12 +6,12 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import format_place
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import StepForecast, StepProblem
-from orchestrator.model.job import Dwell, FollowPath, Home, Repeat, Scan, Step, iterate_steps
-from orchestrator.model.scans.step_order import RemainingStep
-from orchestrator.plan.forecast import JobForecaster
+from orchestrator.model.jobs.files import format_place
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.order import RemainingStep
+from orchestrator.plan.forecast.job import JobForecaster
 
 STEPS_AT_ONCE = 20  # that are checked before other work gets its turn
 MAX_LISTED = 10  # problems in one refusal
@@ -37,15 +37,15 @@ async def check_job(fleet: Fleet, steps: Iterable[RemainingStep], plan: Executor
 def predict_s(fleet: Fleet, step: Step) -> float:
     """How long a step without a plan of its own takes, s: a homing as long as it may, a dwell its duration; 0 for
     others."""
-    if isinstance(step, Home):
+    if step.searches:
         return JobForecaster(fleet).take(0, step).most_s or 0.0
-    return step.duration / NS_PER_S if isinstance(step, Dwell) else 0.0
+    return 0.0 if step.acts else (step.pause_ns or 0) / NS_PER_S
 
 
 async def forecast_step(forecaster: JobForecaster, number: int, step: Step, plan: Executor) -> StepForecast:
     """Run one step forward, with breaks for other work. plan: plans paths, beside which heartbeats and stops go on."""
     work, done = forecaster.take_in_parts(number, step), 0
-    advance = plan if any(isinstance(each, FollowPath) for each in iterate_steps([step])) else run_inline
+    advance = plan if any(each.plans_long for each in step.iterate_written()) else run_inline
     while True:
         forecast = await advance(_advance, work)
         if forecast is not None:
@@ -76,11 +76,8 @@ def _describe_place(steps: Mapping[int, Step], place: Sequence[str | int]) -> st
     """The step that a place is in, with what it does: `steps[2].steps[0] (move)`."""
     step, path = steps[int(place[1])], [*place[:2]]
     for key, number in zip(place[2::2], place[3::2], strict=False):
-        if isinstance(step, Repeat) and key == "steps" and isinstance(number, int):
-            step = step.steps[number]
-        elif isinstance(step, Scan) and key == "at_each" and isinstance(number, int):
-            step = step.at_each[number]
-        else:
+        if step.inner is None or key != step.inner.key or not isinstance(number, int):
             break
+        step = step.inner.steps[number]
         path += [key, number]
-    return f"{format_place(path)} ({step.do})"
+    return f"{format_place(path)} ({step.kind})"

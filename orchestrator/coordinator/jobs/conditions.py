@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.jobs.queue import find_axes, find_needed_controllers
+from orchestrator.coordinator.jobs.queue import find_needed_controllers
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Enable, FollowPath, Home, Move, Scan, Step, iterate_steps
 from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
 from orchestrator.model.state import AxisState, ControllerState
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.tree import iterate_steps
 
 ESTOP_VISIBLE_NS = NS_PER_S  # after an e-stop; by then every adapter has published its latch
 _SAFE = "make the machine safe, then `tutti reset`"
@@ -51,15 +52,14 @@ def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
     enabled, referenced, moved = set[str](), set[str](), dict[str, None]()
     enabled_before, referenced_before = set[str](), set[str]()
     for step in iterate_steps(steps):
-        if isinstance(step, Enable):
-            enabled |= set(find_axes(fleet, [step]))
-        elif isinstance(step, Move | FollowPath | Scan | Home):
-            in_order = find_axes(fleet, [step])
-            moved |= dict.fromkeys(in_order)
-            axes = set(in_order)
+        axes = set(step.find_axes(fleet))
+        if step.enables:
+            enabled |= axes
+        elif step.moves:
+            moved |= dict.fromkeys(step.find_axes(fleet))
             manual = {axis for axis in axes if fleet.axis(axis).enable == "manual"}
             enabled_before |= manual - enabled
-            if isinstance(step, Home):
+            if step.searches:
                 referenced |= axes
             else:
                 referenced_before |= axes - referenced
@@ -68,7 +68,7 @@ def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
         tuple(moved),
         frozenset(enabled_before),
         frozenset(referenced_before),
-        any(isinstance(step, Move | FollowPath | Scan | Home | Enable) for step in iterate_steps(steps)),
+        any(step.moves or step.enables for step in iterate_steps(steps)),
     )
 
 

@@ -12,12 +12,12 @@ from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
 from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal import journal
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import FollowPath, Job, Move, Scan, iterate_steps
-from orchestrator.model.operation.step_words import describe_step
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import FINISHED_STATES
-from orchestrator.model.scans.step_order import RemainingStep, StepOrder, count_point_steps, count_reports
-from orchestrator.model.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
+from orchestrator.model.steps.order import RemainingStep, StepOrder, count_reports
+from orchestrator.model.steps.tree import iterate_steps
 
 MAX_DESCRIBED_STEPS = 20  # remaining steps that are described in words
 
@@ -62,7 +62,7 @@ class JobIntake:
         axes = find_axes(services.view.fleet, [each.step for each in remaining])
         described = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]
         reply = JobRetried(
-            steps=[f"{each.first} {describe_step(each.step)}" for each in described],
+            steps=[f"{each.first} {each.step.describe()}" for each in described],
             axes=[self._axis_position(axis) for axis in axes],
             warnings=_find_warnings(remaining),
         )
@@ -182,14 +182,14 @@ def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
     if request.from_point is None:
         return first
     place = order.locate(first)
-    scan = place.step
-    if not isinstance(scan, Scan):
-        text = f"step {first} of job {job_id} is no scan ({scan.do}), so it has no point {request.from_point}"
+    scan = place.scan
+    if scan is None:
+        text = f"step {first} of job {job_id} is no scan ({place.kind}), so it has no point {request.from_point}"
         raise Refusal("no-step", text, "choose the step of a scan with --from-step; `tutti job show` numbers them")
     if request.from_point > scan.point_count:
         text = f"the scan of step {place.first} of job {job_id} has the points 1 to {scan.point_count}"
         raise Refusal("no-step", text, "choose one of them with --from-point")
-    return place.first + (request.from_point - 1) * count_point_steps(scan)
+    return place.first + (request.from_point - 1) * scan.points_steps
 
 
 def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
@@ -198,10 +198,6 @@ def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
     for index, _, written in remaining:
         for step in iterate_steps([written]):
             axes = ", ".join(places.take_step(step))
-            if axes and isinstance(step, Move):
-                return [f"step {index} moves {axes} by a distance, from the current position"]
-            if axes and isinstance(step, FollowPath):
-                return [f"step {index}, a path, begins at the current position of {axes}"]
             if axes:
-                return [f"step {index} sets the position of {axes}, at the current position"]
+                return [step.describe_relative(index, axes)]
     return []

@@ -10,32 +10,19 @@ from typing import NamedTuple
 from orchestrator.bus.base import BusError
 from orchestrator.coordinator.fleet.positions import format_position
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.jobs.queue import find_axes, find_wires
+from orchestrator.coordinator.jobs.queue import find_wires
 from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet, Permit
-from orchestrator.model.job import (
-    Disable,
-    Enable,
-    FollowPath,
-    Home,
-    Job,
-    Latch,
-    Move,
-    Scan,
-    SetOutput,
-    Step,
-    WaitInput,
-    find_digests,
-    iterate_steps,
-    list_trigger_outputs,
-)
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.operation.approval import JobPlan
 from orchestrator.model.positions.resolve import PositionResolver
-from orchestrator.model.scans.step_order import StepOrder
 from orchestrator.model.state import AxisState, ControllerState
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.tree import find_digests, iterate_steps
 from orchestrator.model.units import format_quantity
 
 STEPS_AT_ONCE = 200  # that are looked at before other work gets its turn
@@ -106,23 +93,16 @@ class _JobUses:
 
     def take_step(self, fleet: Fleet, step: Step) -> None:
         """Add what one step uses. Raises `UnknownName`."""
-        axes = dict.fromkeys(find_axes(fleet, [step]))
+        axes = dict.fromkeys(step.find_axes(fleet))
         self.axes |= axes
-        if isinstance(step, Move | FollowPath | Scan | Home):
+        if step.moves:
             self.moved |= axes
-        if isinstance(step, Move | Scan):
-            self.absolute |= dict.fromkeys(step.to if isinstance(step, Move) else step.axis_names)
-        elif isinstance(step, FollowPath):
-            self.absolute |= axes
-            self.frames |= {} if step.frame is None else {step.frame: None}
-        elif isinstance(step, Home | Enable | Disable):
-            self.groups |= dict.fromkeys(name for name in step.axes or [] if name in fleet.groups)
-            self.homes_all |= step.axes is None
-        elif isinstance(step, SetOutput):
-            self.outputs[step.output] = None
-        elif isinstance(step, WaitInput | Latch):
-            self.controllers.add(controller_of(step.input))
-        self.outputs |= dict.fromkeys(list_trigger_outputs(step))
+        self.absolute |= dict.fromkeys(step.absolute_axes)
+        self.frames |= dict.fromkeys(step.frames)
+        self.groups |= dict.fromkeys(name for name in step.named_axes if name in fleet.groups)
+        self.homes_all |= step.uses_whole_fleet
+        self.outputs |= dict.fromkeys([*step.switched_outputs, *step.trigger_outputs])
+        self.controllers |= set(map(controller_of, step.awaited_inputs))
 
     def add_controllers(self, fleet: Fleet) -> None:
         """Add the controllers of axes, outputs, trigger lines and permits."""

@@ -22,7 +22,6 @@ from orchestrator.coordinator.jobs.point_readings import PointReadings
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.sequence import StepSequence
-from orchestrator.coordinator.jobs.steps import PlainSteps
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord, JournalError
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -31,10 +30,13 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.coordinator.statistics.collector import StatisticsCollector
+from orchestrator.coordinator.steps.context import StepContext
+from orchestrator.coordinator.steps.kinds import run_step
+from orchestrator.coordinator.steps.motors import switch_motors
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import FollowPath, Home, Job, Move, Scan, Step, iterate_steps, list_trigger_outputs
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import RefusalDetails, StopMode
 from orchestrator.model.names import controller_of
 from orchestrator.model.operation.approval import JobApproval, join_changes, list_changes
@@ -48,7 +50,10 @@ from orchestrator.model.report import (
     PointRecord,
     StepReport,
 )
-from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.kinds import Motion
+from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.tree import as_motion, iterate_steps
 
 PROGRESS_NS = NS_PER_S // 5
 REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show rest
@@ -84,7 +89,6 @@ class JobServices:
     view: FleetView
     fleet: FleetAccess
     motion: MotionServices
-    plain_steps: PlainSteps
     leases: LeaseRegistry
     positions: PositionBook
     alarms: AlarmRegister
@@ -179,7 +183,7 @@ class JobRun:
     def members(self) -> list[str]:
         """Controllers that it can move, or whose outputs it switches on the way, to stop them all."""
         moved = group_by_controller(find_axes(self._services.view.fleet, self.steps_to_run))
-        outputs = [output for step in iterate_steps(self.steps_to_run) for output in list_trigger_outputs(step)]
+        outputs = [output for step in iterate_steps(self.steps_to_run) for output in step.trigger_outputs]
         return list(dict.fromkeys([*moved, *map(controller_of, outputs)]))
 
     async def interrupt_job(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
@@ -413,8 +417,9 @@ class JobRun:
     async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
         holds: list[FeedHold] = []
-        if isinstance(step, Move | FollowPath):
-            self._motion_step = self._chain.begin_step(index, step)
+        motion = as_motion(step)
+        if motion is not None:
+            self._motion_step = self._chain.begin_step(index, motion)
         try:
             while True:
                 report = await self._run_step(index, step)
@@ -439,13 +444,13 @@ class JobRun:
                 return await self._run_motion(self._motion_step)
             services.fleet.certificates.require_until(self.needs, predict_s(services.view.fleet, step))
             await self._on_state("running", "")
-            latched = await services.plain_steps.run_step(step, self.row.id, self.row.actor, self._on_progress)
+            added = await run_step(self._make_context(), step)
         except Refusal as error:
             services.log.warning(error.text, job=self.row.id, step=index, code=error.code)
             reason = f"{error.text}; {error.remedy}" if error.remedy else error.text
             return StepReport(
                 index=index,
-                do=step.do,
+                do=step.kind,
                 name=step.name or "",
                 state="failed",
                 reason=reason,
@@ -453,7 +458,12 @@ class JobRun:
             )
         took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
         name = step.name or ""
-        return StepReport(index=index, do=step.do, name=name, state="done", actual_s=took_s, latch=latched)
+        report = StepReport(index=index, do=step.kind, name=name, state="done", actual_s=took_s)
+        return report.model_copy(update=added)
+
+    def _make_context(self) -> StepContext:
+        services, row = self._services, self.row
+        return StepContext(services.fleet, services.motion.targets, row.id, row.actor, self._on_progress)
 
     async def _run_motion(self, step: MotionStep) -> StepReport:
         """Run a motion step: behind the one before, if it is loaded there; otherwise from rest. Raises `Refusal`."""
@@ -463,7 +473,7 @@ class JobRun:
             return await step.run_released(motion, callbacks)
         return await step.run(callbacks, self._seen_ns)
 
-    def _make_request(self, index: int, move: Move | FollowPath) -> StepRequest:
+    def _make_request(self, index: int, move: Motion) -> StepRequest:
         return StepRequest(self.row.id, self.job, index, move)
 
     async def _on_state(self, state: JobState, reason: str) -> None:
@@ -530,10 +540,10 @@ class JobRun:
             state=self.state,
             step=self._step,
             steps=len(self._steps),
-            step_name=self._doing or place.step.name or place.step.do,
+            step_name=self._doing or place.step.name or place.step.kind,
             scan_step=place.first if within_scan else None,
             point=place.point + 1 if place.point is not None else None,
-            points=place.step.point_count if isinstance(place.step, Scan) else None,
+            points=None if place.scan is None else place.scan.point_count,
             fraction=min(1.0, (self._step + within) / len(self._steps)),
             remaining_s=remaining_s,
             override_percent=None if rate is None else round(100 * rate, 3),
@@ -560,7 +570,7 @@ class JobRun:
 
     def _moved_axes(self) -> list[str]:
         """Axes that it moves, and that are enabled for it if the fleet file says so."""
-        moves = [step for step in iterate_steps(self.steps_to_run) if isinstance(step, Move | FollowPath | Scan | Home)]
+        moves = [step for step in iterate_steps(self.steps_to_run) if step.moves]
         return find_axes(self._services.view.fleet, moves)
 
     async def _enable_by_policy(self) -> None:
@@ -571,7 +581,7 @@ class JobRun:
         ]
         if off:
             self._seen_ns = None
-            await self._services.plain_steps.switch_motors(off, on=True, holder=self.row.id, actor=self.row.actor)
+            await switch_motors(self._make_context(), off, on=True)
 
     async def _disable_by_policy(self) -> None:
         """Disable axes with `enable: per_job`. An axis that still ramps down stays enabled, and that is logged."""
@@ -581,7 +591,7 @@ class JobRun:
         per_job = [axis for axis in self._moved_axes() if services.view.fleet.axis(axis).enable == "per_job"]
         if per_job:
             try:
-                await services.plain_steps.switch_motors(per_job, on=False, holder=self.row.id, actor=self.row.actor)
+                await switch_motors(self._make_context(), per_job, on=False)
             except Refusal as error:
                 services.log.warning(f"left enabled after the job: {error.text}", job=self.row.id)
 

@@ -5,7 +5,9 @@ from typing import Protocol
 
 from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Dwell, FollowPath, Move, SetOutput, Step
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.kinds import Motion
+from orchestrator.model.steps.tree import as_motion
 
 BETWEEN_MOST = 20  # steps between two motion steps that are looked at
 
@@ -23,7 +25,7 @@ class NextMotion:
     """The motion step `move`, number `index`, and what happens before it."""
 
     index: int
-    move: Move
+    move: Motion
     between: BetweenSteps
 
 
@@ -37,31 +39,30 @@ class ChainBreak:
 
 def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMotion | ChainBreak:
     """The motion step behind the one with number `index`. Dwell and outputs do not hinder it."""
-    moving, pause_ns, acts, between = steps[index], 0, False, ""
+    moving, pause_ns, acts, between = as_motion(steps[index]), 0, False, ""
+    assert moving is not None
     for number in range(index + 1, min(len(steps), index + 2 + BETWEEN_MOST)):
         try:
             step = steps[number]
         except KeyError:
             return ChainBreak(number, "its point is not read yet")
-        if isinstance(step, FollowPath) or (isinstance(step, Move) and isinstance(moving, FollowPath)):
-            return ChainBreak(number, between or "a path begins and ends at rest")
-        if isinstance(step, Move):
-            broken = between or (_find_hindrance(fleet, moving, step) if isinstance(moving, Move) else "")
-            return ChainBreak(number, broken) if broken else NextMotion(number, step, BetweenSteps(pause_ns, acts))
-        if isinstance(step, Dwell):
-            pause_ns += step.duration
-        elif isinstance(step, SetOutput):
-            acts = True
-            pause_ns += step.pulse or 0
+        if (motion := as_motion(step)) is not None:
+            broken = between or _find_hindrance(fleet, moving, motion)
+            return ChainBreak(number, broken) if broken else NextMotion(number, motion, BetweenSteps(pause_ns, acts))
+        if step.pause_ns is None:
+            between = between or f"step {number} ({step.kind}) comes before it"
         else:
-            between = between or f"step {number} ({step.do}) comes before it"
+            pause_ns += step.pause_ns
+            acts = acts or step.acts
     farther = len(steps) > index + 2 + BETWEEN_MOST
     return ChainBreak(None, f"more than {BETWEEN_MOST} steps come before it" if farther else "")
 
 
-def _find_hindrance(fleet: Fleet, moving: Move, step: Move) -> str:
+def _find_hindrance(fleet: Fleet, moving: Motion, step: Motion) -> str:
     """Why `step` cannot be loaded while `moving` moves; empty if it can."""
-    settling = [name for name in moving.to | moving.by if fleet.axis(name).done == "in_position"]
+    if step.rests or moving.rests:
+        return "a path begins and ends at rest"
+    settling = [name for name in moving.named_axes if fleet.axis(name).done == "in_position"]
     if settling:
         return f"{settling[0]} must settle in position before it"
     for each, when in ((moving, "before it"), (step, "for it")):
@@ -71,4 +72,4 @@ def _find_hindrance(fleet: Fleet, moving: Move, step: Move) -> str:
             return f"outputs are switched on the way {when} (`triggers`)"
     if step.align:
         return "it waits for aligned ticks (`align`)"
-    return "a trigger line starts it (`start: line`)" if step.start == "line" else ""
+    return "a trigger line starts it (`start: line`)" if step.start_wish == "line" else ""

@@ -10,8 +10,8 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD
 from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import FollowPath, Move
 from orchestrator.model.report import StepChain, StepReport
+from orchestrator.model.steps.kinds import Motion
 
 
 class MotionChain:
@@ -21,7 +21,7 @@ class MotionChain:
         self,
         services: MotionServices,
         steps: Callable[[], NumberedSteps],
-        make_request: Callable[[int, Move | FollowPath], StepRequest],
+        make_request: Callable[[int, Motion], StepRequest],
     ) -> None:
         self._services = services
         self._steps = steps
@@ -74,7 +74,7 @@ class MotionChain:
 
     # The next step
 
-    def begin_step(self, index: int, move: Move | FollowPath) -> MotionStep:
+    def begin_step(self, index: int, move: Motion) -> MotionStep:
         """The motion step `index`: the one that is prepared behind the present one, or a new one."""
         ahead = self._ahead
         if ahead is not None and ahead.step.request.index == index:

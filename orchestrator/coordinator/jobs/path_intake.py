@@ -5,8 +5,12 @@ from contextlib import suppress
 from orchestrator.bus.base import BusError
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import MAX_REPEATED, FollowPath, Job, Repeat, Step
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.repeat import MAX_REPEATED, Repeat
+from orchestrator.model.steps.tree import find_paths
 from orchestrator.plan.path_split import split_path
 
 
@@ -16,19 +20,12 @@ async def split_paths(view: FleetView, job: Job) -> Job:
 
     A controller that does not answer is taken to follow any path; if it cannot, the path is refused when it runs.
     """
-    steps = [await _split_step(view, step) for step in job.steps]
-    if all(new is old for new, old in zip(steps, job.steps, strict=True)):
-        return job
-    return job.model_copy(update={"steps": steps})
+    paths = [step for step in find_paths(job.steps) if step.file is None]
+    split = {id(path): parts for path in paths if (parts := await _split_path(view, path)) is not path}
+    return job.model_copy(update={"steps": [step.replace_steps(split) for step in job.steps]}) if split else job
 
 
-async def _split_step(view: FleetView, step: Step) -> Step:
-    if isinstance(step, Repeat):
-        inside = [await _split_step(view, each) for each in step.steps]
-        same = all(new is old for new, old in zip(inside, step.steps, strict=True))
-        return step if same else step.model_copy(update={"steps": inside})
-    if not isinstance(step, FollowPath) or step.file is not None:
-        return step
+async def _split_path(view: FleetView, step: FollowPath) -> Step:
     known = set(view.fleet.axis_names)
     slow = set[str]()
     for name in dict.fromkeys(controller_of(axis) for axis in step.axes if axis in known):

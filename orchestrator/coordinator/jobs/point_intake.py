@@ -6,10 +6,12 @@ import binascii
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.journal.point_store import UploadState
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job, Scan, find_scans, replace_scans
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.service import PointsPut, PutPoints
 from orchestrator.model.names import controller_of
 from orchestrator.model.scan import PointTable, find_row_bytes
-from orchestrator.model.service import PointsPut, PutPoints
+from orchestrator.model.steps.scan import Scan
+from orchestrator.model.steps.tree import find_scans
 
 
 class PointIntake:
@@ -46,7 +48,7 @@ class PointIntake:
         if not stored:
             return job
         found = {id(scan): await self._resolve_scan(scan) for scan in stored}
-        return job.model_copy(update={"steps": replace_scans(job.steps, found)})
+        return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]})
 
     async def _resolve_scan(self, scan: Scan) -> Scan:
         digest = None if scan.points is None else scan.points.digest

@@ -10,7 +10,7 @@ from orchestrator.coordinator.jobs.queue import WaitingJob, sort_waiting
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState, make_queued_progress
-from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.steps.order import StepOrder
 
 MAX_PUBLISHED_JOBS = 200  # entries of the queue on the bus; those after them wait long anyway
 FIRST_DELAY_NS = NS_PER_MS  # a job that has just been accepted is scheduled first

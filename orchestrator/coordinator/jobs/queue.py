@@ -12,27 +12,16 @@ A controller is loaded with one step at a time, so jobs need whole controllers, 
 separately.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.fleet import Fleet, TriggerWire
-from orchestrator.model.job import (
-    Disable,
-    Enable,
-    FollowPath,
-    Home,
-    Job,
-    Move,
-    Scan,
-    SetOutput,
-    Step,
-    iterate_steps,
-    list_trigger_outputs,
-    named_axes,
-)
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.tree import iterate_steps
 
 MAX_JOBS_WITHOUT_AXES = 32  # that run at once; jobs with axes are limited by the controllers of the fleet
 
@@ -137,25 +126,18 @@ def choose_jobs(
 
 def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
     """Axes that steps move, switch or set: those that their job must lease. Raises `UnknownName`."""
-    names: list[str] = []
-    for step in iterate_steps(steps):
-        named = named_axes(step)
-        if isinstance(step, Home | Enable | Disable):
-            named = fleet.expand_names(named or list(fleet.controllers))
-        names += named
-    return list(dict.fromkeys(names))
+    return list(dict.fromkeys(axis for step in iterate_steps(steps) for axis in step.find_axes(fleet)))
 
 
-def find_needed_controllers(fleet: Fleet, steps: list[Step]) -> frozenset[str]:
+def find_needed_controllers(fleet: Fleet, steps: Sequence[Step]) -> frozenset[str]:
     """Controllers that no other job may use meanwhile: those of its axes, those whose outputs it switches on the way,
     and those whose outputs start its members by a trigger line. Raises `UnknownName`."""
     moved, outputs, triggered = set[str](), set[str](), set[str]()
     for step in iterate_steps(steps):
-        if isinstance(step, Move | FollowPath | Scan):
-            moved |= {controller_of(axis) for axis in named_axes(step)}
-            triggered |= {controller_of(output) for output in list_trigger_outputs(step)}
-        elif isinstance(step, SetOutput):
-            outputs.add(step.output)
+        if step.moves and not step.searches:
+            moved |= {controller_of(axis) for axis in step.named_axes}
+        triggered |= {controller_of(output) for output in step.trigger_outputs}
+        outputs |= set(step.switched_outputs)
     drivers = {controller_of(wire.from_) for wire in find_wires(fleet, moved, outputs)}
     return frozenset({controller_of(axis) for axis in find_axes(fleet, steps)} | drivers | triggered)
 

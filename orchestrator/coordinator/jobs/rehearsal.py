@@ -14,9 +14,9 @@ from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, StepForecast, StepProblem
-from orchestrator.model.job import FollowPath, Move
-from orchestrator.model.service import DryRun, DryRunDone
-from orchestrator.plan.forecast import JobForecaster
+from orchestrator.model.jobs.service import DryRun, DryRunDone
+from orchestrator.model.steps.tree import as_motion
+from orchestrator.plan.forecast.job import JobForecaster
 
 REHEARSALS_AT_ONCE = 3
 """Steps for which the members are asked at the same time, so that they work while messages are under way. Few, because
@@ -47,10 +47,10 @@ class JobRehearsal:
         for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):
             index = request.first + number
             forecast = await forecast_step(forecaster, index, step, self._services.motion.plan)
-            motion = forecaster.motion
+            motion, asked_step = forecaster.motion, as_motion(step)
             steps.append(forecast)
-            if isinstance(step, Move | FollowPath) and motion is not None and motion.plan.profiles:
-                asked = StepRequest("dry-run", request.job, index, step)
+            if asked_step is not None and motion is not None and motion.plan.profiles:
+                asked = StepRequest("dry-run", request.job, index, asked_step)
                 resolved = ResolvedMove(motion.moves, dict(motion.exact))
                 planned = PlannedStep(
                     asked, resolved, motion.plan, {}, rehearsal=True, path=motion.path, triggers=motion.triggers

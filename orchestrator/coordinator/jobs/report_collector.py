@@ -10,9 +10,9 @@ from typing import Protocol
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.motion.budget import worse_verdict
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
-from orchestrator.model.job import Scan
 from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
-from orchestrator.model.scans.step_order import StepPlace, count_point_steps
+from orchestrator.model.steps.order import StepPlace
+from orchestrator.model.steps.scan import Scan
 
 MAX_FINDINGS = 10  # points that are not green and stand in the report
 ROWS_AT_ONCE = 100  # in a transaction
@@ -77,13 +77,12 @@ class ReportCollector:
 
     def begin_step(self, place: StepPlace) -> None:
         """A step begins."""
-        scan = place.step
         if self._scan is not None and (place.point is None or place.first != self._scan.place.first):
             self._reports += self._make_scan_reports()
             self._scan = None
-        if isinstance(scan, Scan) and place.point is not None and self._scan is None:
+        if place.scan is not None and self._scan is None:
             now_ns = self._clock.now_ns()
-            self._scan = _ScanProgress(place, scan, now_ns, now_ns)
+            self._scan = _ScanProgress(place, place.scan, now_ns, now_ns)
 
     async def add_report(self, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
         """Take the report of a step that has begun. target: of the point it belongs to. Raises `JournalError`."""
@@ -100,7 +99,7 @@ class ReportCollector:
         now.steps_done += report.state == "done"
         if report.state != "done":
             now.ended = place, report
-        if report.state != "done" or place.part == count_point_steps(now.scan) - 1:
+        if report.state != "done" or place.part == now.scan.points_steps - 1:
             self._end_point(now, place, report, target)
             waited_ns = self._clock.now_ns() - self._written_ns
             if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:

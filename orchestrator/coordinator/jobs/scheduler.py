@@ -31,7 +31,7 @@ from orchestrator.coordinator.journal.records import DamagedRecord, JobHasEnded,
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.job import Job, Step
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.operation.approval import JobApproval
 from orchestrator.model.queue import APPROVAL, QueueTerms, parse_utc
@@ -45,7 +45,8 @@ from orchestrator.model.report import (
     StepReport,
     make_queued_progress,
 )
-from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.order import StepOrder
 
 P = ParamSpec("P")
 

@@ -7,9 +7,10 @@ from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Scan, Step
 from orchestrator.model.scan import GridPoints
-from orchestrator.model.scans.step_order import StepOrder, StepPlace
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.order import StepOrder, StepPlace
+from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, parse_quantity
 
 ROWS_AT_ONCE = 4096  # that are read of stored points; 32 kB an axis
@@ -45,10 +46,7 @@ class StepSequence:
         """Step number `index`, without reading anything: those of the present point, of the next one, and all that are
         in the job itself. Raises `IndexError`, and `KeyError` for a stored point that is not in memory."""
         place = self.locate(index)
-        scan = place.step
-        if not isinstance(scan, Scan) or place.point is None:
-            return scan
-        return scan.at_each[place.part - 1] if place.part else scan.make_move(self.find_target(place))
+        return place.choose_step(lambda scan: scan.make_move(self.find_target(place)))
 
     def locate(self, index: int) -> StepPlace:
         """Where step number `index` stands. Raises `IndexError`."""
@@ -57,17 +55,17 @@ class StepSequence:
     async def read_step(self, index: int) -> Step:
         """Step number `index`; at most a block of points is read. Raises `JournalError`."""
         place = self.locate(index)
-        if isinstance(place.step, Scan) and place.point is not None:
-            await self._find_reader(place.step).load_point(place.point)
+        if place.scan is not None and place.point is not None:
+            await self._find_reader(place.scan).load_point(place.point)
         return self[index]
 
     def find_target(self, place: StepPlace) -> Mapping[str, float]:
         """The positions of the point that a step belongs to, in the units of its axes; none outside a scan. Raises
         `KeyError` for a stored point that is not in memory."""
-        if not isinstance(place.step, Scan) or place.point is None:
+        if place.scan is None or place.point is None:
             return {}
-        positions = self._find_reader(place.step).find_positions(place.point)
-        return dict(zip(place.step.axis_names, positions, strict=True))
+        positions = self._find_reader(place.scan).find_positions(place.point)
+        return dict(zip(place.scan.axis_names, positions, strict=True))
 
     def _find_reader(self, scan: Scan) -> PointReader:
         if id(scan) not in self._readers:

@@ -21,7 +21,7 @@ from orchestrator.coordinator.journal.schema import VERSION, list_statements, re
 from orchestrator.coordinator.journal.transaction import decode_text, make_unusable_error, open_read_only
 from orchestrator.coordinator.journal.values import StoredValues
 from orchestrator.model.base import Model
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import MAX_EPOCH
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobApproval

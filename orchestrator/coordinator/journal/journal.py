@@ -44,11 +44,12 @@ from orchestrator.coordinator.journal.transaction import (
 )
 from orchestrator.coordinator.journal.values import StoredValues
 from orchestrator.model.base import Model
-from orchestrator.model.job import Job, find_digests
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
 from orchestrator.model.positions.entries import SavedPosition
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
+from orchestrator.model.steps.tree import find_digests
 
 T = TypeVar("T")
 M = TypeVar("M", bound=Model)

@@ -9,8 +9,8 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.service import WireFinding
 from orchestrator.model.messages import OutputRequest, Reply
-from orchestrator.model.service import WireFinding
 from orchestrator.model.state import ControllerState
 
 ANSWER_S = 3.0

@@ -10,9 +10,11 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import FollowPath, Job, Move, named_axes
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo, ControllerState, StartWish
+from orchestrator.model.steps.kinds import Motion
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan, plan_step
@@ -28,22 +30,22 @@ class StepRequest:
     job_id: str
     job: Job
     index: int
-    move: Move | FollowPath
+    move: Motion
 
     @property
     def axes(self) -> list[str]:
         """The axes that it moves."""
-        return named_axes(self.move)
+        return self.move.named_axes
 
     @property
     def start_class(self) -> StartWish:
         """The start class that it asks for."""
-        return self.move.start_class if isinstance(self.move, FollowPath) else self.move.start
+        return self.move.start_wish
 
     @property
     def is_synchronised(self) -> bool:
         """Whether all axes take one duration."""
-        return isinstance(self.move, FollowPath) or self.move.sync != "none"
+        return self.move.is_synchronised
 
     @property
     def max_start_skew_ns(self) -> int:
@@ -53,14 +55,12 @@ class StepRequest:
     @property
     def max_end_skew_ns(self) -> int | None:
         """The allowed end skew, None if neither step nor job states one."""
-        own = self.move.max_end_skew if isinstance(self.move, Move) else None
-        return own or self.job.max_end_skew
+        return self.move.max_end_skew or self.job.max_end_skew
 
     @property
     def max_path_skew_ns(self) -> int | None:
         """The allowed path skew, None if neither step nor job states one."""
-        own = self.move.max_path_skew if isinstance(self.move, Move) else None
-        return own or self.job.max_path_skew
+        return self.move.max_path_skew or self.job.max_path_skew
 
 
 @dataclass(frozen=True, slots=True)

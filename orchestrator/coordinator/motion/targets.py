@@ -6,9 +6,10 @@ from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import FollowPath, Move
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.path_step import PathStart
 from orchestrator.plan.step import AxisMove, ExactTargets

@@ -15,7 +15,7 @@ from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.socket import Frame, Handler, UserSocket
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport
 

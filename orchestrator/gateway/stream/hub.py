@@ -19,9 +19,9 @@ from orchestrator.gateway.stream.clock_history import ClockHistory
 from orchestrator.gateway.stream.fleet_state import FleetState
 from orchestrator.gateway.stream.merge_patch import make_patch
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import ListJobs
 from orchestrator.model.operation.alarms import AlarmsListed, ListAlarms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState
-from orchestrator.model.service import ListJobs
 from orchestrator.model.state import ClockMapping
 
 TICK_NS = 50 * NS_PER_MS

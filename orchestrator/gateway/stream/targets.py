@@ -3,11 +3,11 @@
 from collections.abc import Callable, Mapping
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Move
 from orchestrator.model.names import ALL_AXES, is_position_name
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import FINISHED_STATES, JobProgress
-from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.units import UnitError, parse_quantity
 
 FindRest = Callable[[str], float | None]

@@ -8,9 +8,9 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from orchestrator.model.base import Model
+from orchestrator.model.jobs.service import JobReference
 from orchestrator.model.messages import Reply
 from orchestrator.model.scan import DIGEST_PATTERN
-from orchestrator.model.service import JobReference
 
 MAX_WORDS = 5  # changes that a sentence names
 

@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from orchestrator.model.base import HostNs, Int53, Model
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import TriggerRow
 from orchestrator.model.state import TimeInterval
 

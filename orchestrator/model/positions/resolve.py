@@ -1,15 +1,15 @@
 """Resolve the names of positions in the targets of steps to plain quantities."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.fleet_names import list_names, suggest_name
-from orchestrator.model.job import Move, Repeat, Scan, Step, find_moved_twice, iterate_steps
-from orchestrator.model.names import ALL_AXES, Target, is_position_name
+from orchestrator.model.names import ALL_AXES, is_position_name
 from orchestrator.model.positions.entries import PositionEntry
-from orchestrator.model.scan import ScanAxis
-from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.units import Quantity, UnitError, format_quantity, parse_quantity
 
 REMEDY = "see `tutti position ls`"
@@ -31,15 +31,8 @@ class PositionResolver:
         return [self.resolve_step(step) for step in steps]
 
     def resolve_step(self, step: Step) -> Step:
-        """The step with quantities for names, also inside repeats and scans; itself if it has no names. A kind of step
-        with other targets is resolved here, value by value with `find_target`. Raises `Refusal`."""
-        if not names_positions(step):
-            return step
-        if isinstance(step, Repeat):
-            return step.model_copy(update={"steps": self.resolve_steps(step.steps)})
-        if isinstance(step, Scan):
-            return self._resolve_scan(step)
-        return step.model_copy(update={"to": self._resolve_move(step)}) if isinstance(step, Move) else step
+        """The step with quantities for names, also inside repeats and scans, or itself. Raises `Refusal`."""
+        return step.resolve_targets(self) if names_positions(step) else step
 
     def resolve_remaining(self, steps: Sequence[Step], repeat: int = 1, first: int = 0) -> StepOrder:
         """The order of `steps`, run `repeat` times, with quantities for the names in what is left from step number
@@ -60,33 +53,13 @@ class PositionResolver:
             raise Refusal("not-in-position", text, f"name another position, or give {axis} a value")
         return self._take_value(entry, axis)
 
-    def find_axes(self, name: str) -> dict[str, Quantity]:
-        """The values of all axes of a position. Raises `Refusal`."""
+    def find_whole(self, name: str) -> dict[str, Quantity]:
+        """The values of all axes of a position, by axis; `{"*": name}` for an unknown name that stays. Raises
+        `Refusal`."""
+        if self._is_kept(name):
+            return {ALL_AXES: name}
         entry = self._find_entry(name)
         return {axis: self._take_value(entry, axis) for axis in entry.axes}
-
-    def _resolve_move(self, step: Move) -> dict[str, Quantity]:
-        whole = step.to.get(ALL_AXES)
-        targets: dict[str, Quantity] = {}
-        if whole is not None:
-            targets = {ALL_AXES: whole} if self._is_kept(whole) else self.find_axes(str(whole))
-        for axis, target in step.to.items():
-            if axis != ALL_AXES:
-                targets[axis] = self.find_target(axis, target)
-        twice = sorted(targets.keys() & step.by.keys())
-        if twice:
-            text = f"{', '.join(twice)} is in `by` and in position {whole}; an axis has one target"
-            raise Refusal("bad-step", text, "name the axes of the position that are to move: `to: {axis: position}`")
-        return targets
-
-    def _resolve_scan(self, step: Scan) -> Scan:
-        at_each = self.resolve_steps(step.at_each)
-        # A position may have axes that the file does not name.
-        for number, twice in find_moved_twice(step.axis_names, at_each):
-            text = f"at_each[{number}] moves {', '.join(twice)} by a position, and the scan positions it"
-            remedy = "name the axes of the position that are to move: `to: {axis: position}`"
-            raise Refusal("bad-step", text, remedy)
-        return replace_targets(step, self.find_target).model_copy(update={"at_each": at_each})
 
     def _is_kept(self, target: Quantity) -> bool:
         return self._keep_unknown and target not in self._entries
@@ -119,39 +92,7 @@ class PositionResolver:
 
 def names_positions(step: Step) -> bool:
     """Whether a target of the step, or of one inside it, is the name of a position."""
-    return any(is_position_name(target) for each in iterate_steps([step]) for _, target in iterate_targets(each))
-
-
-def iterate_targets(step: Step) -> Iterator[tuple[str, Target]]:
-    """The absolute targets of the step itself as they are written, each with its axis."""
-    if isinstance(step, Move):
-        yield from step.to.items()
-    if isinstance(step, Scan):
-        for name, axis in step.axes.items():
-            ends = [each for each in (axis.from_, axis.to) if each is not None]
-            yield from ((name, each) for each in axis.values or ends)
-        if step.points is not None:
-            for row in step.points.rows or []:
-                yield from zip(step.points.axis_names, row, strict=True)
-
-
-def replace_targets(scan: Scan, find_target: Callable[[str, Target], Quantity]) -> Scan:
-    """The scan with other positions. find_target: makes one, of an axis and what is written for it."""
-
-    def find_listed(name: str, targets: Sequence[Target] | None) -> list[Quantity] | None:
-        return None if targets is None else [find_target(name, each) for each in targets]
-
-    axes: dict[str, ScanAxis] = {}
-    for name, axis in scan.axes.items():
-        ends = {"from_": axis.from_, "to": axis.to}
-        found = {end: None if target is None else find_target(name, target) for end, target in ends.items()}
-        axes[name] = axis.model_copy(update={**found, "values": find_listed(name, axis.values)})
-    table = scan.points
-    if table is not None and table.rows is not None:
-        names = table.axis_names
-        rows = [[find_target(*each) for each in zip(names, row, strict=True)] for row in table.rows]
-        table = table.model_copy(update={"rows": rows})
-    return scan.model_copy(update={"axes": axes, "points": table})
+    return any(is_position_name(target) for each in iterate_steps([step]) for _, target in each.iterate_targets())
 
 
 def explain_value(fleet: Fleet, axis: str, value: Quantity) -> str | None:

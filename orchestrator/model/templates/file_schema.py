@@ -2,7 +2,7 @@
 
 from typing import Any, cast
 
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.templates.parameters import PARAMETER_NAME, ParameterDeclarations
 
 REFERENCE = {"type": "string", "pattern": rf"\$\{{{PARAMETER_NAME}\}}"}

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from orchestrator.model.explain import show_value
-from orchestrator.model.files import (
+from orchestrator.model.fleet_names import list_names, suggest_name
+from orchestrator.model.jobs.files import (
     FileError,
     FileProblem,
     LoadedFile,
@@ -20,8 +21,7 @@ from orchestrator.model.files import (
     validate_part,
     validate_value,
 )
-from orchestrator.model.fleet_names import list_names, suggest_name
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.templates.parameters import (
     MAX_PARAMETERS,

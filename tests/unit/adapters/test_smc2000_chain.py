@@ -14,8 +14,8 @@ from adapters.contract import Driver, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
-from orchestrator.model.files import FileError
 from orchestrator.model.fleet import Fleet, group_by_link
+from orchestrator.model.jobs.files import FileError
 from orchestrator.model.messages import StartOptions
 
 

@@ -11,7 +11,7 @@ from orchestrator.cli import foreground
 from orchestrator.cli.foreground import Interrupts, controllers_of, stop_own_job
 from orchestrator.client import Tutti
 from orchestrator.model.errors import Refusal
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 
 
 class FakeTutti:

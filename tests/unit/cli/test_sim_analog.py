@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from orchestrator.cli.main import main
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 from sim.link.world import EnvironmentChange
 
 FLEET = Path(__file__).parents[3] / "deploy" / "examples" / "demo.fleet.yaml"

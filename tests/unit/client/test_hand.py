@@ -14,8 +14,8 @@ from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import JogRequest, RefusalDetails, Reply
-from orchestrator.model.service import AcquireAxes, AxesAcquired, ReleaseAxes
 
 
 class Stage:

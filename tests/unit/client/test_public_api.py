@@ -9,7 +9,7 @@ import pytest
 
 import tutti
 from orchestrator.client.blocking import BlockingTutti
-from orchestrator.model.files import FileError, parse_document
+from orchestrator.model.jobs.files import FileError, parse_document
 from tutti import Dwell, Home, Job, Move, Tutti
 
 ROOT = Path(__file__).parents[3]
@@ -35,9 +35,10 @@ def test_every_public_name_is_documented(name: str) -> None:
     assert inspect.getdoc(found)
     members = inspect.getmembers(found, lambda each: inspect.isroutine(each) or isinstance(each, property))
     for part, value in members if inspect.isclass(found) else []:
-        if isinstance(value, property):
-            value = value.fget
-        if not part.startswith("_") and (getattr(value, "__module__", "") or "").startswith(("orchestrator", "tutti")):
+        function = value.fget if isinstance(value, property) else value
+        if not part.startswith("_") and (getattr(function, "__module__", "") or "").startswith(
+            ("orchestrator", "tutti")
+        ):
             assert inspect.getdoc(value), f"{name}.{part} has no docstring"
 
 

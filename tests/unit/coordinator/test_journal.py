@@ -17,8 +17,8 @@ from orchestrator.coordinator.journal.journal import (
 )
 from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertaken, JobHasEnded, JournalError
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
-from orchestrator.model.files import parse_document
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.files import parse_document
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.approval import JobApproval, JobPlan
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueStop, QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition

@@ -6,7 +6,7 @@ from cluster.worlds import demo_fleet, job
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.coordinator.jobs.look_ahead import BETWEEN_MOST, ChainBreak, NextMotion, find_next_motion
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Step
+from orchestrator.model.steps.base import Step
 
 MOVE, BACK = "{do: move, to: {gantry.x: 20}}", "{do: move, to: {gantry.x: 0}}"
 DWELL = "{do: dwell, duration: 80 ms}"

@@ -8,7 +8,7 @@ from cluster.worlds import outcome, run_fleet
 
 from orchestrator.clock.executor import run_inline
 from orchestrator.coordinator.jobs.check import check_job
-from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.steps.order import StepOrder
 from orchestrator.plan.path_step import plan_path_step
 from orchestrator.runtime.virtual import VirtualFleet
 

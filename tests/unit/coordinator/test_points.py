@@ -22,12 +22,14 @@ from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import load_fleet, parse_document
-from orchestrator.model.job import Job, Move, Scan
+from orchestrator.model.jobs.files import load_fleet, parse_document
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import PointRecord, SkewInterval, StepReport
 from orchestrator.model.scan import PointAxis, make_header
-from orchestrator.model.scans.step_order import StepOrder
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit
 
 AXES = [PointAxis(axis="gantry.x", unit=Unit.MM), PointAxis(axis="stage.u", unit=Unit.MM)]

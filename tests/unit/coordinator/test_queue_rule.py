@@ -7,9 +7,9 @@ from unit.random_rounds import share_with_nightly
 
 from orchestrator.coordinator.jobs.queue import WaitingJob, choose_jobs, find_needed_controllers, sort_waiting
 from orchestrator.coordinator.journal.records import JobRecord
-from orchestrator.model.files import parse_document
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.files import parse_document
+from orchestrator.model.jobs.job import Job
 
 JOB = parse_document("schema: tutti.job/1\nname: test\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
 

@@ -10,8 +10,8 @@ from orchestrator.keys.names import ROLES, KeyName, Role
 from orchestrator.keys.register import Register
 from orchestrator.keys.router_settings import make_access_settings, nest_settings
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import load_fleet
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 KEYS = FleetKeys("lab")

@@ -6,8 +6,8 @@ from typing import get_args
 import pytest
 
 from orchestrator.model.base import ID_PATTERN
-from orchestrator.model.files import FileError, parse_document
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import FileError, parse_document
 from orchestrator.model.operation.alarms import AlarmCause, AlarmRecord, AlarmState, make_alarm_id
 from orchestrator.model.operation.transitions import (
     TRANSITIONS,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.model.files import FileError, load_fleet, parse_document, read_document
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.files import FileError, load_fleet, parse_document, read_document
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.templates.template import load_job
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.model.files import FileError, load_fleet, parse_document, read_document
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job, Move
+from orchestrator.model.jobs.files import FileError, load_fleet, parse_document, read_document
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.steps.move import Move
 from orchestrator.model.templates.template import load_job
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"

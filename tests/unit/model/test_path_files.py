@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from orchestrator.model.files import FileError, read_document
+from orchestrator.model.jobs.files import FileError, read_document
 from orchestrator.model.paths.files.columns import ColumnReader
 from orchestrator.model.paths.files.gcode import GcodeReader
 from orchestrator.model.paths.files.reading import read_path_file

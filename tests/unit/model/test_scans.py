@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.files import FileError, parse_document
-from orchestrator.model.job import Job, Move, Repeat, Scan, Step
-from orchestrator.model.positions.resolve import iterate_targets, names_positions
+from orchestrator.model.jobs.files import FileError, parse_document
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.positions.resolve import names_positions
 from orchestrator.model.scan import GridPoints, PointAxis
 from orchestrator.model.scans.point_file import PointFile
 from orchestrator.model.scans.point_summary import ColumnSummary
 from orchestrator.model.scans.spec_points import SpecPoints
-from orchestrator.model.scans.step_order import StepOrder, count_reports
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.order import StepOrder, count_reports
+from orchestrator.model.steps.repeat import Repeat
+from orchestrator.model.steps.scan import Scan
 from orchestrator.model.templates.template import load_job
 from orchestrator.model.units import Unit, UnitError
 
@@ -64,7 +68,7 @@ def test_names_of_positions_stand_where_positions_do_and_are_no_positions_themse
         GridPoints(scan.axes).find_position(0, [Unit.MM, Unit.MM])
     (table,) = steps("[{do: scan, points: {axes: [gantry.x], rows: [[0], [sample]]}}]")
     assert isinstance(table, Scan) and names_positions(table)
-    assert list(iterate_targets(table)) == [("gantry.x", 0), ("gantry.x", "sample")]
+    assert list(table.iterate_targets()) == [("gantry.x", 0), ("gantry.x", "sample")]
     (inside,) = steps("[{do: scan, axes: {gantry.x: {values: [0]}}, at_each: [{do: move, to: sample}]}]")
     assert names_positions(inside)
     (plain,) = steps('[{do: scan, axes: {gantry.x: {from: "1 mm", to: 0, points: 3}}}]')

@@ -3,10 +3,9 @@
 import pytest
 from pydantic import TypeAdapter
 
-from orchestrator.model.job import Step
-from orchestrator.model.operation.step_words import describe_step
+from orchestrator.model.steps.repeat import JobStep
 
-STEPS = TypeAdapter[Step](Step)
+STEPS = TypeAdapter[JobStep](JobStep)
 
 
 @pytest.mark.parametrize(
@@ -23,4 +22,4 @@ STEPS = TypeAdapter[Step](Step)
     ],
 )
 def test_a_step_description_matches_its_file(plain: dict[str, object], text: str) -> None:
-    assert describe_step(STEPS.validate_python(plain)) == text
+    assert STEPS.validate_python(plain).describe() == text

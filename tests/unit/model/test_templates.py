@@ -7,8 +7,13 @@ from typing import Any
 
 import pytest
 
-from orchestrator.model.files import FileError, read_document
-from orchestrator.model.job import Dwell, Job, Move, Repeat, Scan, SetOutput
+from orchestrator.model.jobs.files import FileError, read_document
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.steps.dwell import Dwell
+from orchestrator.model.steps.io import SetOutput
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.repeat import Repeat
+from orchestrator.model.steps.scan import Scan
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.model.templates.template import ParameterSetting, Template, load_job, read_settings_file
 

@@ -3,9 +3,9 @@
 import pytest
 
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.files import parse_document
-from orchestrator.model.job import Job, Move
-from orchestrator.model.operation.step_words import describe_step
+from orchestrator.model.jobs.files import parse_document
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.steps.move import Move
 from orchestrator.model.triggers import DEFAULT_PULSE_NS, MAX_TRIGGERS
 
 
@@ -21,7 +21,7 @@ def test_a_trigger_reads_as_it_is_written() -> None:
     first, second = step.triggers
     assert (first.pulse_ns, second.pulse_ns) == (DEFAULT_PULSE_NS, 0)
     assert second.instants_ns == [10_000_000, 1_000_000_000]
-    assert describe_step(step) == "move to a.x=1, a.lamp every 0.1 mm of a.x, b.lamp at 2 places"
+    assert step.describe() == "move to a.x=1, a.lamp every 0.1 mm of a.x, b.lamp at 2 places"
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.model.files import load_fleet, parse_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast, JobForecast
-from orchestrator.model.job import Job
-from orchestrator.plan.forecast import JobForecaster, forecast_job
+from orchestrator.model.jobs.files import load_fleet, parse_document
+from orchestrator.model.jobs.job import Job
+from orchestrator.plan.forecast.job import JobForecaster, forecast_job
 
 DEMO = Path(__file__).parents[3] / "deploy" / "examples" / "demo.fleet.yaml"
 FLEET = load_fleet(DEMO).model_copy(update={"positions": {}})  # axes are changed below

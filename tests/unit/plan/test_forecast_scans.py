@@ -6,12 +6,16 @@ from random import Random
 import pytest
 from unit.random_rounds import share_with_nightly
 
-from orchestrator.model.files import load_fleet, parse_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
-from orchestrator.model.job import Job, Move, Repeat, Scan, Step
+from orchestrator.model.jobs.files import load_fleet, parse_document
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.scan import GridPoints
-from orchestrator.plan.forecast import JobForecaster, forecast_job
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.repeat import Repeat
+from orchestrator.model.steps.scan import Scan
+from orchestrator.plan.forecast.job import JobForecaster, forecast_job
 
 FLEET = load_fleet(Path(__file__).parents[3] / "deploy" / "examples" / "demo.fleet.yaml")
 HOME = "{do: home, axes: [gantry, stage]}"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.model.files import load_fleet
+from orchestrator.model.jobs.files import load_fleet
 from orchestrator.runtime.doctor import system
 from orchestrator.runtime.doctor.links import check_links
 

@@ -20,8 +20,8 @@ from orchestrator.coordinator.journal.inspection import check_journal
 from orchestrator.coordinator.journal.journal import Journal, QueueEntryOptions, StepDecision
 from orchestrator.coordinator.journal.portable import read_stored_epoch
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
-from orchestrator.model.files import parse_document
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.files import parse_document
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobApproval, JobPlan
 from orchestrator.model.positions.entries import SavedPosition

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from orchestrator.model.files import FileError, FileProblem
+from orchestrator.model.jobs.files import FileError, FileProblem
 
 DIGITS = 10  # of a number: more than any controller counts
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from orchestrator.model.files import FileError, FileProblem, read_file
+from orchestrator.model.jobs.files import FileError, FileProblem, read_file
 from orchestrator.model.paths.files.columns import ColumnReader
 from orchestrator.model.paths.files.gcode import GcodeReader
 from orchestrator.model.paths.files.trajectory import TrajectoryReader

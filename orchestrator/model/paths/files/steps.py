@@ -8,9 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from orchestrator.model.files import FileError, FileProblem, validate_value
-from orchestrator.model.job import MAX_REPEATED, FollowPath, Job, Repeat, Step
+from orchestrator.model.jobs.files import FileError, FileProblem, validate_value
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.paths.files.reading import GCODE, read_path_file
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.repeat import MAX_REPEATED, JobStep, Repeat
+from orchestrator.model.steps.tree import find_paths
 from orchestrator.model.units import Unit, UnitError, parse_quantity, parse_rate
 
 # What the step of the job says about each path of its file.
@@ -23,10 +27,10 @@ def read_path_steps(job: Job, folder: Path | None = None) -> Job:
 
     Raises `FileError` with every mistake of a file, by line and column; nothing of it is taken then.
     """
-    steps = _read_steps(job.steps, folder)
-    if steps is job.steps:
+    made = {id(step): _read_file(step, step.file, folder) for step in find_paths(job.steps) if step.file is not None}
+    if not made:
         return job
-    read = job.model_copy(update={"steps": steps})
+    read = job.model_copy(update={"steps": [step.replace_steps(made) for step in job.steps]})
     size = len(read.to_json())
     if size > MAX_JOB_BYTES:
         text = f"with its files of paths the job has {size / 1e6:.1f} MB; at most {MAX_JOB_BYTES / 1e6:g} MB are sent"
@@ -34,21 +38,11 @@ def read_path_steps(job: Job, folder: Path | None = None) -> Job:
     return read
 
 
-def _read_steps(steps: list[Step], folder: Path | None) -> list[Step]:
-    """The steps with files read; the same list if there are none."""
-    read = [_read_step(step, folder) for step in steps]
-    return steps if all(new is old for new, old in zip(read, steps, strict=True)) else read
-
-
-def _read_step(step: Step, folder: Path | None) -> Step:
-    if isinstance(step, Repeat):
-        inside = _read_steps(step.steps, folder)
-        return step if inside is step.steps else step.model_copy(update={"steps": inside})
-    if not isinstance(step, FollowPath) or step.file is None:
-        return step
-    path = Path(step.file) if folder is None else folder / step.file
+def _read_file(step: FollowPath, file: str, folder: Path | None) -> Step:
+    """The steps that a file makes: one, or a repeat of one pass."""
+    path = Path(file) if folder is None else folder / file
     plain = read_path_file(path, dict(zip(step.names or step.axes, step.axes, strict=True)), _find_places(step, path))
-    made: list[Step] = []
+    steps: list[JobStep] = []
     for number, each in enumerate(plain):
         fields = {**_add_fields(step, each), "name": step.name} if each["do"] == "path" else each
         job, problems = validate_value({"schema": "tutti.job/1", "name": "file", "steps": [fields]}, Job)
@@ -56,11 +50,11 @@ def _read_step(step: Step, folder: Path | None) -> Step:
             place = ".".join(map(str, problems[0].place[2:]))
             text = f"its path {number + 1} is not valid: {place} {problems[0].text}"
             raise FileError([FileProblem(str(path), 1, "", text)])
-        made += job.steps
-    if len(made) > MAX_REPEATED:
-        text = f"stops {len(made)} times; at most {MAX_REPEATED} times are possible"
+        steps += job.steps
+    if len(steps) > MAX_REPEATED:
+        text = f"stops {len(steps)} times; at most {MAX_REPEATED} times are possible"
         raise FileError([FileProblem(str(path), 1, "", f"{text}: split the program")])
-    return made[0] if len(made) == 1 else Repeat(times=1, steps=made, name=step.name)
+    return steps[0] if len(steps) == 1 else Repeat(times=1, steps=steps, name=step.name)
 
 
 def _find_places(step: FollowPath, path: Path) -> dict[str, float]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any, cast
 
-from orchestrator.model.files import LoadedFile
+from orchestrator.model.jobs.files import LoadedFile
 from orchestrator.model.paths.files.imported import ImportProblems
 
 

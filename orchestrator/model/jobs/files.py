@@ -12,8 +12,10 @@ from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Job, Scan, find_scans, replace_scans
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.problems import Problem
+from orchestrator.model.steps.scan import Scan
+from orchestrator.model.steps.tree import find_scans
 from orchestrator.model.yaml_reader import MAX_BYTES, YamlError, YamlNode, decode_text, read_yaml
 
 M = TypeVar("M", bound=Model)
@@ -76,7 +78,7 @@ def locate_point_files(job: Job, folder: Path) -> Job:
         if scan.points is not None and scan.points.file is not None:
             table = scan.points.model_copy(update={"file": str(folder / scan.points.file)})
             found[id(scan)] = scan.model_copy(update={"points": table})
-    return job.model_copy(update={"steps": replace_scans(job.steps, found)}) if found else job
+    return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]}) if found else job
 
 
 def read_file(path: Path) -> LoadedFile:

@@ -1,23 +1,21 @@
 """Homing: axes in their order, in parallel where nothing forbids it, and none after one that failed."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.steps.context import ANSWER_S, ProgressCallback, ReportFields, StepContext
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import HomeReply, HomeRequest, RefusalDetails
+from orchestrator.model.steps.home import Home
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
 from orchestrator.plan.step import ExactTargets
 
-ANSWER_S = 3.0
 POLL_S = 0.05
 REPEAT_S = 1.0
 """After this time the last state of an adapter that is not silent is one from after the request."""
-
-ProgressCallback = Callable[[float, str], None]
-"""Receives the fraction that is done, 0 to 1, and what is being done."""
 
 
 @dataclass(slots=True)
@@ -178,3 +176,10 @@ class HomingSequence:
             causes = ", ".join(sorted(set(blocked.values())))
             texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked))}")
         return Refusal(why.code, "; ".join(texts), why.remedy, first.partition(".")[0])
+
+
+async def run_home(context: StepContext, step: Home) -> ReportFields:
+    """Home the axes of a step, or the fleet. Raises `Refusal`."""
+    sequence = HomingSequence(context.fleet, context.targets)
+    await sequence.run(step.axes, context.holder, context.actor, context.progress)
+    return {}

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Model
 from orchestrator.model.forecast import AxisForecast, JobForecast
-from orchestrator.model.job import Job
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import controller_of
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, Utc

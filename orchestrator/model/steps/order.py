@@ -6,12 +6,15 @@ people.
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import NamedTuple
 
-from orchestrator.model.job import Repeat, Scan, Step
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.repeat import Repeat
+from orchestrator.model.steps.scan import Scan
 
 
 class RemainingStep(NamedTuple):
@@ -39,11 +42,16 @@ class StepPlace:
     passes: tuple[tuple[int, int], ...] = ()
 
     @property
+    def scan(self) -> Scan | None:
+        """The scan that it belongs to."""
+        return self.step if isinstance(self.step, Scan) else None
+
+    @property
     def kind(self) -> str:
         """What the numbered step does: that of its own, of a point its move or the step at it."""
-        if not isinstance(self.step, Scan):
-            return self.step.do
-        return self.step.at_each[self.part - 1].do if self.part else "move"
+        if self.scan is None:
+            return self.step.kind
+        return self.scan.at_each[self.part - 1].kind if self.part else "move"
 
     @property
     def is_later_point(self) -> bool:
@@ -52,27 +60,21 @@ class StepPlace:
 
     def describe(self, *, kinds: bool = True) -> str:
         """The place in words: `step 2 (scan), point 17 of 66 (move)`. kinds: with what is done there."""
-        words = f"step {self.first}" + f" ({self.step.do})" * kinds
-        if isinstance(self.step, Scan) and self.point is not None:
-            words += f", point {self.point + 1} of {self.step.point_count}" + f" ({self.kind})" * kinds
+        words = f"step {self.first}" + f" ({self.step.kind})" * kinds
+        if self.scan is not None and self.point is not None:
+            words += f", point {self.point + 1} of {self.scan.point_count}" + f" ({self.kind})" * kinds
         return words + "".join(f", pass {number} of {times}" for number, times in self.passes)
 
-
-def count_point_steps(scan: Scan) -> int:
-    """The number of steps at one point of a scan, its move included."""
-    return 1 + len(scan.at_each)
-
-
-def count_reports(steps: Sequence[Step]) -> int:
-    """The number of entries in the report: every step of every pass; a scan is one."""
-    return sum(each.times * count_reports(each.steps) if isinstance(each, Repeat) else 1 for each in steps)
+    def choose_step(self, find_move: Callable[[Scan], Move]) -> Step:
+        """The step that runs: of a scan, the move to its point, or the step there. find_move: returns the move."""
+        if self.scan is None:
+            return self.step
+        return self.scan.at_each[self.part - 1] if self.part else find_move(self.scan)
 
 
-def _count_step(step: Step) -> int:
-    """How many steps run for a written one: every pass, every point with the steps at it."""
-    if isinstance(step, Repeat):
-        return step.times * sum(map(_count_step, step.steps))
-    return step.point_count * count_point_steps(step) if isinstance(step, Scan) else 1
+def count_reports(steps: Iterable[Step]) -> int:
+    """The number of entries in the report of steps."""
+    return sum(step.report_count for step in steps)
 
 
 class StepOrder:
@@ -98,7 +100,7 @@ class StepOrder:
                 done, within = divmod(within, block.size)
                 passes = (*passes, (done + 1, step.times))
             elif isinstance(step, Scan):
-                point, part = divmod(within, count_point_steps(step))
+                point, part = divmod(within, step.points_steps)
                 return StepPlace(index, step, index - within, point, part, passes)
             else:
                 return StepPlace(index, step, index, passes=passes)
@@ -122,7 +124,7 @@ class _Block:
 
     def __init__(self, steps: Sequence[Step]) -> None:
         self.steps = steps
-        ends = list(accumulate(map(_count_step, steps)))
+        ends = list(accumulate(step.step_count for step in steps))
         self.size = ends[-1]
         self.begins = [0, *ends[:-1]]
         self.inner = {number: _Block(step.steps) for number, step in enumerate(steps) if isinstance(step, Repeat)}
@@ -146,6 +148,6 @@ class _Block:
             if left:
                 yield number, step.model_copy(update={"times": left}), left * block.size
         else:
-            yield number, step, _count_step(step) - inside
+            yield number, step, step.step_count - inside
         for later, each in list(enumerate(self.steps))[number + 1 :]:
-            yield later, each, _count_step(each)
+            yield later, each, each.step_count

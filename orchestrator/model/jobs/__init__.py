@@ -1,0 +1,1 @@
+"""The job, the files of jobs and fleets, and requests about jobs."""

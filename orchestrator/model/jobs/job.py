@@ -1,0 +1,70 @@
+"""The job file: a list of steps for the whole fleet."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from orchestrator.model.base import Model
+from orchestrator.model.duration import Duration
+from orchestrator.model.steps.base import Step, require_in_files
+from orchestrator.model.steps.repeat import JobStep
+from orchestrator.model.steps.tree import iterate_steps
+from orchestrator.model.triggers import check_job_outputs
+
+UNKNOWN_ACTOR = "unknown"
+_MISSING: Any = object()
+
+ParameterText = Annotated[str, Field(max_length=120)]
+
+
+class Job(Model):
+    """A sequence of steps that a user submits to the fleet.
+
+    In Python: `Job("scan", [Home(), Move(to={"gantry.x": 120, "stage.u": "6 mm"})], max_start_skew="5 ms")`; skews and
+    durations are text with a unit. Raises `pydantic.ValidationError` with every mistake.
+    """
+
+    model_config = ConfigDict(json_schema_extra=require_in_files("schema"))
+
+    schema_: Literal["tutti.job/1"] = Field(default="tutti.job/1", alias="schema")
+    name: str = Field(min_length=1, max_length=120)
+    actor: str = Field(
+        default=UNKNOWN_ACTOR, min_length=1, max_length=80, description="The user or program that submits the job."
+    )
+    max_start_skew: Duration = Field(default=10_000_000, description="Maximum spread of the axes' starts.")
+    max_end_skew: Duration | None = Field(
+        default=None,
+        description="Maximum spread of the axes' ends. Without it, durations must match within 20 ms, apart from "
+        "clock error.",
+    )
+    max_path_skew: Duration | None = Field(
+        default=None, description="Maximum time offset between axes along their path."
+    )
+    parameters_used: dict[str, ParameterText] = Field(
+        default={},
+        max_length=100,
+        description="The parameters of the template that the job was made of, with their values; they are written "
+        "there when it is filled, and change nothing.",
+    )
+    steps: list[JobStep] = Field(min_length=1, max_length=10_000)
+
+    def __init__(self, name: str = _MISSING, steps: Sequence[Step] = _MISSING, **fields: Any) -> None:
+        given = {"name": name, "steps": steps}
+        super().__init__(**{key: value for key, value in given.items() if value is not _MISSING}, **fields)
+
+    # Validation fills the fields itself, as for a model without a constructor of its own.
+    __init__.__pydantic_base_init__ = True  # pyright: ignore[reportFunctionMemberAccess]
+
+    @model_validator(mode="after")
+    def _separate_outputs(self) -> "Job":
+        steps = list(iterate_steps(self.steps))
+        check_job_outputs(steps, (output for step in steps for output in step.switched_outputs))
+        return self
+
+    @field_validator("max_start_skew", "max_end_skew", "max_path_skew")
+    @classmethod
+    def _above_zero(cls, value: int | None) -> int | None:
+        if value is not None and value <= 0:
+            raise ValueError("must be above 0")
+        return value

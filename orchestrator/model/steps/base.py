@@ -1,0 +1,267 @@
+"""What every kind of step answers about itself, and the fields that several kinds share."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
+
+from pydantic import ConfigDict, Field
+
+from orchestrator.model.base import Model
+from orchestrator.model.duration import Duration
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.names import Target
+from orchestrator.model.numbers import Part
+from orchestrator.model.state import StartWish
+from orchestrator.model.steps.words import describe_field
+from orchestrator.model.units import Quantity
+
+Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
+
+
+def require_in_files(name: str) -> Callable[[dict[str, Any]], None]:
+    """Keep a field that has a default in Python required in the JSON Schema of files."""
+
+    def add(schema: dict[str, Any]) -> None:
+        schema["required"] = [name, *schema.get("required", [])]
+
+    return add
+
+
+class TargetResolver(Protocol):
+    """Replaces names of positions by quantities. Each method raises `Refusal` for a name without a value."""
+
+    def find_target(self, axis: str, target: Quantity) -> Quantity:
+        """The quantity of one target of `axis`."""
+        ...
+
+    def resolve_step(self, step: "Step") -> "Step":
+        """A step inside another one, with quantities for names of positions."""
+        ...
+
+    def find_whole(self, name: str) -> Mapping[str, Quantity]:
+        """The values of all axes of a position, by axis; `{"*": name}` for a position that is resolved later."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class InnerSteps:
+    """Steps inside a step. key: its field that holds them. times: how often they run. word: what a run is called."""
+
+    key: str
+    steps: "Sequence[Step]"
+    times: int
+    word: str
+
+
+class Step(Model):
+    """A step of a job: the fields that every kind has, and the questions that a kind answers about itself.
+
+    A kind has a field `do` with its name in files. What a method here returns is right for a kind that neither moves
+    nor switches anything; a kind overrides what is different for it.
+    """
+
+    model_config = ConfigDict(json_schema_extra=require_in_files("do"))
+
+    moves: ClassVar[bool] = False
+    """Whether it moves axes; the fleet file may say that they are enabled for that."""
+    is_motion: ClassVar[bool] = False
+    """Whether it is one motion with an agreed start: planned as a whole, armed, held, and continued."""
+    rests: ClassVar[bool] = False
+    """Whether this motion begins and ends at rest, so that no motion is loaded behind or before it."""
+    enables: ClassVar[bool] = False
+    """Whether it enables its axes."""
+    searches: ClassVar[bool] = False
+    """Whether it finds the references of its axes."""
+    plans_long: ClassVar[bool] = False
+    """Whether its plan can take so long that heartbeats must go on meanwhile."""
+    acts: ClassVar[bool] = False
+    """Whether it waits for a controller that does something."""
+
+    name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
+
+    @property
+    def kind(self) -> str:
+        """Its name in files: the value of `do`."""
+        return str(type(self).model_fields["do"].default)
+
+    # Structure
+
+    @property
+    def inner(self) -> InnerSteps | None:
+        """The steps inside it."""
+        return None
+
+    @property
+    def is_single(self) -> bool:
+        """Whether the report has one entry for it, however many steps run."""
+        return True
+
+    @property
+    def step_count(self) -> int:
+        """How many steps run for it: all passes, and all points with the steps at them."""
+        return 1
+
+    @property
+    def report_count(self) -> int:
+        """How many entries of the report it has: every step of every pass; a scan is one."""
+        return 1
+
+    def iterate_written(self) -> "Iterator[Step]":
+        """All steps as they are written, in the order in which they begin: for a repeat those inside it, after a scan
+        those at each of its points."""
+        yield self
+
+    def replace_steps(self, replacements: "Mapping[int, Step]") -> "Step":
+        """The step that stands in its place. replacements: by the `id` of the step that they replace, also inside
+        repeats."""
+        return replacements.get(id(self), self)
+
+    # Axes, outputs, inputs
+
+    @property
+    def named_axes(self) -> list[str]:
+        """The axes, groups and controllers that it names itself; none for a homing of the whole fleet, and for the axes
+        that only a position names."""
+        return []
+
+    def find_axes(self, fleet: Fleet) -> list[str]:
+        """The axes that it moves, switches or sets: those that its job must lease. Raises `UnknownName`."""
+        del fleet
+        return self.named_axes
+
+    @property
+    def uses_whole_fleet(self) -> bool:
+        """Whether it means all axes of the fleet, in the order of the fleet file."""
+        return False
+
+    @property
+    def absolute_axes(self) -> list[str]:
+        """Axes with absolute targets; `*` for those of a position."""
+        return []
+
+    @property
+    def relative_axes(self) -> list[str]:
+        """Axes that it moves, or counts, from where they stand."""
+        return []
+
+    @property
+    def placed_axes(self) -> list[str]:
+        """Axes that later steps do not find where the job found them."""
+        return []
+
+    def describe_relative(self, number: int, axes: str) -> str:
+        """What it does, as step `number`, with `axes` from where they stand. axes: some of `relative_axes`."""
+        return f"step {number} depends on where {axes} stands"
+
+    @property
+    def frames(self) -> list[str]:
+        """The frames of the fleet file that it uses."""
+        return []
+
+    @property
+    def switched_outputs(self) -> list[str]:
+        """The outputs that it switches at its turn."""
+        return []
+
+    @property
+    def trigger_outputs(self) -> list[str]:
+        """The outputs that it switches on the way."""
+        return []
+
+    @property
+    def awaited_inputs(self) -> list[str]:
+        """The inputs that it waits for."""
+        return []
+
+    @property
+    def pause_ns(self) -> int | None:
+        """How long it lasts between two motions; None for a step behind which the next motion begins from rest."""
+        return None
+
+    @property
+    def has_unread_points(self) -> bool:
+        """Whether its points are still in a file, or in a form that is read where the job is submitted."""
+        return False
+
+    # Targets
+
+    def iterate_targets(self) -> Iterator[tuple[str, Target]]:
+        """Its own absolute targets as they are written, each with its axis."""
+        yield from ()
+
+    def resolve_targets(self, resolver: TargetResolver) -> Self:
+        """The step with quantities for names of positions. Raises `Refusal`."""
+        del resolver
+        return self
+
+    # Words
+
+    UNSAID: ClassVar[frozenset[str]] = frozenset()
+    """Fields that `describe` does not list."""
+
+    def describe(self) -> str:
+        """What its file says, without defaults: `move to gantry.x=120 stage.u=6, speed=0.5`. Of a repeat only how many
+        steps it has."""
+        hidden = {"do", "name", "steps", "triggers", *self.UNSAID}
+        said = self.model_dump(mode="json", exclude_defaults=True, exclude=hidden)
+        words = self.complete_words([describe_field(key, value) for key, value in said.items()])
+        return " ".join(part for part in (self.kind, self.name and f"'{self.name}'", ", ".join(words)) if part)
+
+    def complete_words(self, fields: list[str]) -> list[str]:
+        """The parts of its description. fields: those of its fields that are not in `UNSAID`."""
+        return fields
+
+
+class AxesStep(Step):
+    """A step with axes that are groups and controllers, too."""
+
+    @property
+    def named_axes(self) -> list[str]:
+        axes: list[str] | None = getattr(self, "axes", None)
+        return list(axes or [])
+
+    def find_axes(self, fleet: Fleet) -> list[str]:
+        return fleet.expand_names(self.named_axes or list(fleet.controllers))
+
+
+Align = Annotated[
+    Duration,
+    Field(
+        ge=0,
+        le=600 * 1_000_000_000,
+        description="How long the start may be delayed to the moment at which the controllers' ticks coincide best.",
+    ),
+]
+OwnSkew = Annotated[Duration | None, Field(description="Overrides the job's value.")]
+
+
+class MotionOptions(Step):
+    """How axes move together."""
+
+    moves: ClassVar[bool] = True
+
+    speed: Part = Field(default=1.0, description="Fraction of each axis's velocity limit.")
+    sync: Literal["time", "phase", "none"] = Field(
+        default="time",
+        description="time: all end together; phase: a straight line in axis space; none: each axis takes its "
+        "shortest time.",
+    )
+    ramps: Literal["common", "own"] = Field(
+        default="common",
+        description="Trapezoidal profiles under `sync: time`: one ramp time for all axes, or each axis at its "
+        "maximum acceleration.",
+    )
+    start: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
+    align: Align = 0
+    max_start_skew: OwnSkew = None
+    max_end_skew: OwnSkew = None
+    max_path_skew: OwnSkew = None
+
+
+class StepSampling(Model):
+    """Positions that controllers record by themselves while a step moves, more densely than they can be polled."""
+
+    axes: Axes
+    period: Duration = Field(
+        default=2_000_000, gt=0, description="Longest time between two samples; controllers use the next shorter one."
+    )

@@ -1,0 +1,111 @@
+"""A move: axes go to targets, and start at one instant."""
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.names import ALL_AXES, MoveTarget, Target, is_position_name
+from orchestrator.model.state import StartWish
+from orchestrator.model.steps.base import MotionOptions, Step, StepSampling, TargetResolver
+from orchestrator.model.steps.words import describe_trigger
+from orchestrator.model.triggers import Triggers, check_step_triggers
+from orchestrator.model.units import Quantity
+
+NAME_AXES = "name the axes of the position that are to move: `to: {axis: position}`"
+
+
+class MoveTargets(Step):
+    """Where axes move to."""
+
+    is_motion: ClassVar[bool] = True
+
+    do: Literal["move"] = "move"
+    to: MoveTarget = Field(
+        default={},
+        description="Absolute targets by axis: quantities, or names of positions; or one name, for all its axes.",
+    )
+    by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
+    record: StepSampling | None = Field(
+        default=None, description="Have controllers record positions by themselves, for the recording of the job."
+    )
+    triggers: Triggers = Field(default=[], description="Outputs that are switched on the way.")
+
+
+class Move(MotionOptions, MoveTargets):
+    """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one instant."""
+
+    if TYPE_CHECKING:  # numbers and text, as in a file, for editors and type checkers
+
+        def __init__(
+            self,
+            *,
+            to: Mapping[str, float | str] | str = ...,
+            by: Mapping[str, float | str] = ...,
+            speed: float | str = 1.0,
+            **more: Any,
+        ) -> None: ...
+
+    @model_validator(mode="after")
+    def _targets(self) -> "Move":
+        if ALL_AXES in self.to and not is_position_name(self.to[ALL_AXES]):
+            raise ValueError(f"{self.to[ALL_AXES]} for all axes (`*`) must be the name of a position")
+        if not self.to and not self.by:
+            raise ValueError("a move needs `to` (absolute) or `by` (relative) with at least one axis")
+        twice = sorted(self.to.keys() & self.by.keys())
+        if twice:
+            raise ValueError(f"{', '.join(twice)} is in both `to` and `by`; an axis has one target")
+        check_step_triggers(self.triggers, [*self.to, *self.by])
+        return self
+
+    @property
+    def named_axes(self) -> list[str]:
+        return [axis for axis in (*self.to, *self.by) if axis != ALL_AXES]
+
+    @property
+    def absolute_axes(self) -> list[str]:
+        return list(self.to)
+
+    @property
+    def relative_axes(self) -> list[str]:
+        return list(self.by)
+
+    @property
+    def placed_axes(self) -> list[str]:
+        return [*self.to, *self.by]
+
+    def describe_relative(self, number: int, axes: str) -> str:
+        return f"step {number} moves {axes} by a distance, from the current position"
+
+    @property
+    def trigger_outputs(self) -> list[str]:
+        return [trigger.output for trigger in self.triggers]
+
+    @property
+    def start_wish(self) -> StartWish:
+        """The start class that it asks for."""
+        return self.start
+
+    @property
+    def is_synchronised(self) -> bool:
+        """Whether all axes take one duration."""
+        return self.sync != "none"
+
+    def iterate_targets(self) -> Iterator[tuple[str, Target]]:
+        yield from self.to.items()
+
+    def resolve_targets(self, resolver: TargetResolver) -> Self:
+        whole = self.to.get(ALL_AXES)
+        targets: dict[str, Quantity] = {} if whole is None else dict(resolver.find_whole(str(whole)))
+        for axis, target in self.to.items():
+            if axis != ALL_AXES:
+                targets[axis] = resolver.find_target(axis, target)
+        twice = sorted(targets.keys() & self.by.keys())
+        if twice:
+            text = f"{', '.join(twice)} is in `by` and in position {whole}; an axis has one target"
+            raise Refusal("bad-step", text, NAME_AXES)
+        return self.model_copy(update={"to": targets})
+
+    def complete_words(self, fields: list[str]) -> list[str]:
+        return [*fields, *map(describe_trigger, self.triggers)]

@@ -1,0 +1,204 @@
+"""A scan: axes move from point to point, and steps run at each."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.names import Target
+from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
+from orchestrator.model.steps.base import InnerSteps, MotionOptions, Step, TargetResolver
+from orchestrator.model.steps.dwell import Dwell
+from orchestrator.model.steps.io import SetOutput, WaitInput
+from orchestrator.model.steps.move import NAME_AXES, Move
+from orchestrator.model.units import Quantity
+
+MAX_AT_EACH = 50  # steps at each point of a scan
+
+PointStep = Annotated[Move | Dwell | SetOutput | WaitInput, Field(discriminator="do")]
+
+_NOT_AT_EACH = {
+    "home": "it would take the reference away between two points; put it before the scan",
+    "enable": "axes are switched before the scan; put it there",
+    "disable": "the next point needs the axes; put it behind the scan",
+    "path": "a scan stops at its points; put the path before or behind the scan",
+    "latch": "the record of a scan has no place for it; put it before or behind the scan",
+    "set-position": "it would shift the points after it; put it before the scan",
+    "scan": "add its axes to `axes` of this scan instead",
+    "repeat": "write its steps out, or repeat the scan",
+}
+
+
+class ScanPoints(Step):
+    """Where a scan goes, and what it does there."""
+
+    UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "points", "scanspec", "at_each"})
+
+    do: Literal["scan"] = "scan"
+    axes: dict[str, ScanAxis] = Field(
+        default={},
+        max_length=MAX_SCAN_AXES,
+        description="Nested axes, the outermost first; the last one moves fastest.",
+    )
+    points: PointTable | None = Field(default=None, description="A table of points, instead of `axes`.")
+    scanspec: ScanSpec | None = Field(
+        default=None, description="A scan in the JSON form of scanspec 1.x, instead of `axes`; needs `tutti[scanspec]`."
+    )
+    at_each: list[PointStep] = Field(
+        default=[],
+        max_length=MAX_AT_EACH,
+        description="Steps at each point: moves of other axes, dwells, outputs, waits for an input.",
+    )
+
+
+class Scan(MotionOptions, ScanPoints):
+    """Move axes from point to point, and stop at each. Positions are absolute."""
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            *,
+            axes: Mapping[str, Mapping[str, Any] | ScanAxis] = ...,
+            points: Mapping[str, Any] | PointTable | None = None,
+            scanspec: Mapping[str, Any] | None = None,
+            at_each: Sequence["Move | Dwell | SetOutput | WaitInput"] = (),
+            speed: float | str = 1.0,
+            **more: Any,
+        ) -> None: ...
+
+    @field_validator("at_each", mode="before")
+    @classmethod
+    def _allowed_at_points(cls, value: Any) -> Any:
+        steps: list[Any] = list(value) if isinstance(value, list | tuple) else []  # pyright: ignore[reportUnknownArgumentType]
+        for number, each in enumerate(steps):
+            kind = str(each.get("do") if isinstance(each, dict) else getattr(each, "do", ""))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+            if kind in _NOT_AT_EACH:
+                raise ValueError(f"step {number}: `do: {kind}` cannot stand in `at_each`: {_NOT_AT_EACH[kind]}")
+        return value  # pyright: ignore[reportUnknownVariableType]
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "Scan":
+        if sum(bool(each) for each in (self.axes, self.points, self.scanspec)) != 1:
+            raise ValueError("a scan needs one of `axes`, `points` and `scanspec`")
+        for number, twice in find_moved_twice(self.axis_names, self.at_each):
+            raise ValueError(
+                f"at_each[{number}] moves {', '.join(twice)}, which the scan positions; move other axes there"
+            )
+        if self.point_count > MAX_POINTS:
+            raise ValueError(f"has {self.point_count} points; the maximum is {MAX_POINTS}")
+        return self
+
+    @property
+    def axis_names(self) -> list[str]:
+        """The axes that it positions; none while they are in a file that was not read yet."""
+        return list(self.axes) or ([] if self.points is None else self.points.axis_names)
+
+    @property
+    def point_count(self) -> int:
+        """The number of points; 0 while they are in a file that was not read yet."""
+        if self.axes:
+            return GridPoints(self.axes).count
+        return 0 if self.points is None else self.points.point_count
+
+    def make_move(self, positions: Mapping[str, float]) -> Move:
+        """The move to one point."""
+        options = {name: getattr(self, name) for name in ("name", *MotionOptions.model_fields)}
+        # Everything in it was validated with the scan.
+        return Move.model_construct(to=dict(positions), **options)
+
+    @property
+    def points_steps(self) -> int:
+        """The number of steps at one point, its move included."""
+        return 1 + len(self.at_each)
+
+    @property
+    def inner(self) -> InnerSteps:
+        return InnerSteps("at_each", self.at_each, self.point_count, "at point")
+
+    @property
+    def step_count(self) -> int:
+        return self.point_count * self.points_steps
+
+    def iterate_written(self) -> Iterator[Step]:
+        yield self
+        yield from self.at_each
+
+    @property
+    def named_axes(self) -> list[str]:
+        return self.axis_names
+
+    @property
+    def absolute_axes(self) -> list[str]:
+        return self.axis_names
+
+    @property
+    def placed_axes(self) -> list[str]:
+        return self.axis_names
+
+    @property
+    def has_unread_points(self) -> bool:
+        return self.scanspec is not None or (self.points is not None and bool(self.points.file))
+
+    def iterate_targets(self) -> Iterator[tuple[str, Target]]:
+        for name, axis in self.axes.items():
+            ends = [each for each in (axis.from_, axis.to) if each is not None]
+            yield from ((name, each) for each in axis.values or ends)
+        if self.points is not None:
+            for row in self.points.rows or []:
+                yield from zip(self.points.axis_names, row, strict=True)
+
+    def resolve_targets(self, resolver: TargetResolver) -> Self:
+        at_each = [resolver.resolve_step(step) for step in self.at_each]
+        # A position may have axes that the file does not name.
+        for number, twice in find_moved_twice(self.axis_names, at_each):
+            text = f"at_each[{number}] moves {', '.join(twice)} by a position, and the scan positions it"
+            raise Refusal("bad-step", text, NAME_AXES)
+        return self.replace_targets(resolver.find_target).model_copy(update={"at_each": at_each})
+
+    def replace_targets(self, find_target: Callable[[str, Target], Quantity]) -> Self:
+        """The scan with other positions. find_target: makes one, of an axis and what is written for it."""
+
+        def find_listed(name: str, targets: Sequence[Target] | None) -> list[Quantity] | None:
+            return None if targets is None else [find_target(name, each) for each in targets]
+
+        axes: dict[str, ScanAxis] = {}
+        for name, axis in self.axes.items():
+            ends = {"from_": axis.from_, "to": axis.to}
+            found = {end: None if target is None else find_target(name, target) for end, target in ends.items()}
+            axes[name] = axis.model_copy(update={**found, "values": find_listed(name, axis.values)})
+        table = self.points
+        if table is not None and table.rows is not None:
+            names = table.axis_names
+            rows = [[find_target(*each) for each in zip(names, row, strict=True)] for row in table.rows]
+            table = table.model_copy(update={"rows": rows})
+        return self.model_copy(update={"axes": axes, "points": table})
+
+    def complete_words(self, fields: list[str]) -> list[str]:
+        at_each = ["at each " + "; ".join(step.describe() for step in self.at_each)] if self.at_each else []
+        return [self._describe_points(), *fields, *at_each]
+
+    def _describe_points(self) -> str:
+        if self.points is not None and self.points.file is not None:
+            return f"points of {self.points.file}"
+        axes = " ".join(f"{name}={_describe_axis(axis)}" for name, axis in self.axes.items())
+        axes = axes or " ".join(self.axis_names)
+        return f"{axes}, {self.point_count} points" if axes else "points of a scanspec"
+
+
+def _describe_axis(axis: ScanAxis) -> str:
+    snake = " snake" if axis.snake else ""
+    if axis.values is not None:
+        return f"{len(axis.values)} values{snake}"
+    return f"{axis.from_}…{axis.to} ({axis.count}{snake})"
+
+
+def find_moved_twice(axes: Iterable[str], at_each: Iterable[Step]) -> Iterator[tuple[int, list[str]]]:
+    """The steps at the points of a scan that move what the scan positions: the number of each, and those axes. axes: of
+    the scan."""
+    scanned = set(axes)
+    for number, step in enumerate(at_each):
+        twice = sorted(scanned & set(step.named_axes))
+        if twice:
+            yield number, twice

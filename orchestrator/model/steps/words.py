@@ -1,0 +1,30 @@
+"""Fields of a step in words."""
+
+import json
+
+from orchestrator.model.duration import format_ns, parse_duration
+from orchestrator.model.names import ALL_AXES
+from orchestrator.model.triggers import Trigger
+
+
+def describe_trigger(trigger: Trigger) -> str:
+    """A trigger: `lab.shutter every 0.5 mm of gantry.x`."""
+    places = f"every {trigger.every}" if trigger.at is None else f"at {len(trigger.at)} places"
+    return f"{trigger.output} {places}" + (f" of {trigger.of}" if trigger.of else "")
+
+
+def describe_field(key: str, value: dict[str, object] | list[str] | str | float | None) -> str:
+    """A field and its value in the JSON form: `speed=0.5`."""
+    if isinstance(value, dict):
+        if list(value) == [ALL_AXES]:
+            return f"{key} {value[ALL_AXES]}"
+        return f"{key} " + " ".join(f"{name}={_format_value(each)}" for name, each in value.items())
+    if isinstance(value, list):
+        return f"{key} " + " ".join(value)
+    if isinstance(value, str) and value.endswith(" ns"):
+        return f"{key}={format_ns(parse_duration(value))}"
+    return f"{key}={_format_value(value)}"
+
+
+def _format_value(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

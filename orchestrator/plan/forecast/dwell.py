@@ -1,0 +1,12 @@
+"""The forecast of a pause."""
+
+from orchestrator.model.steps.dwell import Dwell
+from orchestrator.plan.forecast.context import ForecastContext
+from orchestrator.plan.forecast.span import Span
+from orchestrator.plan.forecast.state import ForecastState
+
+
+def forecast_dwell(state: ForecastState, at: ForecastContext, step: Dwell) -> Span:
+    """A pause takes its duration."""
+    del state, at
+    return Span(step.duration / 1e9, step.duration / 1e9)

@@ -1,0 +1,40 @@
+"""The forecast of a homing."""
+
+from fractions import Fraction
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.steps.home import Home
+from orchestrator.plan.forecast.context import ForecastContext
+from orchestrator.plan.forecast.span import Span
+from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.homing_order import find_prerequisites, homing_order
+
+
+def forecast_home(state: ForecastState, at: ForecastContext, step: Home) -> Span:
+    """Run a homing forward."""
+    names = step.axes
+    if names is not None:
+        state.expand_names(at, names, ("axes",))
+        names = [name for name in names if state.fleet.names.explain_unknown(name, "axes") is None]
+    order = homing_order(state.fleet, names)
+    try:
+        waits = find_prerequisites(state.fleet, order)
+    except Refusal as error:
+        state.add_problem(at, (), Refusal(error.code, error.text, error.remedy))
+        return Span()
+    for axis, others in waits.items():
+        for other in sorted(others - waits.keys()):
+            text = f"{axis} must be homed after {other} (homing.after), which is not referenced"
+            state.require_referenced(at, other, (), text)
+    for axis in waits:
+        state.require_enabled(at, axis, ())
+        before = state.find_state(at, axis)
+        state.note_room(axis, before)
+        kind = "unknown" if before.offset_kind == "start" else before.offset_kind
+        state.axes[axis] = before.model_copy(
+            update={"motor": Fraction(0), "known": True, "referenced": True, "offset_kind": kind}
+        )
+    entries = [*order.entries, *([axis] for axis in order.loners)]
+    most = sum(max(state.fleet.axis(axis).homing.timeout_s for axis in entry) for entry in entries)
+    state.notes[f"the reference is found within {most:g} s"] = None
+    return Span(0.0, most)

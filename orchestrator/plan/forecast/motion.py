@@ -1,0 +1,45 @@
+"""Parts of forecasts that motions share: the plan of their ways, and their triggers."""
+
+from dataclasses import replace
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.steps.base import MotionOptions
+from orchestrator.model.steps.kinds import Motion
+from orchestrator.plan.forecast.context import ForecastContext
+from orchestrator.plan.forecast.span import Span
+from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.shape import PlanError
+from orchestrator.plan.step import plan_step
+from orchestrator.plan.triggers import resolve_triggers
+
+
+def plan_ways(state: ForecastState, at: ForecastContext, step: MotionOptions, ways: MoveWays) -> Span:
+    """The duration of a motion; its plan stays in `ways`."""
+    try:
+        plan = longest = plan_step(ways.nearest, step.sync, step.speed, step.ramps)
+        if ways.bounded and ways.farthest != ways.nearest:
+            longest = plan_step(ways.farthest, step.sync, step.speed, step.ramps)
+    except PlanError as error:
+        state.add_problem(at, (), Refusal("plan", str(error)))
+        return Span()
+    ways.plan = plan
+    return Span(plan.duration_s, longest.duration_s if ways.bounded else None)
+
+
+def check_record(state: ForecastState, at: ForecastContext, step: Motion) -> None:
+    """Check the names of the axes that a motion records."""
+    if step.record is not None:
+        state.expand_names(at, step.record.axes, ("record", "axes"))
+
+
+def check_triggers(state: ForecastState, at: ForecastContext, step: Motion) -> None:
+    """Check outputs and units of triggers, and their instants where the motion is known."""
+    try:
+        resolved = resolve_triggers(state.fleet, step.triggers, lambda axis: state.find_state(at, axis).offset)
+        if state.motion is not None:
+            for trigger in resolved:
+                trigger.find_instants_ns(state.motion.plan)
+            state.motion = replace(state.motion, triggers=resolved)
+    except Refusal as error:
+        state.add_problem(at, ("triggers",), Refusal(error.code, error.text, error.remedy))

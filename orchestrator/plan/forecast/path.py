@@ -1,0 +1,58 @@
+"""The forecast of a path."""
+
+from collections.abc import Mapping
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Axis
+from orchestrator.model.names import controller_of
+from orchestrator.model.steps.path import FollowPath
+from orchestrator.plan.forecast.context import ForecastContext
+from orchestrator.plan.forecast.motion import check_record, check_triggers
+from orchestrator.plan.forecast.span import Span
+from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.forecast.ways import ForecastMotion
+from orchestrator.plan.path_step import PathStart, find_start, plan_path_step
+from orchestrator.plan.shape import PlanError
+
+
+def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -> Span:
+    """Run a path forward."""
+    check_record(state, at, step)
+    named = {name: state.find_axis(at, name, ("axes", number)) for number, name in enumerate(step.axes)}
+    axes = {name: axis for name, axis in named.items() if axis is not None}
+    for name in axes:
+        state.require_ready(at, name, ("axes",))
+    if len(axes) < len(named):
+        return Span()
+    try:
+        path = plan_path_step(step, _find_starts(state, at, step, axes), state.fleet.frames)
+    except (Refusal, PlanError) as error:
+        code, text, remedy = ("plan", str(error), "")
+        if isinstance(error, Refusal):
+            code, text, remedy = error.code, error.text, error.remedy
+        state.add_problem(at, (), Refusal(code, text, remedy))
+        state.lose_positions(at, axes)
+        return Span()
+    for name, (end, _) in path.exact.items():
+        state.axes[name] = state.find_state(at, name).model_copy(update={"motor": end, "known": True})
+    state.motion = ForecastMotion(path.moves, path.exact, path.plan, path)
+    check_triggers(state, at, step)
+    return Span(path.plan.duration_s, path.plan.duration_s)
+
+
+def _find_starts(
+    state: ForecastState, at: ForecastContext, step: FollowPath, axes: Mapping[str, Axis]
+) -> list[PathStart]:
+    """Where the axes of a path are before it: an axis whose position is not known must be at its start."""
+    starts: list[PathStart] = []
+    begin = find_start(step, [axis.unit for axis in axes.values()], state.fleet.frames)
+    for value, point, (name, axis) in zip(step.start, begin, axes.items(), strict=True):
+        before = state.find_state(at, name)
+        here = before.motor
+        if not before.known or before.offset_kind != "motor":
+            where = value if step.frame is None else f"{float(point):.6g} {axis.unit}"
+            state.notes[f"{name} stands at {where} when the path begins"] = None
+            here = point - before.offset
+        order = state.orders.get(controller_of(name), 3)
+        starts.append(PathStart(name, axis, here, axis.to_counts(here), before.offset, order))
+    return starts

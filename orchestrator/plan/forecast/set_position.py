@@ -1,0 +1,26 @@
+"""The forecast of user positions that are set."""
+
+from fractions import Fraction
+
+from orchestrator.model.steps.set_position import SetPosition
+from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.span import Span
+from orchestrator.plan.forecast.state import ForecastState
+
+
+def forecast_set_position(state: ForecastState, at: ForecastContext, step: SetPosition) -> Span:
+    """Set user positions on paper."""
+    for name, value in step.axes.items():
+        place = ("axes", name)
+        axis = state.find_axis(at, name, place)
+        if axis is None:
+            continue
+        amount = Fraction(0) if value is None else state.parse_amount(at, value, TargetField(*place, axis))
+        if amount is None:
+            continue
+        before = state.find_state(at, name)
+        update: dict[str, object] = {"offset": Fraction(0), "offset_kind": "motor"}
+        if value is not None:
+            update = {"offset": amount - before.motor, "offset_kind": "motor" if before.known else "start"}
+        state.axes[name] = before.model_copy(update=update)
+    return Span()

@@ -1,0 +1,165 @@
+"""What a forecast knows: where the axes of a job are, step by step, and what is wrong with it."""
+
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+from typing import Literal
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.fleet_names import suggest_name
+from orchestrator.model.forecast import AxisForecast, StepProblem
+from orchestrator.model.names import controller_of, is_position_name
+from orchestrator.model.steps.base import Step
+from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.ways import ForecastMotion
+from orchestrator.plan.triggers import find_brake_outputs
+
+Order = Literal[2, 3]
+
+
+class ForecastState:
+    """Follows axes and outputs; `problems` and `conditions` grow, `axes` is the present state.
+
+    motion: the step that was run forward last, if it is a motion all of whose positions are known. notes: conditions of
+    the written step that is run forward. outputs: levels that steps have set. reserved: outputs with a use of their
+    own, by name.
+    """
+
+    def __init__(
+        self, fleet: Fleet, axes: Mapping[str, AxisForecast] | None = None, orders: Mapping[str, Order] | None = None
+    ) -> None:
+        """axes: their states now; others are unknown. orders: of the profiles that each controller executes."""
+        self.fleet = fleet
+        self.orders = orders or {}
+        self.axes: dict[str, AxisForecast] = dict(axes or {})
+        self.problems: list[StepProblem] = []
+        self.conditions: dict[str, None] = {}
+        self.notes: dict[str, None] = {}
+        self.outputs: dict[str, bool] = {}
+        self.reserved = find_brake_outputs(fleet)
+        self.motion: ForecastMotion | None = None
+
+    def order_of(self, name: str, axis: Axis) -> Order:
+        return self.orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)
+
+    def find_state(self, at: ForecastContext, name: str) -> AxisForecast:
+        known = self.axes.get(name)
+        if known is None:
+            # Axes that the job enables by itself need no step for it.
+            enabled = None if self.fleet.axis(name).enable == "manual" else True
+            known = self.axes[name] = AxisForecast(enabled=enabled, since=at.index)
+        return known
+
+    def require_ready(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> None:
+        """The axis must be enabled and referenced. place: of the axis in the step."""
+        self.require_enabled(at, name, place)
+        self.require_referenced(at, name, place, f"axis {name} is not referenced")
+
+    def require_enabled(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> None:
+        """The axis must be enabled; unless its controller alone knows, it is a problem or it is not."""
+        enabled = self.find_state(at, name).enabled
+        if enabled is None:
+            self.conditions[f"{name} is enabled before the job"] = None
+        elif not enabled:
+            remedy = "add a step `do: enable` before it"
+            self.add_problem(
+                at, place, Refusal("not-enabled", f"axis {name} is not enabled", remedy, controller_of(name))
+            )
+        if not enabled:
+            self.axes[name] = self.axes[name].model_copy(update={"enabled": True})
+
+    def require_referenced(self, at: ForecastContext, name: str, place: tuple[str | int, ...], text: str) -> None:
+        """The axis must be referenced, as `require_enabled`. text: of the problem."""
+        referenced = self.find_state(at, name).referenced
+        if referenced is None:
+            self.conditions[f"{name} is referenced before the job"] = None
+        elif not referenced:
+            remedy = "add a step `do: home` before it"
+            self.add_problem(at, place, Refusal("not-referenced", text, remedy, controller_of(name)))
+        if not referenced:
+            self.axes[name] = self.axes[name].model_copy(update={"referenced": True})
+
+    def find_axis(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> Axis | None:
+        text = self.fleet.names.explain_unknown(name, "axis")
+        if text is None:
+            return self.fleet.axis(name)
+        self.add_problem(at, place, _unknown_name(text))
+        return None
+
+    def expand_names(self, at: ForecastContext, names: Iterable[str], place: tuple[str | int, ...]) -> list[str]:
+        """The axes of all names that exist; the others are problems."""
+        found: list[str] = []
+        for number, name in enumerate(names):
+            text = self.fleet.names.explain_unknown(name, "axes")
+            if text is None:
+                found += self.fleet.expand_name(name)
+            else:
+                self.add_problem(at, (*place, number), _unknown_name(text))
+        return list(dict.fromkeys(found))
+
+    def parse_amount(self, at: ForecastContext, value: int | float | str, field: TargetField) -> Fraction | None:
+        """A target in the unit of its axis; None, and a problem, if it is in another one."""
+        try:
+            return parse_quantity(value, field.axis.unit)
+        except UnitError as error:
+            problem = Refusal("bad-unit", f"{field.name}: {error}", "correct the unit", field.controller)
+            self.add_problem(at, field.place, problem)
+            return None
+
+    def add_problem(self, at: ForecastContext, place: tuple[str | int, ...], problem: Refusal) -> None:
+        """Add a problem, each one once. place: of it in the step."""
+        found = StepProblem(
+            place=[*at.place, *place],
+            code=problem.code,
+            text=problem.text + at.when,
+            remedy=problem.remedy,
+            controller=problem.controller,
+        )
+        if found not in self.problems:
+            self.problems.append(found)
+
+    def note_room(self, name: str, state: AxisForecast) -> None:
+        """The condition that moves by a distance set on the position where they begin."""
+        if state.known or state.lowest == state.highest:
+            return
+        axis = self.fleet.axis(name)
+        if axis.soft_limits is None:
+            return
+        low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
+        begin, end = float(low - state.lowest), float(high - state.highest)
+        self.conditions[
+            f"{name} stands between {begin:g} and {end:g} {axis.unit} (motor position) before step {state.since}"
+        ] = None
+
+    def check_name(self, at: ForecastContext, name: str, kind: Literal["output", "input"]) -> bool:
+        """Whether the fleet has this output or input; otherwise it is a problem of the field `kind`."""
+        text = self.fleet.names.explain_unknown(name, kind)
+        if text is not None:
+            self.add_problem(at, (kind,), _unknown_name(text))
+        return text is None
+
+    def lose_positions(self, at: ForecastContext, axes: Iterable[str]) -> None:
+        for each in axes:
+            self.axes[each] = self.find_state(at, each).model_copy(update=unknown_position(at))
+
+    def note_unknown_positions(self, step: Step) -> list[str]:
+        """Note the positions that only the running fleet knows; return the axes that the step moves there."""
+        axes: dict[str, None] = {}
+        for axis, target in step.iterate_targets():
+            if is_position_name(target):
+                axes[axis] = None
+                hint = suggest_name(str(target), self.fleet.names.positions).strip()
+                known = f"position {target} is saved in the running fleet"
+                self.conditions[f"{known} ({hint})" if hint else known] = None
+        return list(axes)
+
+
+def _unknown_name(text: str) -> Refusal:
+    return Refusal("unknown-name", text, "correct the name")
+
+
+def unknown_position(at: ForecastContext) -> dict[str, object]:
+    """The fields of an axis whose position is not known from this step on."""
+    nowhere = Fraction(0)
+    return {"motor": nowhere, "known": False, "since": at.index + 1, "lowest": nowhere, "highest": nowhere}

@@ -1,0 +1,114 @@
+"""Targets of axes in a forecast: where they lead, and whether that is inside the limits."""
+
+from fractions import Fraction
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Axis
+from orchestrator.model.forecast import AxisForecast
+from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.passes import TargetCheck
+from orchestrator.plan.forecast.state import ForecastState, Order, unknown_position
+from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.step import AxisMove
+from orchestrator.plan.targets import choose_turn, explain_beyond_limits, explain_beyond_range, make_axis_move
+
+
+def take_target(
+    state: ForecastState, at: ForecastContext, ways: MoveWays, field: TargetField, amount: Fraction
+) -> None:
+    """Move one axis, and add its way."""
+    name, axis = field.name, field.axis
+    before = state.find_state(at, name)
+    after, distance_known = _find_target(state, at, field, amount)
+    state.axes[name] = after
+    order = state.order_of(name, axis)
+    if distance_known:
+        start, target = axis.to_counts(before.motor), axis.to_counts(after.motor)
+        ways.add_known(make_axis_move(name, axis, start, target, order))
+        if before.known and after.known:
+            ways.exact[name] = (after.motor, target)
+    else:
+        ways.add_unknown(_longest_move(name, axis, after, order))
+
+
+def _find_target(
+    state: ForecastState, at: ForecastContext, field: TargetField, amount: Fraction
+) -> tuple[AxisForecast, bool]:
+    """The state after a move, and whether the distance is known."""
+    name, axis, relative = field.name, field.axis, field.key == "by"
+    before = state.find_state(at, name)
+    if relative:
+        target = before.motor + amount
+    elif before.offset_kind == "unknown":
+        state.conditions[f"the target of {name} in step {at.index} depends on its user offset"] = None
+        return before.model_copy(update=unknown_position(at)), False
+    elif before.offset_kind == "motor" and not before.known:
+        state.note_room(name, before)
+        target = choose_turn(axis, amount - before.offset, amount - before.offset, before.offset)
+        _note_check(at, field, target, before.offset, known=True)
+        check_target(state, at, field, target, before.offset)
+        state.conditions["user offsets (`set-position`) are 0 where no step sets them"] = None
+        return before.model_copy(update={"motor": target, "known": True}), False
+    else:
+        target = choose_turn(axis, before.motor, amount - before.offset, before.offset)
+    update: dict[str, object] = {"motor": target}
+    _note_check(at, field, target, before.offset, known=before.known)
+    if before.known:
+        if not check_target(state, at, field, target, before.offset) and relative:
+            update |= unknown_position(at)  # further moves by a distance would repeat the same mistake
+    else:
+        update |= {"lowest": min(before.lowest, target), "highest": max(before.highest, target)}
+        after = before.model_copy(update=update)
+        if not check_room(state, at, field, after):
+            update |= unknown_position(at)
+    return before.model_copy(update=update), True
+
+
+def _note_check(at: ForecastContext, field: TargetField, target: Fraction, offset: Fraction, *, known: bool) -> None:
+    at.checks.append(TargetCheck((*at.place, *field.place), field.name, target, offset, known))
+
+
+def check_target(
+    state: ForecastState, at: ForecastContext, field: TargetField, target: Fraction, offset: Fraction
+) -> bool:
+    """Whether an axis may be at `target`; otherwise it is a problem."""
+    code, remedy = "soft-limit", "change the target, or the soft limits in the fleet file"
+    text = explain_beyond_limits(field.name, field.axis, target, offset)
+    if text is None:
+        code, remedy = "position-range", "move the other way, or home the axis, which begins to count again"
+        text = explain_beyond_range(field.name, field.axis, target)
+    if text is not None:
+        state.add_problem(at, field.place, Refusal(code, text, remedy, field.controller))
+    return text is None
+
+
+def exceeds_room(axis: Axis, reached: tuple[Fraction, Fraction]) -> bool:
+    """Whether the soft limits are too near to each other for all positions in a range."""
+    limits = axis.soft_limits_counts
+    return limits is not None and abs(axis.to_counts(reached[1] - reached[0])) > limits[1] - limits[0]
+
+
+def check_room(state: ForecastState, at: ForecastContext, field: TargetField, after: AxisForecast) -> bool:
+    """Whether the moves by a distance from an unknown position can stay inside the soft limits at all."""
+    axis = field.axis
+    limits = axis.soft_limits_counts
+    if limits is None or not exceeds_room(axis, (after.lowest, after.highest)):
+        return True
+    span = abs(axis.to_unit(axis.to_counts(after.highest - after.lowest)))
+    apart = abs(axis.to_unit(limits[1] - limits[0]))
+    text = (
+        f"axis {field.name}: the moves from step {after.since} on cover {span:g} {axis.unit}; its soft limits are "
+        f"{apart:g} {axis.unit} apart"
+    )
+    remedy = "move less far, or change the soft limits"
+    state.add_problem(at, field.place, Refusal("soft-limit", text, remedy, field.controller))
+    return False
+
+
+def _longest_move(name: str, axis: Axis, after: AxisForecast, order: Order) -> AxisMove | None:
+    """The move from the farther soft limit; None without limits."""
+    limits = axis.soft_limits_counts
+    if limits is None or not after.known:
+        return None
+    target = axis.to_counts(after.motor)
+    return make_axis_move(name, axis, max(limits, key=lambda end: abs(end - target)), target, order)
