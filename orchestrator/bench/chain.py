@@ -77,10 +77,10 @@ def bench_chain(moves: int, seeds: int) -> list[ChainFigures]:
                 axes=len(axes),
                 moves=moves,
                 seeds=seeds,
-                move_ms=round(max(each.move_ms for each in runs), 3),
+                move_ms=round(max(run.move_ms for run in runs), 3),
                 asked_ms=asked_ms,
-                ahead_ms=round(min(each.ahead_ms for each in runs), 3),
-                underruns=sum(each.underruns for each in runs),
+                ahead_ms=round(min(run.ahead_ms for run in runs), 3),
+                underruns=sum(run.underruns for run in runs),
             )
         )
     return figures
@@ -109,12 +109,14 @@ async def _measure_chain(
     report = await driver.run_chain(chains)
     await driver.close()
     for axis, chain in chains.items():
-        made = [each for each in unit.commanded_motions if each.axis == MOTORS[axis]]
-        ways = [None if each.end_counts is None else round(each.end_counts - each.start_counts) for each in made]
-        if report.reason or ways != [each.distance for each in chain]:
+        motions = [motion for motion in unit.commanded_motions if motion.axis == MOTORS[axis]]
+        ways = [
+            None if motion.end_counts is None else round(motion.end_counts - motion.start_counts) for motion in motions
+        ]
+        if report.reason or ways != [move.distance for move in chain]:
             raise ChainBroke(f"seed {seed}, {len(axes)} axes, axis {axis}: {report.reason or 'other moves were made'}")
-    ends = [each.end_ns for each in unit.commanded_motions if each.end_ns is not None]
-    took_ns = max(ends) - min(each.start_ns for each in unit.commanded_motions)
+    ends = [motion.end_ns for motion in unit.commanded_motions if motion.end_ns is not None]
+    took_ns = max(ends) - min(motion.start_ns for motion in unit.commanded_motions)
     return _ChainResult(took_ns / NS_PER_MS / moves, (report.least_ahead_ns or 0) / NS_PER_MS, len(report.underruns))
 
 
@@ -157,9 +159,9 @@ class _SlowHost:
         return self._link.write(data)
 
     async def read(self) -> ReceivedBytes:
-        received = await self._link.read()
-        await sleep_until_ns(self._clock, max(self._clock.now_ns(), received.at_ns + HOST_DELAY_NS))
-        return received
+        received_bytes = await self._link.read()
+        await sleep_until_ns(self._clock, max(self._clock.now_ns(), received_bytes.at_ns + HOST_DELAY_NS))
+        return received_bytes
 
     def fileno(self) -> int:
         return self._link.fileno()

@@ -95,8 +95,8 @@ def _measure_case(case: ClockCase, trials: int, seed: int) -> ClockFigures:
         crystal = Oscillator(draw.randrange(10**12), draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, trial)
         readings = _draw_history(case, crystal, draw)
         clock = SampleClock(case.tick_ns, case.decode_ns - case.least_ns)
-        for each in readings:
-            clock.add_full_reading(each.sent_ns, each.received_ns, each.ticks)
+        for reading in readings:
+            clock.add_full_reading(reading.sent_ns, reading.received_ns, reading.ticks)
         mapping = clock.current_mapping()
         assert mapping is not None
         ahead_ns = readings[-1].received_ns + AHEAD_NS
@@ -143,17 +143,17 @@ def _draw_latency(case: ClockCase, draw: Random) -> int:
 def _estimate_cristian(readings: list[_ClockReading], case: ClockCase) -> TickMapping:
     """Estimate by the middle of the fastest of the last minute's round trips, at the nominal rate."""
     recent = readings[-60 * READINGS_HZ :]
-    best = min(recent, key=lambda each: each.received_ns - each.sent_ns)
+    best = min(recent, key=lambda reading: reading.received_ns - reading.sent_ns)
     return _make_mapping(best.ticks, (best.sent_ns + best.received_ns - case.tick_ns) / 2, case.tick_ns)
 
 
 def _estimate_regression(readings: list[_ClockReading], case: ClockCase) -> TickMapping:
     """Estimate by least squares through the middles of the round trips that are at most twice as slow as the
     fastest."""
-    least_ns = min(each.received_ns - each.sent_ns for each in readings)
-    fast = [each for each in readings if each.received_ns - each.sent_ns <= 2 * least_ns]
-    xs = [float(each.ticks) for each in fast]
-    ys = [(each.sent_ns + each.received_ns - case.tick_ns) / 2 for each in fast]
+    least_ns = min(reading.received_ns - reading.sent_ns for reading in readings)
+    fast = [reading for reading in readings if reading.received_ns - reading.sent_ns <= 2 * least_ns]
+    xs = [float(reading.ticks) for reading in fast]
+    ys = [(reading.sent_ns + reading.received_ns - case.tick_ns) / 2 for reading in fast]
     mean_x, mean_y = sum(xs) / len(xs), sum(ys) / len(ys)
     over = sum((x - mean_x) ** 2 for x in xs)
     slope = sum((x - mean_x) * (y - mean_y) for x, y in zip(xs, ys, strict=True)) / over if over else case.tick_ns

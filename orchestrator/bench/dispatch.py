@@ -101,7 +101,7 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
     """Run `rounds` jobs live, and some in virtual time. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     fleet = make_dispatch_fleet()
     virtual = await asyncio.to_thread(lambda: run_virtual(lambda clock: _measure_virtual(fleet, clock)))
-    found: list[_DispatchRound] = []
+    found_rounds: list[_DispatchRound] = []
     async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
         await run_steps(tutti, _make_preparation(fleet))
         truths = [TruthLog(live.state / "truth" / f"{name}.jsonl") for name in fleet.controllers]
@@ -115,17 +115,17 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
                 raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")
             first_ns = min(await asyncio.gather(*(truth.wait_for_event("start", asked_ns) for truth in truths)))
             parts = _measure_parts((await tutti.show_job(job)).transitions, accepted_ns)
-            found.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
+            found_rounds.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
         sims_s, all_s = (after - before for before, after in zip(used_s, _read_cpu_s(live), strict=True))
-    counted = found[KEPT_STEPS + 1 :]
+    counted_rounds = found_rounds[KEPT_STEPS + 1 :]
     options = YaskawaOptions()
     release_ns = GateTiming.for_options(options).release_before * options.tick_ns
     return DispatchFigures(
         controllers=len(fleet.controllers),
-        first_motion=make_spread([each.first_ns for each in counted], p99_ms=P99_MS),
-        lead=make_spread([each.lead_ns for each in counted], max_ms=LEAD_MS),
-        armed_to_t0=make_spread([each.armed_to_t0_ns for each in counted]),
-        parts={name: make_spread([each.parts[name] for each in counted]) for name in PARTS},
+        first_motion=make_spread([each.first_ns for each in counted_rounds], p99_ms=P99_MS),
+        lead=make_spread([each.lead_ns for each in counted_rounds], max_ms=LEAD_MS),
+        armed_to_t0=make_spread([each.armed_to_t0_ns for each in counted_rounds]),
+        parts={name: make_spread([each.parts[name] for each in counted_rounds]) for name in PARTS},
         virtual_ms=round(virtual.first_ns / 1e6, 1),
         virtual_lead_ms=round(virtual.lead_ns / 1e6, 1),
         virtual_path_ms=round((sum(virtual.parts.values()) + release_ns) / 1e6, 1),
@@ -144,12 +144,17 @@ async def _measure_virtual(fleet: Fleet, clock: VirtualClock) -> _DispatchRound:
     rounds: list[_DispatchRound] = []
     for k in range(KNOWN_AFTER + 1):
         await sleep_ns(clock, NS_PER_S)
-        before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
+        controllers_before = {
+            name: len(controller.commanded_motions) for name, controller in virtual.controllers.items()
+        }
         asked_ns = clock.now_ns()
         job = await tutti.submit(_make_job(fleet, k % 2))
         accepted_ns = clock.now_ns() - asked_ns
         report = await job.result()
-        first_ns = min(each.commanded_motions[before[name]].start_ns for name, each in virtual.controllers.items())
+        first_ns = min(
+            controller.commanded_motions[controllers_before[name]].start_ns
+            for name, controller in virtual.controllers.items()
+        )
         parts = _measure_parts((await job.show()).transitions, accepted_ns)
         rounds.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
     means = {name: sum(each.parts[name] for each in rounds) // len(rounds) for name in PARTS}
@@ -174,7 +179,7 @@ def _measure_leads_ns(report: JobReport) -> tuple[int, int]:
 
 def _measure_parts(transitions: list[JobTransition], accepted_ns: int) -> dict[str, int]:
     """Return the duration of each part; of a step that was armed twice, the last one."""
-    at = {each.state: datetime.fromisoformat(each.utc) for each in transitions}
+    at = {transition.state: datetime.fromisoformat(transition.utc) for transition in transitions}
     parts = {"accept": accepted_ns}
     for name, (first, last) in PARTS.items():
         if first:

@@ -101,7 +101,7 @@ async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> Estop
             last=make_spread([max(each) for each in tcp], p99_ms=P99_MS),
             uploading=make_spread(uploading, p99_ms=P99_MS),
             first=make_spread([min(each) for each in tcp]),
-            shell=make_spread([max(each.values()) for each in shells], max_ms=SHELL_MAX_MS),
+            shell=make_spread([max(shell.values()) for shell in shells], max_ms=SHELL_MAX_MS),
             smc2000_19200=make_spread(serial["b"]),
             shrc203_38400=make_spread(serial["c"]),
             noise=noise.make_spread(),
@@ -193,13 +193,15 @@ class _EstopRig:
             await job.result()
 
         async def all_latched() -> bool:
-            return all(each.estop is not None for each in (await self._tutti.status()).values())
+            return all(status.estop is not None for status in (await self._tutti.status()).values())
 
         await wait_until(all_latched, "all are latched")
 
         async def all_released() -> bool:
             await self._tutti.reset()
-            return all(each.estop is None and each.mode == "idle" for each in (await self._tutti.status()).values())
+            return all(
+                status.estop is None and status.mode == "idle" for status in (await self._tutti.status()).values()
+            )
 
         await wait_until(all_released, "the e-stop is reset")
         await run_steps(self._tutti, [{"do": "enable", "axes": ["all"]}])
@@ -208,7 +210,7 @@ class _EstopRig:
         middle = {f"{name}.x": MIDDLE / 4 for name in [*self._movers, *SERIAL_CONTROLLERS]}
         states = await self._tutti.status()
         # A stepper that was stopped at once loses its reference.
-        lost = [f"{name}.x" for name, each in states.items() if not each.axes["x"].referenced]
-        home: Steps = [{"do": "home", "axes": [axis]} for axis in lost]
+        lost_axes = [f"{name}.x" for name, state in states.items() if not state.axes["x"].referenced]
+        home: Steps = [{"do": "home", "axes": [axis]} for axis in lost_axes]
         back: dict[str, object] = {"do": "move", "to": middle, "sync": "none", "max_start_skew": "500 ms"}
         await run_steps(self._tutti, [*home, back])

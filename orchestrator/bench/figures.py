@@ -38,7 +38,9 @@ def make_figure(
     what: str, values: list[float], unit: str, target: str = "", is_met: Callable[[BenchFigure], bool] | None = None
 ) -> BenchFigure:
     """Compute percentiles by nearest rank."""
-    ordered = sorted(values)
-    p50, p99 = (ordered[ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
-    found = BenchFigure(what, len(ordered), round(p50, 4), round(p99, 4), round(ordered[-1], 4), unit, target)
-    return found if is_met is None else found._replace(met=is_met(found))
+    ordered_values = sorted(values)
+    p50, p99 = (ordered_values[ceil(share * len(ordered_values)) - 1] for share in (0.5, 0.99))
+    figure = BenchFigure(
+        what, len(ordered_values), round(p50, 4), round(p99, 4), round(ordered_values[-1], 4), unit, target
+    )
+    return figure if is_met is None else figure._replace(met=is_met(figure))

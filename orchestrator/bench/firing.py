@@ -89,6 +89,6 @@ async def _measure_delays_ns(firer: TimedWriter, link: Link, shots: int) -> list
     late: list[int] = []
     for _ in range(shots):
         at_ns = raw_ns() + round(draw.uniform(*LEAD_S) * 1e9)
-        fired = await firer.schedule_write(link, b"\r", at_ns, at_ns + MAX_DELAY_NS).wait_until_written()
-        late.append(fired.written_ns - at_ns)
+        write = await firer.schedule_write(link, b"\r", at_ns, at_ns + MAX_DELAY_NS).wait_until_written()
+        late.append(write.written_ns - at_ns)
     return late

@@ -117,9 +117,9 @@ async def _measure_submit(fleet: Fleet, clock: VirtualClock, path: Path, job: Jo
         # Held: the queue is measured, not the execution of jobs without controllers.
         await client.submit(job, f"key-{number}", QueueTerms(held=True))
     took_s = time.perf_counter() - began_s
-    found = (await client.list_jobs(1)).total
-    if found != jobs:
-        raise RuntimeError(f"{found} of {jobs} jobs are in the journal")
+    total = (await client.list_jobs(1)).total
+    if total != jobs:
+        raise RuntimeError(f"{total} of {jobs} jobs are in the journal")
     await coordinator.close()
     journal.close()
     return took_s
@@ -160,10 +160,10 @@ async def _measure_restart(fleet: Fleet, clock: VirtualClock, path: Path, histor
     journal = Journal(path)
     coordinator, client = _make_coordinator(fleet, clock, journal)
     await coordinator.start()
-    found = (await client.list_jobs(20)).total
+    total = (await client.list_jobs(20)).total
     took_s = time.perf_counter() - began_s
-    if found != history or clock.now_ns() - began_ns > 5 * NS_PER_S:
-        raise RuntimeError(f"{found} of {history} jobs are found after {clock.now_ns() - began_ns} ns")
+    if total != history or clock.now_ns() - began_ns > 5 * NS_PER_S:
+        raise RuntimeError(f"{total} of {history} jobs are found after {clock.now_ns() - began_ns} ns")
     await coordinator.close()
     journal.close()
     return took_s

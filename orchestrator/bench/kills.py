@@ -124,9 +124,9 @@ class _KillRig:
         await self.wait_for_recovery()
         back_ns = raw_ns() - broken_ns
         # Submitting it again with its key must return the same job, and must not run it again.
-        same = await self._tutti.submit(_make_job("work", steps), client_key=key)
+        same_job = await self._tutti.submit(_make_job("work", steps), client_key=key)
         rest_ns = max(ends, default=broken_ns) - broken_ns if state != "done" else None
-        return _KillRound(state, rest_ns, back_ns, lost=state == "lost", doubled=same != job or starts > 2 * MOVES)
+        return _KillRound(state, rest_ns, back_ns, lost=state == "lost", doubled=same_job != job or starts > 2 * MOVES)
 
     async def wait_for_recovery(self) -> None:
         """Wait until a job over all axes is done."""

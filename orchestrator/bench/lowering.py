@@ -133,18 +133,20 @@ def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
             make_figure("contour, between, less a·h²/8", beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN),
         ]
     )
-    chosen: list[LoweringChoices] = []
+    chosen_choices: list[LoweringChoices] = []
     for number, (cruise, (low, high, share)) in enumerate(CRUISES.items()):
-        found = _measure_trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
+        trapezoids = _measure_trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
         # Slower moves are shown for information: their accuracy depends on the make's speed resolution.
         bound, keeps = ("p99<0.2", _meets_duration) if cruise == FAST else ("", None)
         figures += [
-            make_figure(f"{cruise}, lowered-planned", found.lowered_ms, "ms", bound, keeps),
-            make_figure(f"{cruise}, real-lowered", found.simulated_samples, "samples", "max<1", lambda f: f.max < 1.0),
-            make_figure(f"{cruise}, real-planned", found.planned_ms, "ms"),
+            make_figure(f"{cruise}, lowered-planned", trapezoids.lowered_ms, "ms", bound, keeps),
+            make_figure(
+                f"{cruise}, real-lowered", trapezoids.simulated_samples, "samples", "max<1", lambda f: f.max < 1.0
+            ),
+            make_figure(f"{cruise}, real-planned", trapezoids.planned_ms, "ms"),
         ]
-        chosen.append(LoweringChoices(cruise, found.ways))
-    return LoweringFigures(make, moves, figures, chosen)
+        chosen_choices.append(LoweringChoices(cruise, trapezoids.ways))
+    return LoweringFigures(make, moves, figures, chosen_choices)
 
 
 def _meets_duration(found: BenchFigure) -> bool:
@@ -222,12 +224,12 @@ async def _start_step(world: _LoweringBench, profiles: Mapping[str, Profile]) ->
     driver = world.driver
     await driver.poll()
     mapping = world.clock_mapping()
-    lowered = driver.lower_profiles(profiles, StartOptions(), mapping)
-    t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 150 * NS_PER_MS
-    await driver.arm_move(lowered, t0_ns, mapping)
+    lowered_profiles = driver.lower_profiles(profiles, StartOptions(), mapping)
+    t0_ns = world.clock.now_ns() + lowered_profiles.costs.arm_ns + lowered_profiles.costs.disarm_ns + 150 * NS_PER_MS
+    await driver.arm_move(lowered_profiles, t0_ns, mapping)
     await driver.verify_armed()
     await driver.go()
-    return lowered, mapping, t0_ns
+    return lowered_profiles, mapping, t0_ns
 
 
 async def _finish_step(world: _LoweringBench) -> None:
@@ -285,13 +287,13 @@ async def _measure_contour(
     lowered, mapping, t0_ns = await _start_step(world, profiles)
     before = len(world.controller.commanded_motions)
     await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-    begun = world.sample_at(world.clock.now_ns())
+    begun_sample = world.sample_at(world.clock.now_ns())
     assert subject.record_samples is not None
     record, samples = subject.record_samples(lowered), ceil(lowered.durations_s[max(profiles)] * 1e9 / lowered.tick_ns)
     watching = asyncio.get_running_loop().create_task(_finish_step(world))
     seen: list[tuple[int, dict[str, float]]] = []
     # From some samples before the start, which is not determined yet, to some after the end.
-    for sample in range(begun + 1, begun + samples + 40):
+    for sample in range(begun_sample + 1, begun_sample + samples + 40):
         await sleep_until_ns(world.clock, world.sample_begin_ns(sample))
         seen.append((sample, {axis: world.controller.position(world.motor_of(axis)) for axis in profiles}))
     await watching
@@ -325,26 +327,26 @@ def _measure_trapezoids(subject: BenchedMake, low: float, high: float, count: in
 
     async def measure(world: _LoweringBench) -> _TrapezoidResults:
         draw = Random(seed)
-        found = _TrapezoidResults([], [], [], {})
-        executed = set(draw.sample(range(count), min(count, max(MIN_SIMULATED, count // SIMULATED_EVERY))))
+        results = _TrapezoidResults([], [], [], {})
+        executed_sample = set(draw.sample(range(count), min(count, max(MIN_SIMULATED, count // SIMULATED_EVERY))))
         at = 0
         for number in range(count):
             profile = _draw_trapezoid(at, low, high, draw)
-            lowered = world.driver.lower_profiles({"a": profile}, StartOptions(), world.clock_mapping())
-            way = subject.way(lowered)
-            found.ways[way] = found.ways.get(way, 0) + 1
-            found.lowered_ms.append(abs(lowered.durations_s["a"] - profile.duration_s) * 1e3)
-            if number not in executed:
+            lowered_profiles = world.driver.lower_profiles({"a": profile}, StartOptions(), world.clock_mapping())
+            way = subject.way(lowered_profiles)
+            results.ways[way] = results.ways.get(way, 0) + 1
+            results.lowered_ms.append(abs(lowered_profiles.durations_s["a"] - profile.duration_s) * 1e3)
+            if number not in executed_sample:
                 continue
             motion = await _execute_profile(world, profile)
             at = profile.end_counts
             if motion.end_ns is None:
                 raise RuntimeError("a move of the benchmark has no end")
             samples = world.sample_at(motion.end_ns) - world.sample_at(motion.start_ns)
-            predicted = lowered.durations_s["a"] * 1e9 / lowered.tick_ns
-            found.simulated_samples.append(abs(samples - predicted))
-            found.planned_ms.append(abs((motion.end_ns - motion.start_ns) * 1e-6 - profile.duration_s * 1e3))
-        return found
+            predicted = lowered_profiles.durations_s["a"] * 1e9 / lowered_profiles.tick_ns
+            results.simulated_samples.append(abs(samples - predicted))
+            results.planned_ms.append(abs((motion.end_ns - motion.start_ns) * 1e-6 - profile.duration_s * 1e3))
+        return results
 
     return _run_with_driver(subject, Random(seed).uniform(-100.0, 100.0), seed, measure)
 

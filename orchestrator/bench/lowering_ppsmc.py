@@ -1,4 +1,4 @@
-"""Random feasible moves of a pp-electronic SMC: as planned, as lowered, and a part of them as executed, in virtual
+"""Random feasible moves of a pp-electronic SMC: as planned, as lowered, and a part of them as executed, in made_moves
 time.
 
 Its speeds are whole Hz and its ramps whole Hz/ms. From one slew speed V to the next the duration T changes by T/V;
@@ -71,31 +71,35 @@ class _PpsmcMove(NamedTuple):
 def bench_ppsmc(moves: int, seed: int) -> LoweringFigures:
     """Lower `moves` and execute a part of them, with the rate of the controller's crystal known as if measured."""
     ppm = Random(seed).uniform(-100.0, 100.0)
-    found: list[_PpsmcMove] = run_virtual(lambda clock: _measure_moves(clock, moves, ppm, seed))
-    executed = [each for each in found if each.predicted_ms is not None]
-    reached = [each for each in found if each.is_reachable]
-    slow = [each for each in found if not each.is_reachable]
+    made_moves: list[_PpsmcMove] = run_virtual(lambda clock: _measure_moves(clock, moves, ppm, seed))
+    executed_moves = [move for move in made_moves if move.predicted_ms is not None]
+    reached_moves = [move for move in made_moves if move.is_reachable]
+    slow = [move for move in made_moves if not move.is_reachable]
     figures = [
-        make_figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=1", _meets_p99),
-        make_figure("V² >= 1000 T, lowered-planned", [each.lowered_ms for each in reached], "ms", "p99<=1", _meets_p99),
-        *([make_figure("V² < 1000 T, lowered-planned", [each.lowered_ms for each in slow], "ms")] if slow else []),
-        make_figure("all, proposal planned again", [each.again_ms for each in found], "ms", "p99<=1", _meets_p99),
+        make_figure("all, lowered-planned", [move.lowered_ms for move in made_moves], "ms", "p99<=1", _meets_p99),
+        make_figure(
+            "V² >= 1000 T, lowered-planned", [move.lowered_ms for move in reached_moves], "ms", "p99<=1", _meets_p99
+        ),
+        *([make_figure("V² < 1000 T, lowered-planned", [move.lowered_ms for move in slow], "ms")] if slow else []),
+        make_figure("all, proposal planned again", [move.again_ms for move in made_moves], "ms", "p99<=1", _meets_p99),
         make_figure(
             "all, real-lowered",
-            [each.predicted_ms for each in executed if each.predicted_ms is not None],
+            [move.predicted_ms for move in executed_moves if move.predicted_ms is not None],
             "ms",
             "max<=0.1",
             lambda f: f.max <= ASKED_MAX_MS,
         ),
-        make_figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
+        make_figure(
+            "all, real-planned", [move.planned_ms for move in executed_moves if move.planned_ms is not None], "ms"
+        ),
     ]
     for low, high in CLASSES:
-        of_class = [each.lowered_ms for each in found if low <= each.rate < high]
+        of_class = [move.lowered_ms for move in made_moves if low <= move.rate < high]
         if of_class:
             figures.append(make_figure(f"{low:g}-{high:g}, lowered-planned", of_class, "ms"))
-    within = sum(each.lowered_ms <= ASKED_P99_MS for each in found)
-    chosen = [LoweringChoices("all", {"within 1 ms": within, "further away": len(found) - within})]
-    return LoweringFigures(MAKE, moves, figures, chosen)
+    within = sum(move.lowered_ms <= ASKED_P99_MS for move in made_moves)
+    chosen_choices = [LoweringChoices("all", {"within 1 ms": within, "further away": len(made_moves) - within})]
+    return LoweringFigures(MAKE, moves, figures, chosen_choices)
 
 
 def _meets_p99(found: BenchFigure) -> bool:
@@ -117,20 +121,20 @@ async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int)
     await driver.configure()
     await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
-    executed = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
-    at, found = 0, list[_PpsmcMove]()
-    while len(found) < moves:
+    executed_sample = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
+    at, found_moves = 0, list[_PpsmcMove]()
+    while len(found_moves) < moves:
         profile = _draw_feasible(at, draw)
         if profile is None:
             continue
         lowered_s = driver.lower_profiles({"a": profile}, StartOptions(), None).durations_s["a"]
         rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
         predicted_ms = planned_ms = None
-        if len(found) in executed:
+        if len(found_moves) in executed_sample:
             real_s = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             predicted_ms, planned_ms = abs(real_s - lowered_s) * 1e3, abs(real_s - profile.duration_s) * 1e3
-        found.append(
+        found_moves.append(
             _PpsmcMove(
                 rate=rate,
                 duration_s=profile.duration_s,
@@ -141,7 +145,7 @@ async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int)
             )
         )
     await driver.close()
-    return found
+    return found_moves
 
 
 def _measure_proposal_ms(driver: Driver, profile: Profile, answered_s: float) -> float:
@@ -166,9 +170,9 @@ def _draw_feasible(at: int, draw: Random) -> Profile | None:
 
 async def _measure_execution(clock: VirtualClock, driver: Driver, unit: SimulatedController, profile: Profile) -> float:
     """Return the true duration of the motion, s."""
-    lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)
-    t0_ns = clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 50 * NS_PER_MS
-    await driver.arm_move(lowered, t0_ns, None)
+    lowered_profiles = driver.lower_profiles({"a": profile}, StartOptions(), None)
+    t0_ns = clock.now_ns() + lowered_profiles.costs.arm_ns + lowered_profiles.costs.disarm_ns + 50 * NS_PER_MS
+    await driver.arm_move(lowered_profiles, t0_ns, None)
     await driver.verify_armed()
     await driver.go()
     await driver.wait_for_start()

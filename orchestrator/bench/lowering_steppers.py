@@ -67,8 +67,8 @@ def _fit_one_trapezoid(config: Controller, profile: Profile) -> float:
 
 
 STEPPERS = {
-    each.make: each
-    for each in (
+    stepper.make: stepper
+    for stepper in (
         BenchedStepper(
             "smc30",
             {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"},
@@ -131,35 +131,39 @@ def bench_stepper(make: str, moves: int, seed: int) -> LoweringFigures:
     """Lower `moves` of one of `STEPPERS` and execute a part of them."""
     subject = STEPPERS[make]
     refused = [0]
-    found: list[_StepperMove] = run_virtual(lambda clock: _measure_moves(clock, subject, moves, seed, refused))
-    executed = [each for each in found if each.predicted_ms is not None]
+    made_moves: list[_StepperMove] = run_virtual(lambda clock: _measure_moves(clock, subject, moves, seed, refused))
+    executed_moves = [move for move in made_moves if move.predicted_ms is not None]
     figures = [
-        make_figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=0.2", _meets_p99),
+        make_figure("all, lowered-planned", [move.lowered_ms for move in made_moves], "ms", "p99<=0.2", _meets_p99),
         make_figure(
             "all, real-lowered",
-            [each.predicted_ms for each in executed if each.predicted_ms is not None],
+            [move.predicted_ms for move in executed_moves if move.predicted_ms is not None],
             "ms",
             "max<=0.1",
             lambda f: f.max <= ASKED_MAX_MS,
         ),
-        make_figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
+        make_figure(
+            "all, real-planned", [move.planned_ms for move in executed_moves if move.planned_ms is not None], "ms"
+        ),
     ]
     if subject.alone is not None:
-        alone = [each.alone_ms for each in found if each.alone_ms is not None]
+        alone = [move.alone_ms for move in made_moves if move.alone_ms is not None]
         figures.append(make_figure("all, lowered-planned by one command", alone, "ms"))
-    chosen: list[LoweringChoices] = [LoweringChoices("refused", {"slower than the controller supports": refused[0]})]
+    chosen_choices: list[LoweringChoices] = [
+        LoweringChoices("refused", {"slower than the controller supports": refused[0]})
+    ]
     # Visible where one step of the cruise speed changes the duration by more than the longest ramp can compensate.
-    within = [each.lowered_ms for each in found if each.planned_s < each.rate]
+    within = [move.lowered_ms for move in made_moves if move.planned_s < move.rate]
     if within:
         figures.append(make_figure("seconds < steps/s, lowered-planned", within, "ms", "p99<=0.2", _meets_p99))
     for low, high in pairwise((*CLASSES, subject.quickest)):
-        of_class = [each for each in found if low <= each.rate < high]
+        of_class = [move for move in made_moves if low <= move.rate < high]
         name = f"{low:g}-{high:g}"
         if of_class:
-            figures.append(make_figure(f"{name}, lowered-planned", [each.lowered_ms for each in of_class], "ms"))
-        split = sum(each.commands > 1 for each in of_class)
-        chosen.append(LoweringChoices(name, {"one command": len(of_class) - split, "several commands": split}))
-    return LoweringFigures(make, moves, figures, chosen)
+            figures.append(make_figure(f"{name}, lowered-planned", [move.lowered_ms for move in of_class], "ms"))
+        split = sum(move.commands > 1 for move in of_class)
+        chosen_choices.append(LoweringChoices(name, {"one command": len(of_class) - split, "several commands": split}))
+    return LoweringFigures(make, moves, figures, chosen_choices)
 
 
 def _meets_p99(found: BenchFigure) -> bool:
@@ -196,31 +200,31 @@ async def _measure_moves(
     await driver.configure()
     await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
-    executed = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
-    at, found = 0, list[_StepperMove]()
-    while len(found) < moves:
+    executed_sample = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
+    at, found_moves = 0, list[_StepperMove]()
+    while len(found_moves) < moves:
         profile = _draw_feasible(subject, at, draw)
         if profile is None:
             continue
         try:
-            lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)
+            lowered_profiles = driver.lower_profiles({"a": profile}, StartOptions(), None)
         except Refusal:
             # Slower than the controller supports: not feasible.
             refused[0] += 1
             continue
-        predicted_s = lowered.durations_s["a"]
-        commands = sum(line.startswith(subject.begins) for line in lowered.commands)
+        predicted_s = lowered_profiles.durations_s["a"]
+        commands = sum(line.startswith(subject.begins) for line in lowered_profiles.commands)
         rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
         predicted_ms = planned_ms = alone_ms = None
         if subject.alone is not None:
             alone_ms = abs(subject.alone(config, profile) - profile.duration_s) * 1e3
-        if len(found) in executed:
+        if len(found_moves) in executed_sample:
             start_ns, end_ns = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             device_s = (crystal.device_ns(end_ns) - crystal.device_ns(start_ns)) * 1e-9
             predicted_ms = abs(device_s - predicted_s) * 1e3
             planned_ms = abs((end_ns - start_ns) * 1e-9 - profile.duration_s) * 1e3
-        found.append(
+        found_moves.append(
             _StepperMove(
                 rate,
                 profile.duration_s,
@@ -232,7 +236,7 @@ async def _measure_moves(
             )
         )
     await driver.close()
-    return found
+    return found_moves
 
 
 def _draw_feasible(subject: BenchedStepper, at: int, draw: Random) -> Profile | None:
@@ -254,9 +258,9 @@ async def _measure_execution(
 ) -> tuple[int, int]:
     """Return the true instants of the motion's start and end."""
     before = len(unit.commanded_motions)
-    lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)
-    t0_ns = clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 50 * NS_PER_MS
-    await driver.arm_move(lowered, t0_ns, None)
+    lowered_profiles = driver.lower_profiles({"a": profile}, StartOptions(), None)
+    t0_ns = clock.now_ns() + lowered_profiles.costs.arm_ns + lowered_profiles.costs.disarm_ns + 50 * NS_PER_MS
+    await driver.arm_move(lowered_profiles, t0_ns, None)
     await driver.verify_armed()
     await driver.go()
     await driver.wait_for_start()

@@ -120,7 +120,8 @@ async def _run_script(clock: VirtualClock, moves: Sequence[NaiveMove], steps: in
     for _, port in ports:
         await port.link.close()
     return find_gaps(
-        [(each.start_ns, each.end_ns) for each in unit.commanded_motions if each.end_ns is not None] for unit in units
+        [(motion.start_ns, motion.end_ns) for motion in unit.commanded_motions if motion.end_ns is not None]
+        for unit in units
     )
 
 

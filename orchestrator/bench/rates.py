@@ -138,9 +138,9 @@ def bench_rates(trials: int, seed: int = 1) -> tuple[list[RateFigures], list[Sta
     rates: list[RateFigures] = []
     starts: list[StartFigures] = []
     for case in CASES:
-        found = [_run_trial(case, Random(f"{seed} {case.name} {trial}"), trial) for trial in range(trials)]
+        found_trials = [_run_trial(case, Random(f"{seed} {case.name} {trial}"), trial) for trial in range(trials)]
         for number, moves in enumerate(MOVES):
-            at = [each[number] for each in found]
+            at = [each[number] for each in found_trials]
             rates.append(_make_rate_figures(case.name, moves, at))
             starts.append(_make_start_figures(case.name, moves, at))
     return rates, starts
@@ -157,30 +157,30 @@ class _RateTrial(NamedTuple):
 
 def _run_trial(case: RateCase, draw: Random, number: int) -> list[_RateTrial]:
     crystal = Oscillator(0, draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, number)
-    learned = InferredClock(0.0, REACH_PPM, case.declared)
+    learned_clock = InferredClock(0.0, REACH_PPM, case.declared)
     measured: list[float] = []
     acknowledged: list[int] = []
-    known: list[_RateTrial] = []
+    known_trials: list[_RateTrial] = []
     now_ns = NS_PER_S
     outside = False
     for count in range(1, MOVES[-1] + 1):
         arrived_ns = now_ns + round(draw.uniform(*PAUSES_S) * NS_PER_S)
         duration_s = draw.uniform(SHORTEST_S, LONGEST_S)
-        promised = learned.start_latency_at(now_ns)
+        promised_latency = learned_clock.start_latency_at(now_ns)
         started_ns = arrived_ns + _draw_latency_ns(case, draw) + _draw_decoding_ns(case, draw)
-        outside = outside or not promised.earliest_ns <= started_ns - arrived_ns <= promised.latest_ns
+        outside = outside or not promised_latency.earliest_ns <= started_ns - arrived_ns <= promised_latency.latest_ns
         move, now_ns = _simulate_observations(case, draw, crystal, (arrived_ns, started_ns), duration_s)
-        learned.learn_from_move(move, arrived_ns, None if case.asked_behind else move.started_ns[1], now_ns)
+        learned_clock.learn_from_move(move, arrived_ns, None if case.asked_behind else move.started_ns[1], now_ns)
         heard_ns = move.started_ns[1]
         measured.append((duration_s * NS_PER_S / (now_ns - heard_ns) - 1) * 1e6)
         acknowledged.append(heard_ns - arrived_ns)
         if count in MOVES:
-            known.append(
+            known_trials.append(
                 _compare_estimates(
-                    case, learned, crystal, now_ns, (_compute_mean(measured), _compute_mean(acknowledged))
+                    case, learned_clock, crystal, now_ns, (_compute_mean(measured), _compute_mean(acknowledged))
                 )._replace(outside=outside)
             )
-    return known
+    return known_trials
 
 
 def _compare_estimates(
@@ -191,8 +191,8 @@ def _compare_estimates(
     true_ppm = ((crystal.device_ns(now_ns + ahead_ns) - crystal.device_ns(now_ns)) / ahead_ns - 1) * 1e6
     middle_ns = case.decode_ns + case.spread_ns / 2 + case.way_ns + case.jitter_ns / 2
     usual, declared, mean = (
-        abs(each - middle_ns) / NS_PER_US
-        for each in (learned.start_latency_at(now_ns).usual_ns, case.declared.usual_ns, means[1])
+        abs(duration_ns - middle_ns) / NS_PER_US
+        for duration_ns in (learned.start_latency_at(now_ns).usual_ns, case.declared.usual_ns, means[1])
     )
     return _RateTrial(
         rate=(abs(learned.crystal_rate.rate_ppm - true_ppm), abs(true_ppm), abs(means[0] - true_ppm)),
@@ -254,7 +254,7 @@ def _draw_decoding_ns(case: RateCase, draw: Random) -> int:
 
 
 def _make_rate_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> RateFigures:
-    errors, nominal, mean = (sorted(each.rate[k] for each in at) for k in range(3))
+    errors, nominal, mean = (sorted(trial.rate[k] for trial in at) for k in range(3))
     return RateFigures(
         link=link,
         moves=moves,
@@ -262,15 +262,15 @@ def _make_rate_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> RateF
         p50_ppm=round(_percentile(errors, 0.5), 2),
         p95_ppm=round(_percentile(errors, 0.95), 2),
         max_ppm=round(errors[-1], 2),
-        bound_ppm=round(_percentile(sorted(each.bound_ppm for each in at), 0.5), 1),
-        misses=sum(each.rate[0] > each.bound_ppm for each in at),
+        bound_ppm=round(_percentile(sorted(trial.bound_ppm for trial in at), 0.5), 1),
+        misses=sum(trial.rate[0] > trial.bound_ppm for trial in at),
         nominal_ppm=round(_percentile(nominal, 0.95), 1),
         mean_ppm=round(_percentile(mean, 0.95), 1),
     )
 
 
 def _make_start_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> StartFigures:
-    errors, declared, mean = (sorted(each.start[k] for each in at) for k in range(3))
+    errors, declared, mean = (sorted(trial.start[k] for trial in at) for k in range(3))
     return StartFigures(
         link=link,
         moves=moves,
@@ -278,7 +278,7 @@ def _make_start_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> Star
         p50_us=round(_percentile(errors, 0.5)),
         p95_us=round(_percentile(errors, 0.95)),
         max_us=round(errors[-1]),
-        misses=sum(each.outside for each in at),
+        misses=sum(trial.outside for trial in at),
         declared_us=round(_percentile(declared, 0.95)),
         mean_us=round(_percentile(mean, 0.95)),
     )

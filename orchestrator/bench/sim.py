@@ -108,14 +108,14 @@ def bench_sim(controllers: int, seconds: float, *, step: bool = False, seed: int
         await virtual.start()
         idle = await _measure_window(clock, controllers, seconds)
         await _start_motion(virtual)
-        moving = await _measure_window(clock, controllers, seconds)
+        moving_window = await _measure_window(clock, controllers, seconds)
         shares = await _measure_shares(clock, seconds / WINDOWS)
         in_step = None
         if step:
             await _stop_motion(virtual)
             await _start_job(virtual)
             in_step = await _measure_window(clock, controllers, seconds)
-        return SimFigures(controllers, controllers * len(MOTORS), POLL_HZ, idle, moving, in_step, shares)
+        return SimFigures(controllers, controllers * len(MOTORS), POLL_HZ, idle, moving_window, in_step, shares)
 
     return run_virtual(measure_fleet)
 

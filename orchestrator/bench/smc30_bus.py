@@ -100,7 +100,7 @@ def _run_start(seed: int, way: str) -> tuple[float, float]:
         if way == "E":
             return await _one_by_one(bus), 0.0
         starts, t0_ns = await _start_together(bus, line=way == "line")
-        return (max(starts) - min(starts)) * 1e-6, max(abs(each - t0_ns) for each in starts) * 1e-6
+        return (max(starts) - min(starts)) * 1e-6, max(abs(start - t0_ns) for start in starts) * 1e-6
 
     return run_virtual(measure)
 
@@ -161,10 +161,12 @@ async def _start_together(bus: _Smc30Bus, *, line: bool) -> tuple[list[int], int
         if line
         else StartOptions(start_class="host")
     )
-    lowered = [driver.lower_profiles(profiles, how, None) for driver in bus.drivers]
-    lead_ns = sum(each.costs.arm_ns for each in lowered) + max(each.costs.disarm_ns for each in lowered)
+    lowered_profiles = [driver.lower_profiles(profiles, how, None) for driver in bus.drivers]
+    lead_ns = sum(each.costs.arm_ns for each in lowered_profiles) + max(
+        each.costs.disarm_ns for each in lowered_profiles
+    )
     t0_ns = bus.clock.now_ns() + lead_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
-    pairs = list(zip(bus.drivers, lowered, strict=True))
+    pairs = list(zip(bus.drivers, lowered_profiles, strict=True))
     await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
     await asyncio.gather(*(driver.verify_armed() for driver in bus.drivers))
     await asyncio.gather(*(driver.go() for driver in bus.drivers))

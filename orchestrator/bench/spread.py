@@ -25,7 +25,7 @@ def make_spread(
     durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: float | None = None
 ) -> DurationSpread:
     """Compute percentiles by nearest rank, with a target for the 99th or for the largest."""
-    ordered = sorted(each / 1e6 for each in durations_ns)
+    ordered = sorted(duration_ns / 1e6 for duration_ns in durations_ns)
     p50, p99 = (ordered[math.ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
     asked, met = "", None
     if p99_ms is not None:

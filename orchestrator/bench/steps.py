@@ -96,9 +96,11 @@ def list_fleets() -> list[StepsFleet]:
 def _make_fleet(
     name: str, controllers: list[dict[str, Any]], counts: int, naive: NaiveMove, asked_ms: float | None
 ) -> StepsFleet:
-    named = {f"c{number}": each for number, each in enumerate(controllers)}
-    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "steps", "controllers": named})
-    return StepsFleet(name, fleet, {f"{each}.x": counts for each in named}, [naive] * len(named), asked_ms)
+    named_controllers = {f"c{number}": controller for number, controller in enumerate(controllers)}
+    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "steps", "controllers": named_controllers})
+    return StepsFleet(
+        name, fleet, {f"{each}.x": counts for each in named_controllers}, [naive] * len(named_controllers), asked_ms
+    )
 
 
 async def bench_steps(steps: int, live: Path | None, on_line: Callable[[str], None]) -> list[StepsFigures]:
@@ -106,12 +108,12 @@ async def bench_steps(steps: int, live: Path | None, on_line: Callable[[str], No
 
     Raises `NothingHappened`, `UpFailed`, `Refusal`."""
     figures: list[StepsFigures] = []
-    for number, each in enumerate(list_fleets()):
-        on_line(f"{each.name}: virtual")
-        row = await asyncio.to_thread(_run_virtual, each, steps)
+    for number, fleet in enumerate(list_fleets()):
+        on_line(f"{fleet.name}: virtual")
+        row = await asyncio.to_thread(_run_virtual, fleet, steps)
         if live is not None:
-            on_line(f"{each.name}: live")
-            report, motions = await _run_live(each, steps, live / str(number))
+            on_line(f"{fleet.name}: live")
+            report, motions = await _run_live(fleet, steps, live / str(number))
             row = row._replace(
                 live_gap_ms=_median_gap_ms(motions, steps),
                 live_chained=_count_chained(report),
@@ -183,7 +185,7 @@ async def _run_steps(client: Tutti, name: str, steps: list[dict[str, Any]]) -> J
 
 def _median_gap_ms(motions: Mapping[str, list[tuple[int, int]]], steps: int) -> float:
     """The median gap of the last `steps` steps, ms."""
-    return round(median(find_gaps(each[-steps:] for each in motions.values())) / NS_PER_MS, 2)
+    return round(median(find_gaps(motion[-steps:] for motion in motions.values())) / NS_PER_MS, 2)
 
 
 def _count_chained(report: JobReport) -> int:
@@ -192,11 +194,11 @@ def _count_chained(report: JobReport) -> int:
 
 def _count_breaks(report: JobReport) -> dict[str, int]:
     """How many steps began from rest, by reason."""
-    found: dict[str, int] = {}
+    breaks: dict[str, int] = {}
     for step in report.steps:
         if step.chain is not None and not step.chain.kept:
-            found[step.chain.broken] = found.get(step.chain.broken, 0) + 1
-    return found
+            breaks[step.chain.broken] = breaks.get(step.chain.broken, 0) + 1
+    return breaks
 
 
 def list_breaks(rows: Iterable[StepsFigures]) -> list[str]:

@@ -33,16 +33,16 @@ class TruthLog:
         self._entries: list[dict[str, Any]] = []
 
     async def wait_for_event(self, event: str, at_ns: int) -> int:
-        """Return the instant of the first `start`, `slowing` or `end` of any axis after `at_ns`. Raises
+        """Return the instant of the cause `start`, `slowing` or `end` of any axis after `at_ns`. Raises
         `NothingHappened`."""
         try:
             async with asyncio.timeout(TIMEOUT_S):
-                while (found := self._find_first(event, at_ns)) is None:
+                while (cause := self._find_first(event, at_ns)) is None:
                     await asyncio.sleep(POLL_S)
                     self._read_entries()
         except TimeoutError:
             raise NothingHappened(f"{self._path.stem}: no {event!r} within {TIMEOUT_S:g} s") from None
-        return found
+        return cause
 
     def find_ends(self, at_ns: int) -> list[int]:
         """Return the ends of motions that moved after `at_ns`, as far as recorded."""
@@ -55,16 +55,16 @@ class TruthLog:
         return sum(entry["event"] == event and entry[f"{event}_ns"] > at_ns for entry in self._entries)
 
     def _find_first(self, event: str, at_ns: int) -> int | None:
-        """Find the first such event. Looks back only as far as necessary: a scan of all entries would disturb the
+        """Find the cause such event. Looks back only as far as necessary: a scan of all entries would disturb the
         measurement."""
-        first: int | None = None
+        cause: int | None = None
         for entry in reversed(self._entries):
             ns = entry[f"{entry['event']}_ns"]
             if ns < at_ns - REORDER_NS:
                 break
             if entry["event"] == event and ns > at_ns:
-                first = ns if first is None else min(first, ns)
-        return first
+                cause = ns if cause is None else min(cause, ns)
+        return cause
 
     def _read_entries(self) -> None:
         with self._path.open("rb") as file:

@@ -20,15 +20,15 @@ class AnswerCache:
         """Return the result of `work`, or the past or pending result of the same request. The work continues when
         its caller gives up."""
         key = (verb, request_id)
-        given = self._given.get(key)
-        if isinstance(given, bytes):
-            return given
-        if given is None:
-            given = self._given[key] = asyncio.get_running_loop().create_task(work())
-            given.add_done_callback(lambda done: self._store_answer(key, done))
+        given_answer = self._given.get(key)
+        if isinstance(given_answer, bytes):
+            return given_answer
+        if given_answer is None:
+            given_answer = self._given[key] = asyncio.get_running_loop().create_task(work())
+            given_answer.add_done_callback(lambda done_task: self._store_answer(key, done_task))
             while len(self._given) > MAX_ANSWERS:
                 self._given.popitem(last=False)
-        return await asyncio.shield(given)
+        return await asyncio.shield(given_answer)
 
     def _store_answer(self, key: tuple[str, str], done: "asyncio.Task[bytes]") -> None:
         # A task that failed is kept: a repeated request gets the same error.

@@ -29,10 +29,10 @@ def check_endpoint(text: str) -> str:
 def split_endpoints(text: str) -> list[str]:
     """The endpoints in `text`, in its order. Raises `BadEndpoint`."""
     endpoints = text.split(",")
-    for each in endpoints:
-        found = _parse(each)
-        if not _LOCAL.fullmatch(each) and (found is None or not 0 < int(found[2]) < 65_536):
-            raise BadEndpoint(f"{each!r} is not an endpoint; {_FORM}")
+    for endpoint in endpoints:
+        found = _parse(endpoint)
+        if not _LOCAL.fullmatch(endpoint) and (found is None or not 0 < int(found[2]) < 65_536):
+            raise BadEndpoint(f"{endpoint!r} is not an endpoint; {_FORM}")
     if len(endpoints) > MAX_ENDPOINTS:
         raise BadEndpoint(f"{len(endpoints)} endpoints; at most {MAX_ENDPOINTS} routers are tried")
     return endpoints
@@ -56,7 +56,7 @@ def is_socket(endpoint: str) -> bool:
 
 def describe_openness(text: str) -> str:
     """What is to be said of a bus that other computers reach without certificates; "" where they do not."""
-    open_ones = [each for each in split_endpoints(text) if not (is_private(each) or uses_tls(each))]
+    open_ones = [endpoint for endpoint in split_endpoints(text) if not (is_private(endpoint) or uses_tls(endpoint))]
     if not open_ones:
         return ""
     return f"INSECURE: the bus at {', '.join(open_ones)} has no TLS; everything that reaches it can move this fleet"

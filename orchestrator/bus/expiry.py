@@ -29,11 +29,11 @@ def describe_expiry(expires: datetime, now: datetime) -> str:
 
 def find_priority(expires: datetime, now: datetime) -> AlarmPriority | None:
     """The priority of the alarm for a certificate; None while it has more than 30 days."""
-    found: AlarmPriority | None = None
+    found_priority: AlarmPriority | None = None
     for days, priority in ALARMS:
         if expires - now <= timedelta(days=days):
-            found = priority
-    return found
+            found_priority = priority
+    return found_priority
 
 
 def _format_left(left: timedelta) -> str:

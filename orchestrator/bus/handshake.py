@@ -17,12 +17,12 @@ def shake_hands(client: ssl.SSLContext, server: ssl.SSLContext) -> tuple[Peer, P
     to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
     connecting = client.wrap_bio(to_client, to_server, server_side=False)
     accepting = server.wrap_bio(to_server, to_client, server_side=True)
-    waiting = [connecting, accepting]
-    while waiting:
-        for end in list(waiting):
+    waiting_objects = [connecting, accepting]
+    while waiting_objects:
+        for end in list(waiting_objects):
             try:
                 end.do_handshake()
-                waiting.remove(end)
+                waiting_objects.remove(end)
             except ssl.SSLWantReadError:
                 continue
     return connecting.getpeercert() or {}, accepting.getpeercert() or {}

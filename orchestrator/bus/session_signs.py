@@ -20,7 +20,7 @@ class SessionSigns:
         now_ns = self._clock.now_ns()
         if now_ns - self._cleared_ns > REMEMBERED_NS:
             self._cleared_ns = now_ns
-            self._seen_ns = {each: at_ns for each, at_ns in self._seen_ns.items() if now_ns - at_ns < REMEMBERED_NS}
+            self._seen_ns = {name: at_ns for name, at_ns in self._seen_ns.items() if now_ns - at_ns < REMEMBERED_NS}
         self._seen_ns[sample.key.rpartition("/")[2]] = now_ns
 
     def present_until_ns(self, session: str, since_ns: int) -> int:

@@ -38,8 +38,8 @@ def probe_tls(endpoint: str, identity: Identity) -> str:
             return f"{text}; add this address to it (`tutti keys add-router … --address`), or use one that it has"
         return f"the certificate of the router at {endpoint} is not accepted: {error.verify_message}"
     except ssl.SSLError as error:
-        known = (words for alert, words in _ALERTS.items() if alert in (error.reason or ""))
-        reason = next(known, f"leads to an error of TLS ({error.reason})")
+        known_alerts = (words for alert, words in _ALERTS.items() if alert in (error.reason or ""))
+        reason = next(known_alerts, f"leads to an error of TLS ({error.reason})")
         return f"the certificate {identity.common_name} {reason}; see `tutti keys ls`"
     except TimeoutError:
         return ""

@@ -58,8 +58,8 @@ class ArbitraryReplies:
 
     def change_frames(self, data: bytes) -> bytes:
         """Return what arrives instead of frames of a CAN bus: they are always whole ones."""
-        changed = [each for frame in decode_frames(data) for each in self._change_frame(frame)]
-        return encode_frames(*changed)
+        changed_frames = [each for frame in decode_frames(data) for each in self._change_frame(frame)]
+        return encode_frames(*changed_frames)
 
     def _change_frame(self, frame: CanFrame) -> list[CanFrame]:
         draw = self._draw

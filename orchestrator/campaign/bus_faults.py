@@ -45,10 +45,10 @@ class BusFaults:
             return self._net.heal_partition
         lasts_ns = self._draw.randint(*PARTITION_NS)
         ends = [(host, coordinator) if way == "to" else (coordinator, host) for host in hosts]
-        opened = [self._block_way(*each, lasts_ns) for each in ends]
+        opened_ways = [self._block_way(*end, lasts_ns) for end in ends]
 
         def open_all() -> None:
-            for each in opened:
+            for each in opened_ways:
                 each()
 
         return open_all

@@ -31,5 +31,5 @@ def connect_computers(virtual: VirtualFleet, seed: int) -> None:
     """Draw the network between the computers of a fleet."""
     draw = Random(f"network {seed}")
     for computer in virtual.computers:
-        to, back = (NetworkPath(draw.randint(*DELAYS_NS), draw.randint(*DELAYS_NS), LOSS) for _ in range(2))
-        virtual.net.network.set_path(computer, to=to, back=back)
+        to, way_back = (NetworkPath(draw.randint(*DELAYS_NS), draw.randint(*DELAYS_NS), LOSS) for _ in range(2))
+        virtual.net.network.set_path(computer, to=to, back=way_back)

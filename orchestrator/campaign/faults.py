@@ -55,8 +55,8 @@ class FaultKind:
 
 
 FAULTS: dict[str, FaultKind] = {
-    each.name: each
-    for each in (
+    kind.name: kind
+    for kind in (
         FaultKind("none", "fleet", must_stop=False, harmless=True),
         FaultKind("host-killed", "host"),
         FaultKind("host-hung", "host"),
@@ -135,8 +135,12 @@ class FaultInjector:
         """Return the controllers that `fault` of `member` affects: all of them if one is the controller with the
         permit's input."""
         controllers = list(self._whole_fleet.controllers)
-        touched = controllers if fault.reach == "fleet" else self._find_in_reach(fault, member)
-        return controllers if self._whole_fleet.permits and self._find_permit_input()[0] in touched else touched
+        touched_controllers = controllers if fault.reach == "fleet" else self._find_in_reach(fault, member)
+        return (
+            controllers
+            if self._whole_fleet.permits and self._find_permit_input()[0] in touched_controllers
+            else touched_controllers
+        )
 
     def _find_in_reach(self, fault: FaultKind, member: str) -> list[str]:
         controllers = self._whole_fleet.controllers
@@ -192,7 +196,7 @@ class FaultInjector:
                 bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
             case "permit-lost":
                 door, number, lost = self._find_permit_input()
-                fleet.act_on_controller(door, lambda each: each.set_input(number, level=lost))
+                fleet.act_on_controller(door, lambda controller: controller.set_input(number, level=lost))
                 return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=not lost))
             case "fleet-restarted":
                 return self._kill_all_processes()
@@ -229,14 +233,14 @@ class FaultInjector:
         bus = fleet.net.join_process(f"adversary-{self._clock.now_ns()}")
         real = fleet.coordinators[self.leader_name][1].leadership
         beat = real.make_heartbeat()
-        forged = [
+        forged_heartbeats = [
             beat.model_copy(update={"epoch": 2**53 - 1, "coordinator": "forged"}),
             beat.model_copy(update={"epoch": beat.epoch + 1, "coordinator": "forged", "scale_id": "forged"}),
             beat.model_copy(update={"seq": 2**53 - 1}),
             beat.model_copy(update={"scale_id": "forged", "origin_host_ns": 0}),
         ]
-        for each in self._draw.sample(forged, 3):
-            bus.put(keys.leader, each.to_json(), Priority.EVENT)
+        for heartbeat in self._draw.sample(forged_heartbeats, 3):
+            bus.put(keys.leader, heartbeat.to_json(), Priority.EVENT)
         bus.put(keys.estop_reset, EstopReset(event="another", actor="forged").to_json(), Priority.EVENT)
         garbage = [b"", b"\xff\x00", b"{}", b"null", b'{"epoch": 1e999}', bytes(self._draw.randbytes(200)), b"[" * 5000]
         for controller in self._whole_fleet.controllers:
@@ -271,7 +275,7 @@ class FaultInjector:
         fleet, axis = self._fleet, self._fleet.controllers[member].axis_names[0]
 
         def switch_power(*, on: bool) -> None:
-            fleet.act_on_controller(member, lambda each: each.set_power(on=on))
+            fleet.act_on_controller(member, lambda controller: controller.set_power(on=on))
 
         match fault:
             case "power-off":
@@ -309,8 +313,8 @@ class FaultInjector:
         """Return the input of the fleet's first permit: controller, number, and its level without the permit."""
         permit = next(iter(self._whole_fleet.permits.values()))
         controller, _, name = permit.input.partition(".")
-        wired = self._whole_fleet.controllers[controller].inputs[name]
-        return controller, wired.number, (not permit.value) == (wired.active == "high")
+        wired_input = self._whole_fleet.controllers[controller].inputs[name]
+        return controller, wired_input.number, (not permit.value) == (wired_input.active == "high")
 
     def _schedule_call(self, after_ns: int, call: Callable[[], None]) -> None:
         """Schedule a call outside of every process."""

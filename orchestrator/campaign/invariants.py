@@ -56,8 +56,8 @@ class InvariantChecker:
                 if speed > most * 1.02 + begin:
                     self.add_violation("5", f"{name}.{motor} moves at {speed:.0f} counts/s; its limit is {most:.0f}")
                 then_ns, before = self._speeds.get((name, motor), (now_ns, speed))
-                grown = axis.limits.acceleration * scale * (now_ns - then_ns) / NS_PER_S
-                if speed - before > grown * 1.1 + 2 * begin + most * 0.01:
+                grown_acceleration = axis.limits.acceleration * scale * (now_ns - then_ns) / NS_PER_S
+                if speed - before > grown_acceleration * 1.1 + 2 * begin + most * 0.01:
                     self.add_violation(
                         "5", f"{name}.{motor}: accelerated from {before:.0f} to {speed:.0f} counts/s too quickly"
                     )
@@ -106,8 +106,8 @@ class InvariantChecker:
         self._check_promises(phase)
         self._check_jobs(phase, reports)
         for name in self._whole_fleet.controllers:
-            made = self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]
-            for motion in made:
+            motions = self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]
+            for motion in motions:
                 self._motions.check_motion(phase, name, motion, steps, reports)
             if name not in phase.at_rest:
                 self.add_violation("3", f"{name} is not at rest after the end of all jobs")
@@ -121,33 +121,34 @@ class InvariantChecker:
     def _check_promises(self, phase: CampaignPhase) -> None:
         """Check invariants 1, 7, 9 and 10 on the requests: no member receives `go` before all have made the same
         promise."""
-        asked = [each for each in self._recorder.requests if each.verb == "lease" or each.job_id in phase.jobs]
+        asked_requests = [each for each in self._recorder.requests if each.verb == "lease" or each.job_id in phase.jobs]
         highest: dict[str, int] = {}
-        for each in asked:
-            if each.accepted and each.fields["epoch"] < highest.get(each.member, 0):
+        for request in asked_requests:
+            if request.accepted and request.fields["epoch"] < highest.get(request.member, 0):
                 self.add_violation(
-                    "9", f"{each.member} accepted {each.verb} of epoch {each.fields['epoch']} after a newer one"
+                    "9",
+                    f"{request.member} accepted {request.verb} of epoch {request.fields['epoch']} after a newer one",
                 )
-            if each.accepted:
-                highest[each.member] = max(highest.get(each.member, 0), each.fields["epoch"])
+            if request.accepted:
+                highest[request.member] = max(highest.get(request.member, 0), request.fields["epoch"])
         promises: dict[tuple[str, int], list[RecordedRequest]] = {}
-        for each in asked:
-            if each.verb in ("arm", "commit"):
-                promises.setdefault(each.step_id, []).append(each)
-        for go in (each for each in asked if each.verb == "go"):
-            before = [each for each in promises.get(go.step_id, ()) if each.sent_ns < go.sent_ns]
-            of_step = [each for each in before if each.fields["epoch"] == go.fields["epoch"]]
+        for request in asked_requests:
+            if request.verb in ("arm", "commit"):
+                promises.setdefault(request.step_id, []).append(request)
+        for go in (each for each in asked_requests if each.verb == "go"):
+            requests_before = [each for each in promises.get(go.step_id, ()) if each.sent_ns < go.sent_ns]
+            of_step = [each for each in requests_before if each.fields["epoch"] == go.fields["epoch"]]
             # The members of the last arming: arming again with a longer lead time starts over.
             members = {each.member for each in of_step if each.verb == "arm"}
             for member in sorted(members):
                 self._check_promise(go, member, of_step)
         if phase.fault.name == "host-other-file" and phase.fault_ns is not None and phase.repair_ns is not None:
-            for each in asked:
-                between = phase.fault_ns < each.sent_ns < phase.repair_ns
-                begun = each.verb in ("home", "arm") and each.accepted
-                if begun and each.member == phase.member and between:
+            for request in asked_requests:
+                between = phase.fault_ns < request.sent_ns < phase.repair_ns
+                begun = request.verb in ("home", "arm") and request.accepted
+                if begun and request.member == phase.member and between:
                     self.add_violation(
-                        "10", f"{each.member} accepted {each.verb} with a configuration other than its host's"
+                        "10", f"{request.member} accepted {request.verb} with a configuration other than its host's"
                     )
 
     def _check_promise(self, go: RecordedRequest, member: str, before: Sequence[RecordedRequest]) -> None:
@@ -156,9 +157,12 @@ class InvariantChecker:
         begins_ns = go.fields["t0_fleet_ns"] + go.fields["advance_ns"]
         shift_ns = abs(last["arm"].fields["t0_fleet_ns"] - begins_ns)
         for verb in ("arm", "commit"):
-            each = last.get(verb)
+            request = last.get(verb)
             kept = (
-                each is not None and each.accepted and each.answered_ns is not None and each.answered_ns <= go.sent_ns
+                request is not None
+                and request.accepted
+                and request.answered_ns is not None
+                and request.answered_ns <= go.sent_ns
             )
             if not kept:
                 self.add_violation("1", f"{go.member} received go for {go.step_id} before {member} had answered {verb}")
@@ -192,8 +196,8 @@ class InvariantChecker:
                 continue
             if not row.reason:
                 self.add_violation("3", f"job {order.job.name} is {row.state} without a reason")
-            touched = broken and not phase.fault.harmless and set(order.controllers) & set(phase.affected)
-            if not touched:
+            touched_controllers = broken and not phase.fault.harmless and set(order.controllers) & set(phase.affected)
+            if not touched_controllers:
                 self.add_violation(
                     "7", f"job {order.job.name}, which the fault does not affect, is {row.state}: {row.reason}"
                 )
@@ -206,10 +210,12 @@ class InvariantChecker:
         if step.t0_fleet_ns is None:
             return
         origin_ns, t0_ns = self._records.origin_ns(), step.t0_fleet_ns
-        driven = {each.target for each in self._whole_fleet.connections if each.source in self._untrusted}
+        driven_targets = {
+            connection.target for connection in self._whole_fleet.connections if connection.source in self._untrusted
+        }
         for name, member in step.members.items():
             # A member started by a trigger line begins when the driving controller does.
-            if name in self._untrusted or (member.start_class == "line" and name in driven):
+            if name in self._untrusted or (member.start_class == "line" and name in driven_targets):
                 continue
             for axis, evidence in member.evidence.items():
                 label = f"{name}.{axis} of {phase.jobs[job_id].job.name}"
@@ -226,8 +232,10 @@ class InvariantChecker:
                     self._check_green(label, taken_s, member.lowered_s.get(axis))
                 window = step.budget.members.get(name) if step.budget and not step.budget.by_trigger_line else None
                 if window is not None and not self._start_was_delayed(name, member, truth[0].start_ns):
-                    promised = TimeInterval(earliest_ns=t0_ns + window.earliest_ns, latest_ns=t0_ns + window.latest_ns)
-                    self._check_contains(f"{label} promised start", promised, start_ns)
+                    promised_interval = TimeInterval(
+                        earliest_ns=t0_ns + window.earliest_ns, latest_ns=t0_ns + window.latest_ns
+                    )
+                    self._check_contains(f"{label} promised start", promised_interval, start_ns)
 
     def _check_green(self, label: str, taken_s: float, promised_s: float | None) -> None:
         """Check invariant 12: the axes of a green step have moved as they were planned."""

@@ -70,16 +70,16 @@ def draw_orders(
     others = max(1, len(together) - draw.choice((0, 1, 2)))
     main = sorted([*_find_inseparable(fleet, member), *chain(*together[:others])])
     beside = sorted(chain(*together[others:]))
-    there = dict(positions)
+    positions_there = dict(positions)
     first: list[dict[str, Any]] = []
     if kind == "home":
         first = [{"do": "home", "axes": [member]}]
-        there |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
-    axes = _JobAxes(fleet, main, there)
+        positions_there |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
+    axes = _JobAxes(fleet, main, positions_there)
     if kind == "path":
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
         beside = [name for name in beside if name not in main]
-        job = _draw_path("main", _JobAxes(fleet, main, there), draw)
+        job = _draw_path("main", _JobAxes(fleet, main, positions_there), draw)
     else:
         job = _draw_chain("main", axes, member, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
     if kind == "trigger":
@@ -87,10 +87,12 @@ def draw_orders(
     orders = [JobOrder(job, QueueTerms(), tuple(main))]
     if beside:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
-        orders.append(JobOrder(_draw_moves("beside", _JobAxes(fleet, beside, there), draw), terms, tuple(beside)))
+        orders.append(
+            JobOrder(_draw_moves("beside", _JobAxes(fleet, beside, positions_there), draw), terms, tuple(beside))
+        )
     late = sorted(chain(*draw.sample(_group_inseparable(fleet), 2)))
     terms = QueueTerms(priority=draw.choice((-1, 0)))
-    orders.append(JobOrder(_draw_moves("late", _JobAxes(fleet, late, there), draw), terms, tuple(late)))
+    orders.append(JobOrder(_draw_moves("late", _JobAxes(fleet, late, positions_there), draw), terms, tuple(late)))
     return orders
 
 
@@ -161,9 +163,9 @@ def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random) -> Job:
     begins = dict(axes.positions)
     for number in range(CHAIN_STEPS):
         share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
-        moved = [group for group in groups if member in group or not number or draw.random() < CHAIN_SHARE]
+        moved_groups = [group for group in groups if member in group or not number or draw.random() < CHAIN_SHARE]
         targets: dict[str, float] = {}
-        for axis in (f"{each}.{axis}" for each in chain(*moved) for axis in axes.fleet.controllers[each].axes):
+        for axis in (f"{each}.{axis}" for each in chain(*moved_groups) for axis in axes.fleet.controllers[each].axes):
             reach = axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION
             way = reach if begins[axis] < reach * MAX_MOVE_S / 2 else -reach
             targets[axis] = round(begins[axis] + way * share, 2)
@@ -182,22 +184,31 @@ def _takes_paths(fleet: Fleet, name: str) -> bool:
 def _draw_path(name: str, axes: _JobAxes, draw: Random) -> Job:
     """Draw a job of one path to and fro, of the first axis of each controller: lines, for some chunks. Corners on the
     way out are rounded."""
-    moved = [f"{each}.{next(iter(axes.fleet.controllers[each].axes))}" for each in axes.controllers]
-    speed = min(axes.fleet.axis(axis).limits.velocity for axis in moved) * SPEED_FRACTION
+    moved_axes = [
+        f"{controller}.{next(iter(axes.fleet.controllers[controller].axes))}" for controller in axes.controllers
+    ]
+    speed = min(axes.fleet.axis(axis).limits.velocity for axis in moved_axes) * SPEED_FRACTION
     reach = speed * MAX_MOVE_S
-    positions = [axes.positions[axis] for axis in moved]
+    positions = [axes.positions[axis] for axis in moved_axes]
     ways = [reach if position < reach / 2 else -min(reach, position) for position in positions]
     points = [
         [
             round(axes.positions[axis] + way * share * draw.uniform(0.9, 1.0), 2)
-            for axis, way in zip(moved, ways, strict=True)
+            for axis, way in zip(moved_axes, ways, strict=True)
         ]
         for share in PATH_SHARES
     ]
     pieces = [{"piece": "line", "to": point, "corner": {"within": 0.3}} for point in points]
-    start = [round(axes.positions[axis], 6) for axis in moved]
-    path = {"do": "path", "axes": moved, "start": start, "pieces": pieces, "speed": speed, "tolerance": PATH_TOLERANCE}
-    axes.positions.update(dict(zip(moved, points[-1], strict=True)))
+    start = [round(axes.positions[axis], 6) for axis in moved_axes]
+    path = {
+        "do": "path",
+        "axes": moved_axes,
+        "start": start,
+        "pieces": pieces,
+        "speed": speed,
+        "tolerance": PATH_TOLERANCE,
+    }
+    axes.positions.update(dict(zip(moved_axes, points[-1], strict=True)))
     return make_job(name, [path])
 
 
@@ -232,12 +243,12 @@ def _draw_start_options(fleet: Fleet, controllers: list[str], draw: Random) -> d
     """Draw how the move is synchronised and started, among the options that the makes support."""
     drawn = draw.random()
     makes = {fleet.controllers[name].adapter for name in controllers}
-    waiting = {each.target for each in fleet.connections} & set(controllers)
+    waiting_targets = {connection.target for connection in fleet.connections} & set(controllers)
     if drawn < 0.15:
         return {"sync": "none"}
     if drawn < 0.3:
         return {"sync": "phase"}
-    if drawn < 0.55 and waiting:
+    if drawn < 0.55 and waiting_targets:
         return {"start": "line"}
     classes = {find_traits(make).start_class for make in makes}
     if drawn < 0.65 and classes == {"host"}:

@@ -55,11 +55,11 @@ class MotionChecker:
         steps: Sequence[StepRecord],
         reports: Mapping[str, JobReport | None],
     ) -> None:
-        found = self._records.find_axis(name, motion)
-        if found is None:
+        found_axis = self._records.find_axis(name, motion)
+        if found_axis is None:
             self.add_violation("1", f"{name}: motor {motion.axis} moved, which belongs to no axis")
             return
-        axis_name, axis = found
+        axis_name, axis = found_axis
         label = f"{name}.{axis_name}"
         if motion.end_ns is None:
             self.add_violation("3", f"{label} never ended its motion")
@@ -134,8 +134,10 @@ class MotionChecker:
     def _check_jog(self, phase: CampaignPhase, label: str, motion: CommandedMotion, step: StepRecord | None) -> bool:
         """Check invariant 3 of a jog; return whether the motion was one."""
         name, _, axis = label.partition(".")
-        mine = (each for each in phase.jogs if (each.controller, each.motor) == (name, motion.axis))
-        jog = next((each for each in mine if each.from_ns <= motion.start_ns <= each.renewed_ns + JOG_END_NS), None)
+        mine = (record for record in phase.jogs if (record.controller, record.motor) == (name, motion.axis))
+        jog = next(
+            (record for record in mine if record.from_ns <= motion.start_ns <= record.renewed_ns + JOG_END_NS), None
+        )
         # A new leader gave the axis to a job immediately.
         by_job = jog is not None and step is not None and step.begins_ns[name, axis] > jog.from_ns
         if jog is None or by_job:
@@ -182,23 +184,23 @@ class MotionChecker:
     def _check_lease(self, label: str, name: str, axis: str, motion: CommandedMotion, step: StepRecord) -> None:
         """Check invariant 7: the step's job had the lease of the axis when it began to move, and no other job
         acquired it before it came to rest."""
-        given = [
+        given_requests = [
             each
             for each in self._recorder.find_requests("lease")
             if each.member == name and axis in each.fields["axes"] and each.fields["ttl_ms"] and each.accepted
         ]
-        before = [each for each in given if each.sent_ns <= motion.start_ns]
+        requests_before = [each for each in given_requests if each.sent_ns <= motion.start_ns]
         # A new leader has no record of earlier leases; its jobs wait for motions that still begin or brake.
-        epoch = next((each.fields["epoch"] for each in reversed(before) if each.job_id == step.job), None)
-        if epoch is None or (before[-1].job_id != step.job and before[-1].fields["epoch"] == epoch):
-            holder = before[-1].job_id if before else "no job"
+        epoch = next((each.fields["epoch"] for each in reversed(requests_before) if each.job_id == step.job), None)
+        if epoch is None or (requests_before[-1].job_id != step.job and requests_before[-1].fields["epoch"] == epoch):
+            holder = requests_before[-1].job_id if requests_before else "no job"
             self.add_violation("7", f"{label} moved for job {step.job} while {holder} had its lease")
-        for each in given[len(before) :]:
-            other = each.job_id != step.job and each.fields["epoch"] == epoch
-            if motion.end_ns is not None and each.sent_ns < motion.end_ns and other:
-                late_ns = motion.end_ns - each.sent_ns
+        for request in given_requests[len(requests_before) :]:
+            other = request.job_id != step.job and request.fields["epoch"] == epoch
+            if motion.end_ns is not None and request.sent_ns < motion.end_ns and other:
+                late_ns = motion.end_ns - request.sent_ns
                 self.add_violation(
-                    "7", f"{label} moved for {_format_seconds(late_ns)} more after {each.job_id} acquired its lease"
+                    "7", f"{label} moved for {_format_seconds(late_ns)} more after {request.job_id} acquired its lease"
                 )
                 break
 

@@ -30,7 +30,7 @@ class NamedCommands:
     @property
     def is_repeating(self) -> bool:
         """Whether one command was named so often that it evidently has no effect."""
-        return any(self.commands.count(each) > MOST_REPEATS for each in self.commands)
+        return any(self.commands.count(command) > MOST_REPEATS for command in self.commands)
 
     async def run_named(self, waiting: Sequence[QueueEntry]) -> str:
         """Run the first command that the jobs name; return it, empty if none is named."""

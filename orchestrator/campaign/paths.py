@@ -31,9 +31,9 @@ class PathChecker:
             lines = [piece for piece in step.pieces if isinstance(piece, LinePiece)]
             points = np.array([step.start, *(piece.to for piece in lines)], dtype=np.float64)
             here = np.array([self._find_position(axis) for axis in step.axes])
-            rounded = max(float(each.corner.within) for each in lines if isinstance(each.corner, Within))
+            corner_radius = max(float(line.corner.within) for line in lines if isinstance(line.corner, Within))
             distance = _find_distance(points, here)
-            if distance > float(step.tolerance) + rounded:
+            if distance > float(step.tolerance) + corner_radius:
                 self._add_violation("17", f"{', '.join(step.axes)} are {distance:.3f} off their path, at {here}")
 
     def _find_position(self, name: str) -> float:

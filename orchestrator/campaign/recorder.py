@@ -93,16 +93,16 @@ class BusRecorder:
         axes = fields.pop("profiles", None)
         if axes is not None:
             fields["axes"] = list(axes)
-        asked = RecordedRequest(verb, member, fields, self._clock.now_ns())
-        self.requests.append(asked)
-        self._by_verb.setdefault(verb, []).append(asked)
+        asked_request = RecordedRequest(verb, member, fields, self._clock.now_ns())
+        self.requests.append(asked_request)
+        self._by_verb.setdefault(verb, []).append(asked_request)
         if verb == "arm":
-            self.first_arms_ns.setdefault(asked.step_id, asked.sent_ns)
-            self._armed_axes[asked.step_id, member] = asked.fields["axes"]
+            self.first_arms_ns.setdefault(asked_request.step_id, asked_request.sent_ns)
+            self._armed_axes[asked_request.step_id, member] = asked_request.fields["axes"]
         if verb == "go":
-            self._note_preceding(asked)
-        self._on_request(asked)
-        return asked
+            self._note_preceding(asked_request)
+        self._on_request(asked_request)
+        return asked_request
 
     def _note_preceding(self, go: RecordedRequest) -> None:
         """Note the T0 of the step before this one, for each axis that the member moves. A step that was withdrawn may
@@ -120,12 +120,12 @@ class BusRecorder:
         """Record the reply, for all members that answered."""
         together = key.split("/")[3] == "host"
         texts = json.loads(payload)["replies"] if together else {each.member: payload for each in requests}
-        for each in requests:
-            if each.member in texts:
-                each.answered_ns = self._clock.now_ns()
-                each.reply = json.loads(texts[each.member])
-                each.accepted = each.reply["refused"] is None
-                self._on_request(each)
+        for request in requests:
+            if request.member in texts:
+                request.answered_ns = self._clock.now_ns()
+                request.reply = json.loads(texts[request.member])
+                request.accepted = request.reply["refused"] is None
+                self._on_request(request)
 
 
 class RecordedBus:
@@ -136,10 +136,10 @@ class RecordedBus:
         self._recorder = recorder
 
     async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
-        asked = self._recorder.record_requests(key, payload)
+        asked_requests = self._recorder.record_requests(key, payload)
         reply = await self._bus.request(key, payload, timeout_s, server)
-        if asked:
-            self._recorder.record_replies(key, asked, reply)
+        if asked_requests:
+            self._recorder.record_replies(key, asked_requests, reply)
         return reply
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:

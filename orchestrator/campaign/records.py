@@ -93,9 +93,9 @@ class PhaseRecords:
     def origin_ns(self) -> int:
         """Return the origin of fleet time, in host ns; the same for all leaders on one kernel."""
         return next(
-            each.leadership.scale.origin_host_ns
-            for _, each in self._fleet.coordinators.values()
-            if each.leadership.epoch
+            coordinator.leadership.scale.origin_host_ns
+            for _, coordinator in self._fleet.coordinators.values()
+            if coordinator.leadership.epoch
         )
 
     def find_steps(self, phase: CampaignPhase) -> list[StepRecord]:
@@ -107,8 +107,8 @@ class PhaseRecords:
         for go in self._recorder.find_requests("go"):
             if go.job_id in phase.jobs:
                 gone.setdefault(go.step_id, []).append(go)
-        homes = [each for each in self._recorder.find_requests("home") if each.job_id in phase.jobs]
-        found: list[StepRecord] = []
+        homes = [request for request in self._recorder.find_requests("home") if request.job_id in phase.jobs]
+        records: list[StepRecord] = []
         for home in homes:
             # A controller that hung executes earlier commands whenever it resumes; commands in transit at a stop take
             # effect until the stop arrives.
@@ -117,18 +117,18 @@ class PhaseRecords:
                 until_ns = None if home.member in phase.unstoppable else until_ns + IN_TRANSIT_NS
             axes_of = {home.member: home.fields["axes"]}
             begins_ns = {(home.member, axis): home.sent_ns for axis in home.fields["axes"]}
-            found.append(StepRecord(*home.step_id, home.sent_ns, begins_ns, until_ns, None, axes_of))
-        for (job, index), each in gone.items():
+            records.append(StepRecord(*home.step_id, home.sent_ns, begins_ns, until_ns, None, axes_of))
+        for (job, index), requests in gone.items():
             # With a trigger line each member has a T0 of its own.
-            t0_ns = min(go.fields["t0_fleet_ns"] for go in each) + self.origin_ns()
+            t0_ns = min(go.fields["t0_fleet_ns"] for go in requests) + self.origin_ns()
             members = axes[job, index]
             begins_ns = {
                 (name, axis): self.earliest_motion_ns((job, index), t0_ns, name, axis)
-                for name, moved in members.items()
-                for axis in moved
+                for name, moved_member in members.items()
+                for axis in moved_member
             }
-            found.append(StepRecord(job, index, each[0].sent_ns, begins_ns, None, t0_ns, members))
-        return sorted(found, key=lambda step: step.requested_ns)
+            records.append(StepRecord(job, index, requests[0].sent_ns, begins_ns, None, t0_ns, members))
+        return sorted(records, key=lambda step: step.requested_ns)
 
     def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int, name: str, axis: str) -> int:
         """Return the earliest instant at which a motion of an axis may belong to a step that moves it: near its T0,
@@ -140,9 +140,10 @@ class PhaseRecords:
 
     def completed_steps(self, report: JobReport | None) -> list[tuple[int, int | None]]:
         """Return index and T0 (host ns) of the completed steps of a job."""
-        done = [step for step in report.steps if step.state == "done"] if report is not None else []
+        done_steps = [step for step in report.steps if step.state == "done"] if report is not None else []
         return [
-            (step.index, None if step.t0_fleet_ns is None else self.origin_ns() + step.t0_fleet_ns) for step in done
+            (step.index, None if step.t0_fleet_ns is None else self.origin_ns() + step.t0_fleet_ns)
+            for step in done_steps
         ]
 
     def find_step(
@@ -150,17 +151,19 @@ class PhaseRecords:
     ) -> StepRecord | None:
         """Return the last step that had begun, or was about to, when the axis began to move."""
         mine = [step for step in steps if (name, axis) in step.begins_ns]
-        begun = [step for step in mine if step.begins_ns[name, axis] <= motion.start_ns]
-        if not begun or (begun[-1].until_ns is not None and begun[-1].until_ns < motion.start_ns):
+        begun_records = [step for step in mine if step.begins_ns[name, axis] <= motion.start_ns]
+        if not begun_records or (
+            begun_records[-1].until_ns is not None and begun_records[-1].until_ns < motion.start_ns
+        ):
             return None
-        return begun[-1]
+        return begun_records[-1]
 
     def declared_stop_ns(self, name: str) -> int:
         """Return the stop time that a member declared in its last propose reply."""
         costs = [
-            each.reply["costs"]
-            for each in self._recorder.find_requests("propose")
-            if each.member == name and each.accepted
+            request.reply["costs"]
+            for request in self._recorder.find_requests("propose")
+            if request.member == name and request.accepted
         ]
         return costs[-1]["stop_ns"] if costs else 0
 
@@ -178,9 +181,9 @@ class PhaseRecords:
         until_ns = min(later, default=None)
         from_ns = self.earliest_motion_ns(step, t0_host_ns, name, axis)
         return [
-            each
-            for each in self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]
-            if each.axis == motor and each.start_ns >= from_ns and (until_ns is None or each.start_ns < until_ns)
+            motion
+            for motion in self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]
+            if motion.axis == motor and motion.start_ns >= from_ns and (until_ns is None or motion.start_ns < until_ns)
         ]
 
     def _find_later_begins(
@@ -198,7 +201,7 @@ class PhaseRecords:
             elif go.step_id != step and t0_ns > t0_host_ns:
                 # Also of a step that was withdrawn before: it may have been meant to begin later than this one.
                 yield max(self.earliest_motion_ns(go.step_id, t0_ns, name, axis), (t0_host_ns + t0_ns) // 2)
-        homes = (each for each in self._recorder.find_requests("home") if each.member == name)
-        homed_ns = (each.sent_ns for each in homes if axis in each.fields["axes"])
-        jogs = (each.from_ns for each in phase.jogs if (each.controller, each.motor) == (name, motor))
+        homes = (request for request in self._recorder.find_requests("home") if request.member == name)
+        homed_ns = (home.sent_ns for home in homes if axis in home.fields["axes"])
+        jogs = (jog.from_ns for jog in phase.jogs if (jog.controller, jog.motor) == (name, motor))
         yield from (begin_ns for begin_ns in (*homed_ns, *jogs) if begin_ns > t0_host_ns)

@@ -12,7 +12,7 @@ async def find_at_rest(fleet: VirtualFleet, clock: VirtualClock) -> set[str]:
     not at rest for a while: it is checked repeatedly."""
     resting: set[str] = set()
     for _ in range(POLLS):
-        resting |= {name for name, each in fleet.controllers.items() if each.at_rest()}
+        resting |= {name for name, controller in fleet.controllers.items() if controller.at_rest()}
         if len(resting) == len(fleet.controllers):
             break
         await sleep_ns(clock, POLL_NS)

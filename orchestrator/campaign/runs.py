@@ -77,8 +77,8 @@ def cells_of_seed(seed: int, choice: SeedChoice = EVERY_SEED) -> list[FaultCell]
     if choice.is_narrowed:
         cells = choice.list_cells()
         return [cells[seed % len(cells)]]
-    again = seed // len(ROUND)
-    return [ROUND[(seed + act * (PAIRS // PHASES + 157 * again)) % len(ROUND)] for act in range(PHASES)]
+    seed_again = seed // len(ROUND)
+    return [ROUND[(seed + act * (PAIRS // PHASES + 157 * seed_again)) % len(ROUND)] for act in range(PHASES)]
 
 
 @dataclass(slots=True)
@@ -122,16 +122,16 @@ def run_campaign(
     choice: SeedChoice = EVERY_SEED,
 ) -> CampaignResult:
     """Run seeds in parallel `processes`; `on_run` receives each run, in the order of the seeds."""
-    found = CampaignResult(choice.list_cells())
+    campaign = CampaignResult(choice.list_cells())
     for story in map_in_processes(partial(run_seed, choice=choice), seeds, processes):
-        found.seeds += 1
-        found.cells.update(story.affected)
-        found.controllers.append(len(story.fleet.controllers))
-        found.jobs.append(story.jobs)
-        found.faults.append(len(story.hit))
-        found.fleet_s.append(story.fleet_s)
-        found.controller_s += story.fleet_s * len(story.fleet.controllers)
+        campaign.seeds += 1
+        campaign.cells.update(story.affected)
+        campaign.controllers.append(len(story.fleet.controllers))
+        campaign.jobs.append(story.jobs)
+        campaign.faults.append(len(story.hit))
+        campaign.fleet_s.append(story.fleet_s)
+        campaign.controller_s += story.fleet_s * len(story.fleet.controllers)
         if story.violations:
-            found.violations[story.seed] = story.violations
+            campaign.violations[story.seed] = story.violations
         on_run(story)
-    return found
+    return campaign

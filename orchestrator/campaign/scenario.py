@@ -216,8 +216,8 @@ class _Scenario:
     async def _run_phase(self, client: Tutti, cell: FaultCell, *, last: bool) -> None:
         fleet, fault = self._seed_run.fleet, FAULTS[cell.fault]
         member = self._draw.choice([n for n, config in fleet.controllers.items() if config.adapter == cell.make])
-        before = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
-        act = CampaignPhase(fault, member, self._injector.find_affected(fault, member), before)
+        controllers_before = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
+        act = CampaignPhase(fault, member, self._injector.find_affected(fault, member), controllers_before)
         reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
         self._target = act, cell, reached
         self._phase = act
@@ -297,8 +297,8 @@ class _Scenario:
         now_ns = phase.fault_ns = self._clock.now_ns()
         hit = cell._replace(stage=stage)
         all_of_step = phase.fault.reach == "fleet" and stage not in SINGLE_MEMBER_STAGES
-        together = phase.jobs[step[0]].controllers if all_of_step else [phase.member]
-        makes = dict.fromkeys(self._seed_run.fleet.controllers[name].adapter for name in together)
+        together_controllers = phase.jobs[step[0]].controllers if all_of_step else [phase.member]
+        makes = dict.fromkeys(self._seed_run.fleet.controllers[name].adapter for name in together_controllers)
         self._seed_run.hit.append(hit)
         self._seed_run.affected += [hit._replace(make=make) for make in makes]
         self._log_event(f"{cell.fault} of {phase.member} at {stage}")
@@ -348,20 +348,22 @@ class _Scenario:
         phase.queue_started_ns = since_ns = self._clock.now_ns()
         operator = NamedCommands(client, partial(self._run_step, client, phase))
         while True:
-            waiting: list[QueueEntry] = []
+            waiting_entries: list[QueueEntry] = []
             with suppress(Refusal):
                 if last and self._all_finished(phase):
                     await self._submit_witness(client, phase)
-                queued = (await client.list_jobs(state="queued")).jobs
-                waiting = sorted((each for each in queued if each.id in phase.jobs), key=lambda each: each.place or 0)
-                command = await operator.run_named(waiting)
+                queued_jobs = (await client.list_jobs(state="queued")).jobs
+                waiting_entries = sorted(
+                    (entry for entry in queued_jobs if entry.id in phase.jobs), key=lambda each: each.place or 0
+                )
+                command = await operator.run_named(waiting_entries)
                 if command:
                     self._log_event(f"tutti {command}")
                     since_ns = self._clock.now_ns()
             if self._all_finished(phase) and (not last or self._is_witness_done(phase)):
                 break
             if operator.is_repeating or self._clock.now_ns() - since_ns > LIVENESS_NS:
-                reasons = "; ".join(f"{each.name}: {each.reason}" for each in waiting)
+                reasons = "; ".join(f"{entry.name}: {entry.reason}" for entry in waiting_entries)
                 said = ", ".join(operator.commands) or "no command was named"
                 self.checker.add_violation("13", f"jobs do not go on after the repair ({said}): {reasons}")
                 break
@@ -399,22 +401,27 @@ class _Scenario:
         for _ in range(round(READY_TIMEOUT_S / 0.5)):
             states = await client.status(1.0)
             epoch = self.virtual.coordinators[self._injector.leader_name][1].leadership.epoch
-            troubled = [
+            troubled_controllers = [
                 name
                 for name in fleet.controllers
                 if name not in states or states[name].faults or states[name].mode == "offline"
             ]
-            latched = [name for name, state in states.items() if state.estop is not None]
+            latched_states = [name for name, state in states.items() if state.estop is not None]
             strange = [name for name, state in states.items() if not epoch or state.epoch != epoch]
-            if not troubled and not latched and not strange and len(states) == len(fleet.controllers):
+            if (
+                not troubled_controllers
+                and not latched_states
+                and not strange
+                and len(states) == len(fleet.controllers)
+            ):
                 return
-            if latched or troubled:
+            if latched_states or troubled_controllers:
                 await client.reset()
             await sleep_ns(self._clock, 500 * NS_PER_MS)
-        shown = {
-            name: (state.mode, state.epoch, [each.text for each in state.faults]) for name, state in states.items()
+        shown_modes = {
+            name: (state.mode, state.epoch, [fault.text for fault in state.faults]) for name, state in states.items()
         }
-        self.checker.add_violation("3", f"not ready {READY_TIMEOUT_S} s after the repair: {shown}")
+        self.checker.add_violation("3", f"not ready {READY_TIMEOUT_S} s after the repair: {shown_modes}")
 
     async def _restore_axes(self, client: Tutti) -> bool:
         """Enable and home the axes that the fault has left disabled, unreferenced or on a limit switch.
@@ -426,22 +433,22 @@ class _Scenario:
         states = await client.status()
         axes = [(f"{name}.{axis}", each) for name, state in states.items() for axis, each in state.axes.items()]
         off = [name for name, each in axes if not each.enabled]
-        lost = [name for name, each in axes if not each.referenced or each.limit != "none"]
-        if not off and not lost:
+        lost_axes = [name for name, each in axes if not each.referenced or each.limit != "none"]
+        if not off and not lost_axes:
             return True
-        self._log_event(f"homing {', '.join(lost)}" if lost else f"enabling {', '.join(off)}")
-        return await self._prepare_axes(client, sorted({*off, *lost}), lost)
+        self._log_event(f"homing {', '.join(lost_axes)}" if lost_axes else f"enabling {', '.join(off)}")
+        return await self._prepare_axes(client, sorted({*off, *lost_axes}), lost_axes)
 
     async def _check_repeated_submit(self, client: Tutti, phase: CampaignPhase, keys: dict[str, str]) -> None:
         """Check invariant 6: a client that repeats a request after a lost reply gets the same job."""
         job_id, order = next(iter(phase.jobs.items()))
         try:
-            again = await client.submit(order.job, keys[order.job.name], order.terms)
+            job_again = await client.submit(order.job, keys[order.job.name], order.terms)
         except Refusal as error:
             self.checker.add_violation("9", f"a coordinator that cannot accept jobs answers for one: {error.text}")
             return
-        if again != job_id:
-            self.checker.add_violation("6", f"job {order.job.name} was accepted twice: {job_id} and {again}")
+        if job_again != job_id:
+            self.checker.add_violation("6", f"job {order.job.name} was accepted twice: {job_id} and {job_again}")
 
     async def _jog_free_axis(self, phase: CampaignPhase) -> None:
         """Jog an axis that no job uses for a while."""
@@ -530,8 +537,12 @@ class _Scenario:
         config = self._seed_run.fleet.controllers[member]
         if find_traits(config.adapter).verifies_reference:
             return _VERIFIED_HOMING_NS
-        asked = (each for each in self.recorder.find_requests("home") if each.member == member and each.accepted)
-        shortest_ns = min(each.answered_ns - each.sent_ns for each in asked if each.answered_ns is not None)
+        asked_requests = (
+            request for request in self.recorder.find_requests("home") if request.member == member and request.accepted
+        )
+        shortest_ns = min(
+            request.answered_ns - request.sent_ns for request in asked_requests if request.answered_ns is not None
+        )
         where = self._axis_positions()
         ways_s = (
             abs(where[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
@@ -543,10 +554,14 @@ class _Scenario:
     def _expected_arming_ns(self, member: str) -> int:
         """Return the duration of the member's last arming; before the first one, a tenth of the limit that it
         declared."""
-        taken = {each.verb: each.reply for each in self.recorder.requests if each.member == member and each.accepted}
-        if "arm" in taken:
-            return taken["arm"]["took_ns"]
-        return (taken["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
+        taken_replies = {
+            request.verb: request.reply
+            for request in self.recorder.requests
+            if request.member == member and request.accepted
+        }
+        if "arm" in taken_replies:
+            return taken_replies["arm"]["took_ns"]
+        return (taken_replies["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
 
     def _find_stage(self, step: tuple[str, int], member: str) -> Stage | None:
         """Return the stage that `member` has reached in the step; None when its job has ended."""
@@ -591,7 +606,11 @@ class _Scenario:
     def _check_leaders(self) -> None:
         """Check invariant 9: the leaders have different epochs, and an overtaken coordinator has detected its loss
         of leadership."""
-        epochs = [each.leadership.epoch for _, each in self.virtual.coordinators.values() if each.leadership.epoch]
+        epochs = [
+            coordinator.leadership.epoch
+            for _, coordinator in self.virtual.coordinators.values()
+            if coordinator.leadership.epoch
+        ]
         if len(set(epochs)) != len(epochs):
             self.checker.add_violation("9", f"two leaders with one epoch: {epochs}")
         for name in self._injector.former_leaders:

@@ -45,11 +45,15 @@ class TriggerChecker:
     ) -> None:
         """Check invariant 16 for all edges of a phase."""
         for name, rises in self._rises.items():
-            begun = [step for step in steps if step.t0_ns is not None and name in step.axes]
+            begun_steps = [step for step in steps if step.t0_ns is not None and name in step.axes]
             found: dict[tuple[str, int], list[int]] = {}
             for at_ns in rises:
                 step = next(
-                    (each for each in reversed(begun) if each.t0_ns is not None and each.t0_ns - EARLY_NS <= at_ns),
+                    (
+                        record
+                        for record in reversed(begun_steps)
+                        if record.t0_ns is not None and record.t0_ns - EARLY_NS <= at_ns
+                    ),
                     None,
                 )
                 if step is None:
@@ -85,13 +89,15 @@ class TriggerChecker:
     def _check_rows(self, name: str, step: StepReport, rises: Sequence[int]) -> None:
         """Check that every row of evidence is of a true edge, which is inside its interval."""
         origin_ns = self._records.origin_ns()
-        for triggered in step.triggers:
-            if triggered.output != f"{name}.{TRIGGER_OUTPUT}":
+        for triggered_report in step.triggers:
+            if triggered_report.output != f"{name}.{TRIGGER_OUTPUT}":
                 continue
-            if triggered.seen > len(rises):
-                self._add_violation("16", f"{triggered.output}: {triggered.seen} edges, and {len(rises)} have happened")
-            for row, at_ns in zip(triggered.rows, rises, strict=False):
+            if triggered_report.seen > len(rises):
+                self._add_violation(
+                    "16", f"{triggered_report.output}: {triggered_report.seen} edges, and {len(rises)} have happened"
+                )
+            for row, at_ns in zip(triggered_report.rows, rises, strict=False):
                 if row.seen is not None and not row.seen.earliest_ns <= at_ns - origin_ns <= row.seen.latest_ns:
                     self._add_violation(
-                        "16", f"{triggered.output}: edge {row.number} at {at_ns - origin_ns}, claimed {row.seen}"
+                        "16", f"{triggered_report.output}: edge {row.number} at {at_ns - origin_ns}, claimed {row.seen}"
                     )

@@ -36,18 +36,23 @@ def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
 
     async def show_axes(tutti: Tutti) -> None:
         states = await require_states(tutti)
-        rows = {f"{c}.{a}": (state, now) for c, state in states.items() for a, now in state.axes.items()}
+        rows = {f"{c}.{a}": (state, axis_now) for c, state in states.items() for a, axis_now in state.axes.items()}
         if as_json:
-            print_json({name: now.to_plain() for name, (_, now) in rows.items()})
+            print_json({name: state_now.to_plain() for name, (_, state_now) in rows.items()})
             return
         table = make_plain_table(["axis", "position>", "unit", "motor>", "counts>", "axis is"], ["axis is"])
-        for name, (state, now) in rows.items():
+        for name, (state, row_now) in rows.items():
             if state.mode == "offline":
-                table.add_row(name, "-", now.unit, "-", "-", "offline")
+                table.add_row(name, "-", row_now.unit, "-", "-", "offline")
                 continue
-            user, motor = f"{now.position:,.4f}", f"{now.motor_position:,.4f}"
+            user, motor = f"{row_now.position:,.4f}", f"{row_now.motor_position:,.4f}"
             table.add_row(
-                name, user, now.unit, motor, f"{now.raw_counts:,.0f}", describe_axis(now, estop=state.estop is not None)
+                name,
+                user,
+                row_now.unit,
+                motor,
+                f"{row_now.raw_counts:,.0f}",
+                describe_axis(row_now, estop=state.estop is not None),
             )
         console.print(table)
 
@@ -143,8 +148,13 @@ def move(
     Ctrl-C, a closed terminal, or the end of this process in any other way stops the axes by their ramps. This is
     software: it is no substitute for a wired emergency stop.
     """
-    wanted = parse_targets(targets, "TARGETS")
-    step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
+    wanted_targets = parse_targets(targets, "TARGETS")
+    step = {
+        "do": "move",
+        "by" if relative else "to": wanted_targets,
+        "speed": speed,
+        "sync": "phase" if line else "time",
+    }
     run_single_step(connect, fleet, step, "", wait=wait, as_json=as_json)
 
 

@@ -61,13 +61,13 @@ def acquire(
                 print_json({"holder": control.holder, "axes": control.axes})
             else:
                 console.print(f"acquired: {', '.join(control.axes)}; Ctrl-C releases them", highlight=False)
-            ended = asyncio.Event()
+            ended_event = asyncio.Event()
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                asyncio.get_running_loop().add_signal_handler(number, ended.set)
-            while not ended.is_set():
+                asyncio.get_running_loop().add_signal_handler(number, ended_event.set)
+            while not ended_event.is_set():
                 try:
                     async with asyncio.timeout(0.5):
-                        await ended.wait()
+                        await ended_event.wait()
                 except TimeoutError:
                     if control.lost is not None:
                         exit_with_error(
@@ -95,23 +95,23 @@ def release(axes: tuple[str, ...], connect: str, fleet: str | None, *, force: bo
     async def release_axes(tutti: "Tutti") -> None:
         wanted = {name.partition(".")[0] for name in require_axes(await tutti.list_names(), axes)}
         manual = [lease for lease in await tutti.list_leases() if (lease.holder or "").startswith("manual-")]
-        found = [lease for lease in manual if not wanted or lease.controller in wanted]
-        others = [lease for lease in found if lease.actor != actor_name()]
-        if others and wanted and not force:
-            first = others[0]
+        states = [lease for lease in manual if not wanted or lease.controller in wanted]
+        others_states = [lease for lease in states if lease.actor != actor_name()]
+        if others_states and wanted and not force:
+            first = others_states[0]
             exit_with_error(
                 f"{first.controller} is acquired by {first.actor} ({first.what})",
                 remedy="agree with that user, then repeat with --force",
                 code="leased",
             )
-        holders = {lease.holder: lease for lease in found if force or lease.actor == actor_name()}
+        holders = {lease.holder: lease for lease in states if force or lease.actor == actor_name()}
         for holder in holders:
             assert holder is not None
             await tutti.release_axes(holder)
         if as_json:
-            print_json({"released": [lease.controller for lease in found if lease.holder in holders]})
+            print_json({"released": [lease.controller for lease in states if lease.holder in holders]})
         else:
-            freed = ", ".join(lease.controller for lease in found if lease.holder in holders)
+            freed = ", ".join(lease.controller for lease in states if lease.holder in holders)
             console.print(f"released: {freed}" if holders else "no axis is acquired", highlight=False)
 
     with_fleet(connect, fleet, release_axes)

@@ -119,10 +119,10 @@ def _print_table(table: BenchTable, document: Document) -> None:
         return
     if table.title:
         console.print(table.title.format_map(document), style="bold", highlight=False)
-    shown = make_plain_table([column.title for column in table.all_columns])
+    shown_table = make_plain_table([column.title for column in table.all_columns])
     for row in rows:
-        shown.add_row(*(_format_cell(column, row) for column in table.all_columns))
-    console.print(shown)
+        shown_table.add_row(*(_format_cell(column, row) for column in table.all_columns))
+    console.print(shown_table)
 
 
 def _format_cell(column: BenchColumn, row: Any) -> str:

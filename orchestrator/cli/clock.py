@@ -30,17 +30,17 @@ def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.monitor.tables import make_plain_table
 
     async def list_clocks(tutti: Tutti) -> None:
-        found = await query_clocks(tutti)
-        if not found:
+        clocks = await query_clocks(tutti)
+        if not clocks:
             raise await tutti.find_absence()
         if as_json:
-            print_json({name: reply.to_plain() for name, reply in found.items()})
+            print_json({name: reply.to_plain() for name, reply in clocks.items()})
             return
         table = make_plain_table(
             ["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "samples>", "residual>"]
         )
         learned: list[str] = []
-        for name, reply in found.items():
+        for name, reply in clocks.items():
             table.add_row(name, ", ".join(reply.start_classes), *_make_cells(reply.mapping, reply.crystal))
             learned += describe_learned(reply, datetime.now(UTC))
         console.print(table)
@@ -61,10 +61,10 @@ def show(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> 
     from orchestrator.client.connection import absence_refusal
 
     async def show_clock(tutti: Tutti) -> None:
-        found = await query_clocks(tutti)
-        if controller not in found:
+        clocks = await query_clocks(tutti)
+        if controller not in clocks:
             raise absence_refusal(controller)
-        reply = found[controller]
+        reply = clocks[controller]
         if as_json:
             print_json(reply.to_plain())
             return
@@ -104,12 +104,13 @@ def describe_learned(reply: ClockReply, now: datetime) -> list[str]:
     from orchestrator.monitor.times import format_time
 
     lines: list[str] = []
-    for each in reply.unusual_starts:
-        at = format_time(format_utc(now - timedelta(microseconds=each.age_ns / 1000)))
-        step = f" of job {each.job}, step {each.step}," if each.step is not None else ""
+    for start in reply.unusual_starts:
+        at = format_time(format_utc(now - timedelta(microseconds=start.age_ns / 1000)))
+        step = f" of job {start.job}, step {start.step}," if start.step is not None else ""
         lines.append(
-            f"{reply.controller}: the start{step} learned at {at}, was {abs(each.outside_ns) / 1e6:.1f} ms "
-            f"{'later' if each.outside_ns > 0 else 'earlier'} than declared; {each.remaining_ns / 1e6:.1f} ms are left"
+            f"{reply.controller}: the start{step} learned at {at}, was {abs(start.outside_ns) / 1e6:.1f} ms "
+            f"{'later' if start.outside_ns > 0 else 'earlier'} than declared; "
+            f"{start.remaining_ns / 1e6:.1f} ms are left"
         )
     return [*lines, f"{reply.controller}: these starts widen the bounds of a start by {reply.widened_ns / 1e6:.1f} ms"]
 

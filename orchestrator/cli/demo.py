@@ -98,10 +98,10 @@ def demo(
         from orchestrator.monitor.report_table import make_report_tables
 
         console.print(make_report_tables(report, detailed=verbose))
-        for each in truths:
-            holds = "the verdict contains it" if each.held else "[yellow]outside the verdict[/]"
-            outside = f"; outside their evidence: {', '.join(each.outside)}" if each.outside else ""
-            console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}{outside}")
+        for check in truths:
+            holds = "the verdict contains it" if check.held else "[yellow]outside the verdict[/]"
+            outside = f"; outside their evidence: {', '.join(check.outside)}" if check.outside else ""
+            console.print(f"step {check.step}: true start skew {check.skew_ns / 1e6:.2f} ms; {holds}{outside}")
         if not all(each.held and not each.outside for each in truths):
             console.print("Simulated controllers react late on a busy machine, unlike real ones.")
     # For programs the summary says all of it.

@@ -31,25 +31,25 @@ def down(state: Path | None, fleet: str | None, host: str, *, as_json: bool) -> 
 
     Only the processes of that `tutti up` are ended. Exit 1, and nothing is ended, while an axis does not come to rest.
     """
-    running = _choose_fleet(state, fleet, host)
+    running_fleet = _choose_fleet(state, fleet, host)
     # From here on it is this process, whatever takes its id later.
     try:
-        process = os.pidfd_open(running.pid)
+        process = os.pidfd_open(running_fleet.pid)
     except ProcessLookupError:
-        exit_with_error(f"fleet {running.fleet} has just ended", UNREACHABLE)
+        exit_with_error(f"fleet {running_fleet.fleet} has just ended", UNREACHABLE)
     try:
-        if _has_ended(running):
-            exit_with_error(f"fleet {running.fleet} has just ended", UNREACHABLE)
-        run_main(_bring_to_rest(running))
+        if _has_ended(running_fleet):
+            exit_with_error(f"fleet {running_fleet.fleet} has just ended", UNREACHABLE)
+        run_main(_bring_to_rest(running_fleet))
         signal.pidfd_send_signal(process, signal.SIGTERM)
     except PermissionError:
-        exit_with_error(f"fleet {running.fleet} is run by another user (process {running.pid})", FAILED)
+        exit_with_error(f"fleet {running_fleet.fleet} is run by another user (process {running_fleet.pid})", FAILED)
     finally:
         os.close(process)
-    _wait_for_end(running)
-    value = {"fleet": running.fleet, "state": str(running.folder)}
-    what = f"adapter host {running.adapter_host} of fleet" if running.adapter_host else "fleet"
-    print_result(value, f"{what} {running.fleet} is down", as_json=as_json)
+    _wait_for_end(running_fleet)
+    value = {"fleet": running_fleet.fleet, "state": str(running_fleet.folder)}
+    what = f"adapter host {running_fleet.adapter_host} of fleet" if running_fleet.adapter_host else "fleet"
+    print_result(value, f"{what} {running_fleet.fleet} is down", as_json=as_json)
 
 
 def _choose_fleet(state: Path | None, fleet: str | None, host: str) -> "RunningFleet":
@@ -57,24 +57,24 @@ def _choose_fleet(state: Path | None, fleet: str | None, host: str) -> "RunningF
     from orchestrator.runtime.state_folder import default_state, find_running_fleet, find_running_fleets
 
     if state is not None:
-        found = find_running_fleet(state)
-        if found is None:
+        found_fleet = find_running_fleet(state)
+        if found_fleet is None:
             exit_with_error(f"no fleet runs with the state folder {state}", UNREACHABLE)
-        return found
-    running = find_running_fleets(host)
-    chosen = [each for each in running if fleet in (None, each.fleet)]
-    names = ", ".join(each.fleet for each in running)
-    if not chosen:
+        return found_fleet
+    running_fleets = find_running_fleets(host)
+    chosen_fleets = [each for each in running_fleets if fleet in (None, each.fleet)]
+    names = ", ".join(each.fleet for each in running_fleets)
+    if not chosen_fleets:
         where = f"below {default_state('any').parent}"
         text = f"no fleet {fleet} runs {where}; there run: {names}" if fleet and names else f"no fleet runs {where}"
         exit_with_error(
             text, UNREACHABLE, "name its folder, if it was started with --state: `tutti down --state FOLDER`"
         )
-    if len(chosen) > 1:
+    if len(chosen_fleets) > 1:
         exit_with_error(
             f"several fleets run: {names}", BAD_INPUT, "choose one with --fleet or --state", code="which-fleet"
         )
-    return chosen[0]
+    return chosen_fleets[0]
 
 
 async def _bring_to_rest(running: "RunningFleet") -> None:
@@ -106,8 +106,8 @@ async def _find_moving(tutti: "Tutti") -> list[str]:
         f"{name}.{axis}"
         for name, state in (await tutti.status(1.0)).items()
         if state.mode != "offline"
-        for axis, now in state.axes.items()
-        if now.moving or now.homing
+        for axis, axis_now in state.axes.items()
+        if axis_now.moving or axis_now.homing
     ]
 
 

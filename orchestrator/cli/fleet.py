@@ -91,18 +91,18 @@ def estop(connect: str, fleet: str | None, reason: str, port: str, *, armed: boo
     if armed:
         _run_armed(connect, fleet, reason, port, as_json=as_json)
         return
-    latched = run_main(_send_estop(connect, fleet, reason))
+    latched_main = run_main(_send_estop(connect, fleet, reason))
     remedy = "use the wired e-stop; then see `tutti status`"
     if not as_json:
-        for controller, done in latched.items():
+        for controller, done in latched_main.items():
             console.print(f"{controller}: {'latched' if done else '[bold red]NOT LATCHED[/]'}")
-    if not latched:
+    if not latched_main:
         exit_with_error(f"no controller on {connect} confirms the e-stop", UNREACHABLE, remedy, code="no-answer")
-    if not all(latched.values()):
+    if not all(latched_main.values()):
         text = "not every controller confirms the e-stop"
-        exit_with_error(text, FAILED, remedy, code="not-latched", latched=latched)
+        exit_with_error(text, FAILED, remedy, code="not-latched", latched=latched_main)
     if as_json:
-        print_json(latched)
+        print_json(latched_main)
 
 
 async def _send_estop(connect: str, fleet: str | None, reason: str) -> dict[str, bool]:
@@ -137,10 +137,10 @@ async def _find_latched(bus: "Bus", fleet: str | None) -> dict[str, bool]:
     from orchestrator.client import Tutti
 
     fleets = await find_fleets(bus) if fleet is None else [fleet]
-    found = await asyncio.gather(*(Tutti(bus, name).wait_for_latch() for name in fleets))
+    gather = await asyncio.gather(*(Tutti(bus, name).wait_for_latch() for name in fleets))
     return {
         f"{name}/{controller}": done
-        for name, each in zip(fleets, found, strict=True)
+        for name, each in zip(fleets, gather, strict=True)
         for controller, done in each.items()
     }
 
@@ -169,22 +169,24 @@ def reset(event: str | None, connect: str, fleet: str | None, *, as_json: bool) 
 
     async def reset_estop(tutti: Tutti) -> None:
         states = await require_states(tutti)
-        latched = {state.estop.event: state.estop for state in states.values() if state.estop}
-        if event is not None and event not in latched:
-            text = f"no e-stop {event} is latched; latched: {', '.join(latched) or 'none'}"
+        latched_estops = {state.estop.event: state.estop for state in states.values() if state.estop}
+        if event is not None and event not in latched_estops:
+            text = f"no e-stop {event} is latched; latched: {', '.join(latched_estops) or 'none'}"
             exit_with_error(text, BAD_INPUT, code="unknown-name")
-        if event is None and len(latched) > 1:
-            shown = "; ".join(f"{name} by {latch.actor}: {latch.reason}" for name, latch in latched.items())
+        if event is None and len(latched_estops) > 1:
+            shown = "; ".join(f"{name} by {latch.actor}: {latch.reason}" for name, latch in latched_estops.items())
             text = f"several e-stops are latched: {shown}"
             exit_with_error(text, BAD_INPUT, "name one: `tutti reset EVENT`", code="ambiguous")
-        for name in latched if event is None else [event]:
+        for name in latched_estops if event is None else [event]:
             if not as_json:
-                console.print(f"releasing e-stop {name} by {latched[name].actor}", markup=False)
+                console.print(f"releasing e-stop {name} by {latched_estops[name].actor}", markup=False)
         answers = await tutti.reset(event)
         refused = any(answers.values())
         if not as_json:
             print_queue_stop(await load_queue(tutti))
-        _print_answers(answers, "still latched by another e-stop" if refused and latched else "reset", as_json=as_json)
+        _print_answers(
+            answers, "still latched by another e-stop" if refused and latched_estops else "reset", as_json=as_json
+        )
 
     with_fleet(connect, fleet, reset_estop)
 

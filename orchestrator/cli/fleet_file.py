@@ -31,9 +31,15 @@ def check(file: Path, connect: str, fleet: str | None, *, live: bool, as_json: b
     """Check FILE: its form, its references, and each controller's part by the rules of its make."""
     from orchestrator.client import Tutti
 
-    loaded = load_or_fail(file)
-    value: dict[str, Any] = {"fleet": loaded.fleet, "controllers": list(loaded.controllers), "axes": loaded.axis_names}
-    words = f"{file}: {len(loaded.controllers)} controllers, {len(loaded.axis_names)} axes: no problem found"
+    loaded_fleet = load_or_fail(file)
+    value: dict[str, Any] = {
+        "fleet": loaded_fleet.fleet,
+        "controllers": list(loaded_fleet.controllers),
+        "axes": loaded_fleet.axis_names,
+    }
+    words = (
+        f"{file}: {len(loaded_fleet.controllers)} controllers, {len(loaded_fleet.axis_names)} axes: no problem found"
+    )
     if not live:
         print_result(value, words, as_json=as_json)
         return
@@ -42,7 +48,7 @@ def check(file: Path, connect: str, fleet: str | None, *, live: bool, as_json: b
         live_words: dict[str, str] = {}
         wrong = 0
         states = await tutti.status()
-        for name, config in loaded.controllers.items():
+        for name, config in loaded_fleet.controllers.items():
             state = states.get(name)
             if state is None:
                 said = "no adapter runs for it; is its host part of `tutti up`?"
@@ -60,7 +66,7 @@ def check(file: Path, connect: str, fleet: str | None, *, live: bool, as_json: b
         if wrong:
             raise SystemExit(FAILED)
 
-    with_fleet(connect, fleet or loaded.fleet, compare_adapters)
+    with_fleet(connect, fleet or loaded_fleet.fleet, compare_adapters)
 
 
 @fleet.command(epilog="Example: tutti fleet init --make smc4000 --make smc30:3 -o lab.fleet.yaml")
@@ -73,8 +79,8 @@ def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: b
     """Write a commented fleet file for controllers of some makes. It passes `fleet check` and runs with `--sim`."""
     from orchestrator.runtime.example_fleet import make_example_fleet
 
-    counts = [_parse_make(each) for each in makes]
-    if sum(each.number for each in counts) > MAX_CONTROLLERS or len({each.make for each in counts}) < len(counts):
+    counts = [_parse_make(make) for make in makes]
+    if sum(count.number for count in counts) > MAX_CONTROLLERS or len({count.make for count in counts}) < len(counts):
         text = f"name each make once, and at most {MAX_CONTROLLERS} controllers in all, e.g. smc30:3"
         raise click.BadParameter(text, param_hint="--make")
     shown = "lab.fleet.yaml" if out is None else str(out)
@@ -92,10 +98,12 @@ def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: b
         exit_with_error(f"{out} exists", BAD_INPUT, "choose another name, or add --force to write over it")
     except OSError as error:
         exit_with_error(f"{out} cannot be written: {error.strerror}", BAD_INPUT)
-    loaded = load_or_fail(out)
-    controllers, axes = len(loaded.controllers), len(loaded.axis_names)
+    loaded_fleet = load_or_fail(out)
+    controllers, axes = len(loaded_fleet.controllers), len(loaded_fleet.axis_names)
     words = f"{out}: {controllers} controllers, {axes} axes\nnext: tutti up {out} --sim"
-    print_result({"file": str(out), "fleet": loaded.fleet, "axes": loaded.axis_names}, words, as_json=as_json)
+    print_result(
+        {"file": str(out), "fleet": loaded_fleet.fleet, "axes": loaded_fleet.axis_names}, words, as_json=as_json
+    )
 
 
 def _parse_make(text: str) -> "MakeCount":
@@ -128,14 +136,14 @@ def reload(file: Path, connect: str, fleet: str | None, *, as_json: bool) -> Non
     """
     from orchestrator.client import Tutti
 
-    loaded = load_or_fail(file)
+    loaded_fleet = load_or_fail(file)
 
     async def load_file(tutti: Tutti) -> None:
-        changed = await tutti.reload_fleet(loaded)
-        lines = [f"{name}: has the new configuration; home its axes again" for name in changed]
-        print_result({"changed": changed}, "\n".join(lines) or "no controller changed", as_json=as_json)
+        changed_fleet = await tutti.reload_fleet(loaded_fleet)
+        lines = [f"{name}: has the new configuration; home its axes again" for name in changed_fleet]
+        print_result({"changed": changed_fleet}, "\n".join(lines) or "no controller changed", as_json=as_json)
 
-    with_fleet(connect, fleet or loaded.fleet, load_file)
+    with_fleet(connect, fleet or loaded_fleet.fleet, load_file)
 
 
 def load_or_fail(file: Path) -> "Fleet":

@@ -46,11 +46,11 @@ class Interrupts:
 @contextlib.contextmanager
 def count_interrupts() -> Generator[Interrupts]:
     """Count interrupts instead of ending at the first."""
-    loop, found = asyncio.get_running_loop(), Interrupts()
+    loop, interrupts = asyncio.get_running_loop(), Interrupts()
     for number in SIGNALS:
-        loop.add_signal_handler(number, found.note_interrupt)
+        loop.add_signal_handler(number, interrupts.note_interrupt)
     try:
-        yield found
+        yield interrupts
     finally:
         for number in SIGNALS:
             loop.remove_signal_handler(number)
@@ -96,13 +96,13 @@ async def stop_own_job(tutti: "Tutti", job_id: str, controllers: list[str], inte
     say("stopping …")
     seen = interrupts.count
     stop = asyncio.ensure_future(_stop_and_wait(tutti, job_id, controllers))
-    again = asyncio.ensure_future(interrupts.wait_for_next(seen))
-    await asyncio.wait([stop, again], return_when=asyncio.FIRST_COMPLETED)
+    task_again = asyncio.ensure_future(interrupts.wait_for_next(seen))
+    await asyncio.wait([stop, task_again], return_when=asyncio.FIRST_COMPLETED)
     if not stop.done():
         stop.cancel()
         say(f"left before the stop was complete: {await _describe_motion(tutti, controllers)}")
         raise SystemExit(INTERRUPTED)
-    again.cancel()
+    task_again.cancel()
     if not stop.result():
         raise SystemExit(FAILED)
 
@@ -154,8 +154,8 @@ async def _describe_positions(tutti: "Tutti", controllers: list[str]) -> str:
     """Where the axes of `controllers` are, in words, after a colon; empty if that is not known."""
     from orchestrator.cli.base.positions import describe_positions
 
-    shown = describe_positions(await _find_states(tutti, controllers))
-    return f": {shown}" if shown else ""
+    shown_positions = describe_positions(await _find_states(tutti, controllers))
+    return f": {shown_positions}" if shown_positions else ""
 
 
 async def _describe_motion(tutti: "Tutti", controllers: list[str]) -> str:
@@ -163,13 +163,13 @@ async def _describe_motion(tutti: "Tutti", controllers: list[str]) -> str:
     states = await _find_states(tutti, controllers)
     if not states:
         return "whether anything moves is not known"
-    moving = [
+    moving_axes = [
         f"{name}.{axis}"
         for name, state in states.items()
-        for axis, now in state.axes.items()
-        if now.moving or now.homing
+        for axis, axis_now in state.axes.items()
+        if axis_now.moving or axis_now.homing
     ]
-    return f"{', '.join(moving)} still moves" if moving else "nothing moves"
+    return f"{', '.join(moving_axes)} still moves" if moving_axes else "nothing moves"
 
 
 async def _find_states(tutti: "Tutti", controllers: list[str]) -> "dict[str, ControllerState]":

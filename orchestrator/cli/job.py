@@ -83,16 +83,16 @@ def submit(
     from orchestrator.model.templates.template import Template
     from orchestrator.monitor.report_table import make_report_tables
 
-    wanted, settings = make_terms(terms), read_settings(values, values_file)
+    wanted_terms, settings = make_terms(terms), read_settings(values, values_file)
 
     async def submit_job(tutti: Tutti) -> None:
-        filled = Template(read_file(file)).fill_settings(settings)
+        filled_settings = Template(read_file(file)).fill_settings(settings)
         if dry_run:
-            await _show_dry_run(tutti, filled, as_json=as_json)
+            await _show_dry_run(tutti, filled_settings, as_json=as_json)
             return
         with show_points(hidden=as_json) as on_points:
-            loaded = await tutti.send_points(filled.job, on_points)
-        entry = await tutti.enqueue_job(loaded, key, await resolve_after(tutti, wanted))
+            loaded_points = await tutti.send_points(filled_settings.job, on_points)
+        entry = await tutti.enqueue_job(loaded_points, key, await resolve_after(tutti, wanted_terms))
         if not wait:
             print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else print_accepted(entry)
             return
@@ -101,7 +101,7 @@ def submit(
         with count_interrupts() as interrupts:
             report = await follow_unless_interrupted(follow_job(tutti, entry.id, quiet=as_json), interrupts)
             if report is None and cancel_on_interrupt:
-                await stop_own_job(tutti, entry.id, controllers_of(loaded), interrupts)
+                await stop_own_job(tutti, entry.id, controllers_of(loaded_points), interrupts)
         if report is None:
             if not cancel_on_interrupt:
                 say(f"job {entry.id} continues; cancel it with: tutti job cancel {entry.id}")
@@ -148,19 +148,19 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.monitor.times import format_time, localize_times
 
     async def show_job(tutti: Tutti) -> None:
-        shown = await tutti.show_job((await tutti.find_job(job)).id)
+        shown_job = await tutti.show_job((await tutti.find_job(job)).id)
         if as_json:
-            print_json(shown.to_plain())
+            print_json(shown_job.to_plain())
             return
-        assert shown.entry is not None
-        head = f"{name_jobs(shown.entry)} of {shown.entry.actor}: {shown.entry.state}"
+        assert shown_job.entry is not None
+        head = f"{name_jobs(shown_job.entry)} of {shown_job.entry.actor}: {shown_job.entry.state}"
         console.print(head, highlight=False, markup=False)
-        parameters = shown.job.parameters_used if shown.job else {}
-        positions = shown.report.positions_used if shown.report else {}
-        for line in [*make_entry_lines(shown.entry), *describe_used(parameters, positions)]:
+        parameters = shown_job.job.parameters_used if shown_job.job else {}
+        positions = shown_job.report.positions_used if shown_job.report else {}
+        for line in [*make_entry_lines(shown_job.entry), *describe_used(parameters, positions)]:
             console.print(line, highlight=False, markup=False)
-        went = {step.index: step for step in shown.report.steps} if shown.report else {}
-        for index, step in StepOrder(shown.job.steps).iterate_written() if shown.job else ():
+        went = {step.index: step for step in shown_job.report.steps} if shown_job.report else {}
+        for index, step in StepOrder(shown_job.job.steps).iterate_written() if shown_job.job else ():
             line = f"  {index} {step.describe()}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
@@ -168,9 +168,9 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             console.print(line, highlight=False, markup=False, soft_wrap=True)
             for inner in () if step.is_single else step.iterate_written():
                 console.print(f"      {inner.describe()}", highlight=False, markup=False, soft_wrap=True)
-        if shown.progress is not None:
-            console.print(f"now: {format_step(shown.progress)}", highlight=False, markup=False)
-        for change in shown.transitions:
+        if shown_job.progress is not None:
+            console.print(f"now: {format_step(shown_job.progress)}", highlight=False, markup=False)
+        for change in shown_job.transitions:
             why = f" {localize_times(change.reason)}" if change.reason else ""
             line = f"{format_time(change.utc, precise=True)} {change.state}{why} ({change.actor})"
             console.print(line, highlight=False, markup=False)
@@ -187,9 +187,9 @@ def cancel(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.client import Tutti
 
     async def cancel_job(tutti: Tutti) -> None:
-        found = await tutti.find_job(job)
-        await tutti.cancel_job(found.id)
-        print_result({"job_id": found.id}, f"{name_jobs(found)} is cancelled", as_json=as_json)
+        entry = await tutti.find_job(job)
+        await tutti.cancel_job(entry.id)
+        print_result({"job_id": entry.id}, f"{name_jobs(entry)} is cancelled", as_json=as_json)
 
     with_fleet(connect, fleet, cancel_job)
 
@@ -205,8 +205,10 @@ def report(job: str, connect: str, fleet: str | None, *, verbose: bool, as_json:
     from orchestrator.monitor.report_table import make_report_tables
 
     async def show_report(tutti: Tutti) -> None:
-        found = await load_report(tutti, job)
-        print_json(found.to_plain()) if as_json else console.print(make_report_tables(found, detailed=verbose))
+        found_report = await load_report(tutti, job)
+        print_json(found_report.to_plain()) if as_json else console.print(
+            make_report_tables(found_report, detailed=verbose)
+        )
 
     with_fleet(connect, fleet, show_report)
 
@@ -217,15 +219,15 @@ async def _show_dry_run(tutti: "Tutti", filled: "FilledJob", *, as_json: bool) -
     from orchestrator.model.jobs.files import FileError
 
     with show_points(hidden=as_json) as on_points:
-        loaded = await tutti.send_points(filled.job, on_points)
-    with show_progress(len(loaded.steps), hidden=as_json) as on_steps:
-        forecast = await tutti.dry_run(loaded, on_steps)
+        loaded_points = await tutti.send_points(filled.job, on_points)
+    with show_progress(len(loaded_points.steps), hidden=as_json) as on_steps:
+        forecast = await tutti.dry_run(loaded_points, on_steps)
     if as_json:
         print_json(make_plain(forecast))
     elif forecast.problems:
-        raise FileError(filled.problem(each.place, each.text) for each in forecast.problems)
+        raise FileError(filled.problem(problem.place, problem.text) for problem in forecast.problems)
     else:
-        totals = describe_totals(loaded, forecast)
+        totals = describe_totals(loaded_points, forecast)
         console.print(f"{filled.file.name}: {totals}", highlight=False, markup=False, soft_wrap=True)
         print_steps(forecast, commands=True)
     if forecast.problems:

@@ -63,8 +63,8 @@ async def _check_file(
     from orchestrator.runtime.checked import load_checked_fleet
 
     template = Template(read_file(file))
-    filled = template.fill_settings(settings)
-    job, forecast, notes = filled.job, JobForecast(), [str(each) for each in template.list_unused()]
+    filled_settings = template.fill_settings(settings)
+    job, forecast, notes = filled_settings.job, JobForecast(), [str(problem) for problem in template.list_unused()]
     if fleet_file is None:
         notes += list_misfits(template, settings)
     else:
@@ -74,7 +74,7 @@ async def _check_file(
         with show_progress(len(job.steps) * repeat, hidden=as_json) as on_steps:
             forecast = forecast_job(fleet, job.steps, repeat, on_steps)
         if forecast.problems and not as_json:
-            raise FileError(filled.problem(each.place, each.text) for each in forecast.problems)
+            raise FileError(filled_settings.problem(problem.place, problem.text) for problem in forecast.problems)
         notes += check_extremes(template, settings, fleet, summaries, repeat)
     if as_json:
         print_json({**make_plain(forecast), "parameters_used": job.parameters_used, "notes": notes})

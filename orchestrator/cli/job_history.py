@@ -37,15 +37,15 @@ def list_jobs(
     from orchestrator.model.jobs.service import ListJobs
 
     async def show_jobs(tutti: Tutti) -> None:
-        asked = ListJobs.model_validate({**tutti.request_fields(), "state": state})
-        found = await tutti.list_jobs(limit, asked.state, name, None if since is None else since.isoformat())
+        asked_jobs = ListJobs.model_validate({**tutti.request_fields(), "state": state})
+        jobs = await tutti.list_jobs(limit, asked_jobs.state, name, None if since is None else since.isoformat())
         if as_json:
-            print_json([entry.to_plain() for entry in found.jobs])
+            print_json([entry.to_plain() for entry in jobs.jobs])
             return
-        print_jobs(found.jobs)
-        print_queue_stop(found)
-        if found.total > len(found.jobs):
-            console.print(f"{len(found.jobs)} of {found.total}; more with --limit", highlight=False)
+        print_jobs(jobs.jobs)
+        print_queue_stop(jobs)
+        if jobs.total > len(jobs.jobs):
+            console.print(f"{len(jobs.jobs)} of {jobs.total}; more with --limit", highlight=False)
 
     with_fleet(connect, fleet, show_jobs)
 
@@ -73,7 +73,7 @@ def prune(older: float, keep: int, connect: str, fleet: str | None, *, as_json: 
     from orchestrator.client import Tutti
 
     async def prune_jobs(tutti: Tutti) -> None:
-        gone = await tutti.prune_jobs(older, keep)
-        print_json({"jobs": gone}) if as_json else console.print(f"{gone} jobs deleted", highlight=False)
+        gone_jobs = await tutti.prune_jobs(older, keep)
+        print_json({"jobs": gone_jobs}) if as_json else console.print(f"{gone_jobs} jobs deleted", highlight=False)
 
     with_fleet(connect, fleet, prune_jobs)

@@ -26,9 +26,9 @@ def hold(jobs: tuple[str, ...], connect: str, fleet: str | None, *, as_json: boo
     """Hold queued JOBS: they do not begin until they are released."""
 
     async def hold_jobs(tutti: "Tutti") -> None:
-        found = [await tutti.find_job(each) for each in jobs]
-        await tutti.hold_jobs(*(each.id for each in found))
-        print_result({"held": [each.id for each in found]}, f"held: {name_jobs(*found)}", as_json=as_json)
+        entries = [await tutti.find_job(job) for job in jobs]
+        await tutti.hold_jobs(*(entry.id for entry in entries))
+        print_result({"held": [entry.id for entry in entries]}, f"held: {name_jobs(*entries)}", as_json=as_json)
 
     with_fleet(connect, fleet, hold_jobs)
 
@@ -44,10 +44,10 @@ def release(jobs: tuple[str, ...], connect: str, fleet: str | None, *, everythin
         exit_with_error("name jobs, or give --all", BAD_INPUT)
 
     async def release_jobs(tutti: "Tutti") -> None:
-        found = [await tutti.find_job(each) for each in jobs]
-        await tutti.release_jobs(*(each.id for each in found))
-        value: dict[str, Any] = {"released": [each.id for each in found], "all": everything}
-        print_result(value, f"released: {name_jobs(*found) or 'all held jobs'}", as_json=as_json)
+        entries = [await tutti.find_job(job) for job in jobs]
+        await tutti.release_jobs(*(entry.id for entry in entries))
+        value: dict[str, Any] = {"released": [entry.id for entry in entries], "all": everything}
+        print_result(value, f"released: {name_jobs(*entries) or 'all held jobs'}", as_json=as_json)
 
     with_fleet(connect, fleet, release_jobs)
 
@@ -63,10 +63,10 @@ def reorder(job: str, before: str, connect: str, fleet: str | None, *, as_json: 
     """Move a queued JOB before another one."""
 
     async def reorder_job(tutti: "Tutti") -> None:
-        moved, other = await tutti.find_job(job), await tutti.find_job(before)
-        await tutti.reorder_job(moved.id, other.id)
-        words = f"{name_jobs(moved)} comes before {name_jobs(other)}"
-        print_result({"job_id": moved.id, "before": other.id}, words, as_json=as_json)
+        moved_entry, other_entry = await tutti.find_job(job), await tutti.find_job(before)
+        await tutti.reorder_job(moved_entry.id, other_entry.id)
+        words = f"{name_jobs(moved_entry)} comes before {name_jobs(other_entry)}"
+        print_result({"job_id": moved_entry.id, "before": other_entry.id}, words, as_json=as_json)
 
     with_fleet(connect, fleet, reorder_job)
 
@@ -85,11 +85,11 @@ def pause(job: str, connect: str, fleet: str | None, *, now: bool, as_json: bool
     """
 
     async def pause_job(tutti: "Tutti") -> None:
-        found = await tutti.find_job(job)
-        await tutti.pause_job(found.id, now=now)
+        entry = await tutti.find_job(job)
+        await tutti.pause_job(entry.id, now=now)
         how = "brakes and pauses" if now else "pauses at the end of its step"
-        words = f"{name_jobs(found)} {how}; `tutti job resume {found.id}` continues it"
-        print_result({"job_id": found.id}, words, as_json=as_json)
+        words = f"{name_jobs(entry)} {how}; `tutti job resume {entry.id}` continues it"
+        print_result({"job_id": entry.id}, words, as_json=as_json)
 
     with_fleet(connect, fleet, pause_job)
 
@@ -108,10 +108,10 @@ def override(job: str, percent: float, connect: str, fleet: str | None, *, as_js
     """
 
     async def override_job(tutti: "Tutti") -> None:
-        found = await tutti.find_job(job)
-        await tutti.override_job(found.id, percent)
-        words = f"{name_jobs(found)} moves at {percent:g} % of its planned speed"
-        print_result({"job_id": found.id, "percent": percent}, words, as_json=as_json)
+        entry = await tutti.find_job(job)
+        await tutti.override_job(entry.id, percent)
+        words = f"{name_jobs(entry)} moves at {percent:g} % of its planned speed"
+        print_result({"job_id": entry.id, "percent": percent}, words, as_json=as_json)
 
     with_fleet(connect, fleet, override_job)
 
@@ -124,9 +124,9 @@ def resume(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Continue a paused JOB."""
 
     async def resume_job(tutti: "Tutti") -> None:
-        found = await tutti.find_job(job)
-        await tutti.resume_job(found.id)
-        print_result({"job_id": found.id}, f"{name_jobs(found)} continues", as_json=as_json)
+        entry = await tutti.find_job(job)
+        await tutti.resume_job(entry.id)
+        print_result({"job_id": entry.id}, f"{name_jobs(entry)} continues", as_json=as_json)
 
     with_fleet(connect, fleet, resume_job)
 
@@ -166,9 +166,9 @@ def retry(
         if not yes and not click.confirm("run these steps from here?"):
             console.print("no job is submitted")
             return
-        retried = await tutti.retry_job(job_id, first)
-        assert retried.entry is not None
-        print_json(retried.to_plain()) if as_json else print_accepted(retried.entry)
+        retried_job = await tutti.retry_job(job_id, first)
+        assert retried_job.entry is not None
+        print_json(retried_job.to_plain()) if as_json else print_accepted(retried_job.entry)
 
     with_fleet(connect, fleet, retry_job)
 
@@ -179,11 +179,11 @@ def _show_retry(found: "JobRetried") -> None:
     for line in found.steps:
         console.print(line, highlight=False, markup=False)
     table = make_plain_table(["axis", "position>", "unit", "axis is"])
-    for each in found.axes:
-        words = [] if each.enabled else ["off"]
-        words += [] if each.referenced else ["unreferenced"]
-        position = "unknown" if each.position is None else f"{each.position:,.4f}"
-        table.add_row(each.axis, position, each.unit, ", ".join(words) or "ready")
+    for axis in found.axes:
+        words = [] if axis.enabled else ["off"]
+        words += [] if axis.referenced else ["unreferenced"]
+        position = "unknown" if axis.position is None else f"{axis.position:,.4f}"
+        table.add_row(axis.axis, position, axis.unit, ", ".join(words) or "ready")
     console.print(table)
     for warning in found.warnings:
         console.print(f"[bold yellow]note:[/] {warning}", highlight=False)

@@ -72,11 +72,11 @@ def _spread_groups(names: "FleetNames", step: "Step") -> "Step":
         if name in names.axes or not is_position_name(target) or not names.expand_name(name):
             targets[name] = target
             continue
-        inside = [axis for axis in names.expand_name(name) if axis in names.positions.get(str(target), ())]
-        if not inside and str(target) in names.positions:
+        axes_inside = [axis for axis in names.expand_name(name) if axis in names.positions.get(str(target), ())]
+        if not axes_inside and str(target) in names.positions:
             text = f"position {target} has no axis of {name}; it has: {', '.join(names.positions[str(target)])}"
             raise Refusal("not-in-position", text, "name axes of it, or none for all of them")
-        targets |= dict.fromkeys(inside or [name], target)
+        targets |= dict.fromkeys(axes_inside or [name], target)
     return step.model_copy(update={"to": targets})
 
 
@@ -96,15 +96,15 @@ def _check_names(names: "FleetNames", step: "Step") -> list[str]:
     if not isinstance(step, Move | SetPosition):
         return require_axes(names, step.named_axes or names.controllers)
     values = step.to | step.by if isinstance(step, Move) else step.axes
-    wanted = {str(target): None for target in values.values() if is_position_name(target)}
-    for name in wanted:
+    position_names = {str(target): None for target in values.values() if is_position_name(target)}
+    for name in position_names:
         if name not in names.positions:
             raise unknown_name("position", name, names.positions, "see `tutti position ls`")
     if ALL_AXES in values:
         return list(names.positions[str(values[ALL_AXES])])
     for name in require_axes(names, values, groups=False):
         value = values[name]
-        if str(value) in wanted:
+        if str(value) in position_names:
             continue
         try:
             if value is not None:
@@ -116,12 +116,12 @@ def _check_names(names: "FleetNames", step: "Step") -> list[str]:
 
 def _exit_with_failure(report: "JobReport") -> None:
     last = report.steps[-1] if report.steps else None
-    refused = None if last is None else last.refused
+    refused_details = None if last is None else last.refused
     exit_with_error(
         (last.reason if last is not None else "") or report.reason or report.state,
         FAILED,
-        "" if refused is None else refused.remedy,
-        code=report.state if refused is None else refused.code,
+        "" if refused_details is None else refused_details.remedy,
+        code=report.state if refused_details is None else refused_details.code,
         job_id=report.job_id,
     )
 

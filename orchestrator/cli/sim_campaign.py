@@ -64,13 +64,13 @@ def campaign(
         story = run_seed(seed, choice)
         if as_json:
             lines = {"log": story.lines} if trace else {}
-            print_json({"seed": seed, "violations": [str(each) for each in story.violations], **lines})
+            print_json({"seed": seed, "violations": [str(violation) for violation in story.violations], **lines})
         else:
             _print_plain("\n".join([*(story.lines if trace else []), story.summarize()]))
         raise SystemExit(FAILED if story.violations else 0)
 
-    named = [*(f" --stage {stage}" for stage in stages), *(f" --fault {fault}" for fault in faults)]
-    again = "".join([*named, " --apart" if apart else ""])
+    stage_options = [*(f" --stage {stage}" for stage in stages), *(f" --fault {fault}" for fault in faults)]
+    again = "".join([*stage_options, " --apart" if apart else ""])
 
     def print_run(story: "SeedRun") -> None:
         if story.violations and not as_json:
@@ -78,15 +78,15 @@ def campaign(
             console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed}{again} --trace")
 
     began_s = _cpu_s()
-    found = run_campaign(range(first, first + seeds), print_run, processes, choice)
-    figures = _make_figures(found, _cpu_s() - began_s)
+    result = run_campaign(range(first, first + seeds), print_run, processes, choice)
+    figures = _make_figures(result, _cpu_s() - began_s)
     if as_json:
-        coverage = {f"{cell.stage} {cell.fault} {cell.make}": count for cell, count in sorted(found.cells.items())}
-        print_json({**figures, "from": first, "violating": found.violations, "coverage": coverage})
+        coverage = {f"{cell.stage} {cell.fault} {cell.make}": count for cell, count in sorted(result.cells.items())}
+        print_json({**figures, "from": first, "violating": result.violations, "coverage": coverage})
     else:
-        _print_coverage(found)
+        _print_coverage(result)
         console.print(", ".join(f"{name} {value}" for name, value in figures.items()), soft_wrap=True)
-    if found.violations:
+    if result.violations:
         raise SystemExit(FAILED)
 
 

@@ -85,8 +85,8 @@ def serve(
         loop = asyncio.get_running_loop()
         for signal_number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(signal_number, end.set)
-        starting, ended = loop.create_task(live.start_simulators()), loop.create_task(end.wait())
-        await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
+        starting, ended_task = loop.create_task(live.start_simulators()), loop.create_task(end.wait())
+        await asyncio.wait([starting, ended_task], return_when=asyncio.FIRST_COMPLETED)
         if not starting.done():
             starting.cancel()
             await asyncio.wait([starting])
@@ -99,7 +99,7 @@ def serve(
         print_result({"state": str(folder), "links": links}, _describe(links, folder), as_json=as_json)
         live.say = print_line
         assert live.failed is not None
-        await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait([ended_task, live.failed], return_when=asyncio.FIRST_COMPLETED)
         await live.close()
         if live.failed.done():
             exit_with_error(live.failed.result(), FAILED, f"see {folder / 'log'}", code="not-started")

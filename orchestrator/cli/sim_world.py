@@ -42,8 +42,8 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None, *, as_j
     """Make a named input of a simulated controller active or inactive, whatever its polarity."""
     folder, controllers = _find_simulation(fleet, state)
     controller, point = _split_name(name, {c: each.inputs for c, each in controllers.items()}, "input")
-    wired = controllers[controller].inputs[point]
-    change = {"input": [wired.number, (to == "active") == (wired.active == "high")]}
+    wired_input = controllers[controller].inputs[point]
+    change = {"input": [wired_input.number, (to == "active") == (wired_input.active == "high")]}
     _write_change(folder, controller, change, f"{name} is {to}", as_json=as_json)
 
 
@@ -132,20 +132,24 @@ def _find_simulation(fleet: str | None, state: Path | None) -> "tuple[Path, dict
 
     if state is None:
         base = default_state(fleet or "x").parent
-        simulated = [running.folder for running in find_running_fleets() if (running.folder / "world").is_dir()]
-        folders = [base / fleet] if fleet else simulated
+        simulated_folders = [
+            running_fleet.folder for running_fleet in find_running_fleets() if (running_fleet.folder / "world").is_dir()
+        ]
+        folders = [base / fleet] if fleet else simulated_folders
         if len(folders) != 1:
-            found = ", ".join(folder.name for folder in folders)
-            text = f"several simulated fleets run: {found}" if found else f"no simulated fleet runs below {base}"
+            found_text = ", ".join(folder.name for folder in folders)
+            text = (
+                f"several simulated fleets run: {found_text}" if found_text else f"no simulated fleet runs below {base}"
+            )
             exit_with_error(
                 text, UNREACHABLE, "choose one with --fleet or --state, or start one: `tutti up FILE --sim`"
             )
         state = folders[0]
     try:
-        loaded: Fleet = load_fleet(state / "fleet.json")
+        loaded_fleet: Fleet = load_fleet(state / "fleet.json")
     except FileError as error:
         exit_with_error(str(error), UNREACHABLE, "is this the --state of a `tutti up … --sim`?")
-    return state, dict(loaded.controllers)
+    return state, dict(loaded_fleet.controllers)
 
 
 def _find_axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path, str, Axis]":

@@ -196,12 +196,12 @@ def up(
     options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
     options += ["--record-quota", f"{record_quota}B"]
     options += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
-    options += [part for each in hosts for part in ("--host", each)]
+    options += [part for host in hosts for part in ("--host", host)]
     options += _list_web_options(web)
     flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
     flags |= {"--private": private, "--new-journal": new_journal, "--no-record": no_record, "--no-hosts": no_hosts}
     options += [] if keys is None else ["--keys", str(keys)]
-    options += [name for name, given in flags.items() if given]
+    options += [name for name, given_flag in flags.items() if given_flag]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 
 
@@ -210,7 +210,7 @@ def _load_fleet(file: Path, hosts: Sequence[str]) -> "Fleet":
     from orchestrator.runtime.checked import load_checked_fleet
 
     fleet = load_checked_fleet(file, tolerant=True)
-    unknown = [each for each in hosts if each not in fleet.hosts]
+    unknown = [host for host in hosts if host not in fleet.hosts]
     if unknown:
         text = f"{file}: no controller has `host: {unknown[0]}`; its hosts: {', '.join(fleet.hosts)}"
         exit_with_error(text, BAD_INPUT, "correct --host", code="no-host")
@@ -304,8 +304,8 @@ async def _run_until_ended(
     if not set_realtime_priority(RealtimePriority.SERVICE, children=False):
         print_line(NO_REALTIME_WARNING)
     starting = loop.create_task(_start_and_reach(live, limit_s, required=required))
-    ended = loop.create_task(end.wait())
-    await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
+    ended_task = loop.create_task(end.wait())
+    await asyncio.wait([starting, ended_task], return_when=asyncio.FIRST_COMPLETED)
     if not starting.done():
         print_line("interrupted while starting; ending the started processes")
         starting.cancel()
@@ -318,7 +318,7 @@ async def _run_until_ended(
     words = f"fleet {name} is up{absent}{page}; state in {live.state}; Ctrl-C ends it"
     print_result({**value, "not_reached": missing}, words, as_json=as_json)
     assert live.failed is not None
-    await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
+    await asyncio.wait([ended_task, live.failed], return_when=asyncio.FIRST_COMPLETED)
     print_line("stopping")
     await live.close()
     if live.failed.done():
@@ -339,7 +339,7 @@ async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool)
         async with asyncio.timeout(limit_s), Tutti(live.connect, live.fleet.fleet, actor="up") as tutti:
             while missing:
                 for name, state in (await tutti.status(limit_s)).items():
-                    fault = next((f"{each.text}; {each.remedy}" for each in state.faults), state.mode)
+                    fault = next((f"{report.text}; {report.remedy}" for report in state.faults), state.mode)
                     missing[name] = fault if state.mode == "offline" else ""
                 missing = {name: why for name, why in missing.items() if why and name in live.fleet.controllers}
                 await asyncio.sleep(POLL_S)

@@ -23,16 +23,16 @@ def check(connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.monitor.tables import make_plain_table
 
     async def check_wires(tutti: Tutti) -> None:
-        found = await tutti.check_wiring()
+        findings = await tutti.check_wiring()
         if as_json:
-            print_json([each.to_plain() for each in found])
+            print_json([each.to_plain() for each in findings])
         else:
             table = make_plain_table(["output", "input", "", "found"])
-            for each in found:
-                words = f"{each.text}; {each.remedy}" if each.remedy else each.text
-                table.add_row(each.output, each.input, "[green]ok[/]" if each.ok else "[red]wrong[/]", words)
+            for finding in findings:
+                words = f"{finding.text}; {finding.remedy}" if finding.remedy else finding.text
+                table.add_row(finding.output, finding.input, "[green]ok[/]" if finding.ok else "[red]wrong[/]", words)
             console.print(table)
-        if not all(each.ok for each in found):
+        if not all(each.ok for each in findings):
             raise SystemExit(FAILED)
 
     with_fleet(connect, fleet, check_wires)

@@ -11,11 +11,11 @@ ANSWER_S = 2.0
 async def query_clocks(tutti: Tutti) -> dict[str, ClockReply]:
     """Return the clock mappings by controller, without those whose adapter gives no valid reply."""
     replies = await tutti.bus.request_all(tutti.keys.clock(), b"", timeout_s=ANSWER_S)
-    found: dict[str, ClockReply] = {}
+    found_replies: dict[str, ClockReply] = {}
     for payload in replies.values():
         try:
             reply = ClockReply.read_message(payload)
         except ValidationError:
             continue
-        found[reply.controller] = reply
-    return dict(sorted(found.items()))
+        found_replies[reply.controller] = reply
+    return dict(sorted(found_replies.items()))

@@ -107,8 +107,8 @@ class FleetConnection:
         try:
             yield queue
         finally:
-            for each in declared:
-                await each.undeclare()
+            for declaration in declared:
+                await declaration.undeclare()
 
     def request_fields(self) -> dict[str, Any]:
         """The fields that every request has."""
@@ -196,13 +196,13 @@ class FleetConnection:
         """Raises `BusError`, and `Refusal` if the answer is one or cannot be read."""
         answer = await self.bus.request(key, request.to_json(), timeout_s, server)
         try:
-            received = reply.read_message(answer)
+            received_message = reply.read_message(answer)
         except ValidationError as error:
             text = f"the answer on {key} cannot be read: {error.errors()[0]['msg']}"
             raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
-        if isinstance(received, Reply) and received.refused is not None:
-            raise received.refused.as_error()
-        return received
+        if isinstance(received_message, Reply) and received_message.refused is not None:
+            raise received_message.refused.as_error()
+        return received_message
 
 
 def _explain_failure(error: BusError, absent: Refusal) -> Refusal:

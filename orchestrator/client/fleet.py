@@ -67,9 +67,9 @@ class FleetRequests(FleetConnection):
         service = asyncio.ensure_future(self.request_service("stop", fleet, Reply))
         loop = asyncio.get_running_loop()
         stops = {each: loop.create_task(self.request_controller(each, "stop", request, Reply)) for each in known}
-        for each in await self.status(STOP_STATUS_S):
-            if each not in stops:
-                stops[each] = loop.create_task(self.request_controller(each, "stop", request, Reply))
+        for name in await self.status(STOP_STATUS_S):
+            if name not in stops:
+                stops[name] = loop.create_task(self.request_controller(name, "stop", request, Reply))
         *replies, _ = await asyncio.gather(*stops.values(), service, return_exceptions=True)
         return {
             controller: reply if isinstance(reply, Refusal) else None
@@ -83,14 +83,14 @@ class FleetRequests(FleetConnection):
 
     async def wait_for_latch(self, timeout_s: float = 2.0) -> dict[str, bool]:
         """Wait until all controllers report an e-stop latch, at most `timeout_s`; return which do, by id."""
-        latched: dict[str, bool] = {}
+        is_latched: dict[str, bool] = {}
         try:
             async with asyncio.timeout(timeout_s):
-                while not latched or not all(latched.values()):
-                    latched = {name: state.estop is not None for name, state in (await self.status()).items()}
+                while not is_latched or not all(is_latched.values()):
+                    is_latched = {name: state.estop is not None for name, state in (await self.status()).items()}
         except TimeoutError:
             pass
-        return latched
+        return is_latched
 
     async def reset(self, event: str | None = None) -> dict[str, Refusal | None]:
         """Release the e-stop latch named `event` (None: any) on every controller, and clear faults that can be cleared.
@@ -129,14 +129,14 @@ class FleetRequests(FleetConnection):
 
     async def load_fleet(self) -> Fleet:
         """The fleet file as it runs, without `notify`. Raises `Refusal`."""
-        loaded = await self.request_service("configuration", Request(**self.request_fields()), FleetLoaded)
+        service = await self.request_service("configuration", Request(**self.request_fields()), FleetLoaded)
         try:
-            fleet = Fleet.model_validate(loaded.configuration)
+            fleet = Fleet.model_validate(service.configuration)
         except ValidationError as error:
             text = f"the configuration of the fleet cannot be read: {error.errors()[0]['msg']}"
             raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
-        if fleet.digest != loaded.digest:
-            text = f"the configuration has digest {fleet.digest} here, {loaded.digest or 'none'} in the coordinator"
+        if fleet.digest != service.digest:
+            text = f"the configuration has digest {fleet.digest} here, {service.digest or 'none'} in the coordinator"
             raise Refusal("other-configuration", text, "use the same version of Tutti everywhere")
         return fleet
 
@@ -163,7 +163,9 @@ class FleetRequests(FleetConnection):
         return FleetNames(
             controllers=list(states),
             axes={
-                f"{name}.{axis}": Unit(now.unit) for name, state in states.items() for axis, now in state.axes.items()
+                f"{name}.{axis}": Unit(axis_now.unit)
+                for name, state in states.items()
+                for axis, axis_now in state.axes.items()
             },
             inputs=[f"{name}.{point}" for name, state in states.items() for point in state.inputs],
             outputs=[f"{name}.{point}" for name, state in states.items() for point in state.outputs],

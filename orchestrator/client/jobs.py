@@ -100,11 +100,11 @@ class JobRequests(PointRequests):
         Raises `Refusal`: codes `unknown-job`, and `ambiguous`, which names the jobs that fit.
         """
         request = FindJob(**self.request_fields(), reference=reference)
-        found = (await self.request_service("find", request, JobsFound)).jobs
-        if len(found) == 1:
-            return found[0]
-        if found:
-            fitting = ", ".join(f"{each.id} {each.name!r}" for each in found)
+        jobs = (await self.request_service("find", request, JobsFound)).jobs
+        if len(jobs) == 1:
+            return jobs[0]
+        if jobs:
+            fitting = ", ".join(f"{entry.id} {entry.name!r}" for entry in jobs)
             raise Refusal("ambiguous", f"several jobs fit {reference!r}: {fitting}", "write more of the id")
         text = "there is no job" if reference == "last" else f"no job {reference}"
         raise Refusal("unknown-job", text, "see `tutti job ls`")
@@ -147,11 +147,11 @@ class JobRequests(PointRequests):
         for first in range(0, len(job.steps), DRY_RUN_STEPS):
             part = job.model_copy(update={"steps": job.steps[first : first + DRY_RUN_STEPS]})
             request = DryRun(**self.request_fields(), job=part, first=first, begin=axes)
-            done = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
-            axes = done.end
-            steps += done.forecast.steps
-            problems += done.forecast.problems
-            conditions |= dict.fromkeys(done.forecast.conditions)
+            done_service = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
+            axes = done_service.end
+            steps += done_service.forecast.steps
+            problems += done_service.forecast.problems
+            conditions |= dict.fromkeys(done_service.forecast.conditions)
             if on_steps is not None:
                 on_steps(len(steps))
         return JobForecast(steps=steps, problems=problems, conditions=list(conditions))
@@ -190,14 +190,14 @@ class JobRequests(PointRequests):
         """A report with the recordings of its first `MAX_RECORDINGS` motion steps, and the first `MAX_RESULT_POINTS`
         points of its scans."""
         moves = [step.index for step in report.steps if step.do in MOTION_STEPS][:MAX_RECORDINGS]
-        found = [await self.load_recording(report.job_id, index) for index in moves]
+        recordings = [await self.load_recording(report.job_id, index) for index in moves]
         points: list[PointRecord] = []
         if any(step.scan is not None for step in report.steps):
-            async for each in self.iterate_points(report.job_id):
-                points.append(each)
+            async for point in self.iterate_points(report.job_id):
+                points.append(point)
                 if len(points) == MAX_RESULT_POINTS:
                     break
-        return JobResult.of(report, [each for each in found if each is not None], points)
+        return JobResult.of(report, [recording for recording in recordings if recording is not None], points)
 
     async def cancel_job(self, job_id: str) -> None:
         """Cancel a queued or running job. Raises `Refusal`."""
@@ -286,7 +286,7 @@ class JobRequests(PointRequests):
 
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
-        changed = asyncio.Event()
+        changed_event = asyncio.Event()
         failed: list[Exception] = []
 
         def receive_progress(sample: BusSample) -> None:
@@ -299,9 +299,9 @@ class JobRequests(PointRequests):
                     on_progress(progress)
                 except Exception as error:
                     failed.append(error)  # raised where the caller waits
-                    changed.set()
+                    changed_event.set()
             if progress.state in FINISHED_STATES:
-                changed.set()
+                changed_event.set()
 
         subscription = await self.bus.subscribe(self.keys.job_state(job_id), receive_progress)
         try:
@@ -313,10 +313,10 @@ class JobRequests(PointRequests):
                 if on_progress is not None and entry is not None and job is not None and entry.state == "queued":
                     steps = len(StepOrder(job.steps, entry.terms.repeat))
                     on_progress(make_queued_progress(entry, "queued", entry.reason, entry.submitted_utc, steps))
-                changed.clear()
+                changed_event.clear()
                 try:
                     async with asyncio.timeout(poll_s):
-                        await changed.wait()
+                        await changed_event.wait()
                 except TimeoutError:
                     continue
                 if failed:

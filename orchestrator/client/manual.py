@@ -128,9 +128,11 @@ class ManualControl:
         """
         changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
-        moving = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
+        moving_velocities = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
         await self._send_velocities(
-            _JogOrder(moving, renew=True, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S if changed else ANSWER_S)
+            _JogOrder(
+                moving_velocities, renew=True, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S if changed else ANSWER_S
+            )
         )
 
     async def request_jog(self, velocities: Mapping[str, float], *, renew: bool = False) -> None:
@@ -160,14 +162,16 @@ class ManualControl:
         try:
             while not (await asyncio.wait([sending], timeout=RENEW_S))[0]:
                 # Not those that have been stopped or changed meanwhile. Refusals are reported by the order itself.
-                moving = {axis: v for axis, v in order.velocities.items() if v and self._velocities.get(axis) == v}
-                renewing += self._start_requests(_JogOrder(moving, renew=True, valid_ms=order.valid_ms))
+                moving_velocities = {
+                    axis: v for axis, v in order.velocities.items() if v and self._velocities.get(axis) == v
+                }
+                renewing += self._start_requests(_JogOrder(moving_velocities, renew=True, valid_ms=order.valid_ms))
             sending.result()
         finally:
             sending.cancel()
             for task in renewing:
                 task.cancel()
-                task.add_done_callback(lambda done: done.cancelled() or done.exception())
+                task.add_done_callback(lambda done_task: done_task.cancelled() or done_task.exception())
 
     async def _request_jogs(self, order: _JogOrder) -> None:
         if self.lost is not None:

@@ -63,11 +63,11 @@ class PointRequests(FleetConnection):
         if not unread:
             return job
         names = await self.request_service("names", Request(**self.request_fields()), FleetNames)
-        found: dict[int, Scan] = {}
+        scans: dict[int, Scan] = {}
         for scan in unread:
             table = await self._send_table(make_point_source(scan, names.axes), on_points or _ignore_progress)
-            found[id(scan)] = place_points(scan, table)
-        return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]})
+            scans[id(scan)] = place_points(scan, table)
+        return job.model_copy(update={"steps": [step.replace_steps(scans) for step in job.steps]})
 
     async def _send_table(self, source: PointSource, on_points: OnPoints) -> PointTable:
         # Only on a disk, because a million points as Python numbers take some 100 MB.
@@ -101,10 +101,10 @@ class PointRequests(FleetConnection):
                 **self.request_fields(), job_id=job_id, limit=RECORDS_AT_ONCE, after_step=last[0], after_point=last[1]
             )
             points = (await self.request_service("points", request, PointsRead)).points
-            for each in points:
-                if step is not None and each.step != step:
+            for point in points:
+                if step is not None and point.step != step:
                     return
-                yield each
+                yield point
             if len(points) < RECORDS_AT_ONCE:
                 return
             last = points[-1].step, points[-1].point
@@ -112,7 +112,7 @@ class PointRequests(FleetConnection):
     async def load_points(self, job_id: str) -> list[PointRecord]:
         """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises
         `Refusal`."""
-        return [each async for each in self.iterate_points(job_id)]
+        return [point async for point in self.iterate_points(job_id)]
 
 
 class PointSummaries:
@@ -125,10 +125,10 @@ class PointSummaries:
     def place_summaries(self, job: Job) -> Job:
         """The job with the extremes of the points of its files and specs, as the coordinator would find them. Raises
         `FileError`, `Refusal`."""
-        found = {
+        points = {
             id(scan): place_points(scan, self._find_table(scan)) for scan in find_scans(job.steps) if _is_unread(scan)
         }
-        return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]}) if found else job
+        return job.model_copy(update={"steps": [step.replace_steps(points) for step in job.steps]}) if points else job
 
     def _find_table(self, scan: Scan) -> PointTable:
         source = json.dumps([scan.scanspec, None if scan.points is None else scan.points.file])
@@ -140,13 +140,13 @@ class PointSummaries:
 def _summarize_points(source: PointSource) -> PointTable:
     from orchestrator.model.scans.point_summary import ColumnSummary
 
-    encoded = _EncodedPoints(source)
+    encoded_points = _EncodedPoints(source)
     summary: ColumnSummary | None = None
-    for block, _ in encoded.read_blocks():
+    for block, _ in encoded_points.read_blocks():
         summary = summary or ColumnSummary(source.axes)
         summary.add_rows(block)
     assert summary is not None  # a source without points is refused
-    return PointTable(digest=encoded.digest, count=summary.count, columns=summary.make_columns())
+    return PointTable(digest=encoded_points.digest, count=summary.count, columns=summary.make_columns())
 
 
 def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
@@ -171,14 +171,14 @@ def place_points(scan: Scan, table: PointTable) -> Scan:
 
 async def _spool_points(source: PointSource, rows: IO[bytes], on_points: OnPoints) -> tuple[str, int]:
     """Write all points to a file; return their digest and number."""
-    encoded, count = _EncodedPoints(source), 0
-    for block, data in encoded.read_blocks():
+    encoded_points, count = _EncodedPoints(source), 0
+    for block, data in encoded_points.read_blocks():
         rows.write(data)
         count += len(block)
         on_points(PointProgress("reading", count))
         # What else runs in this program, such as the signs of life of a session, gets its turn.
         await asyncio.sleep(0)
-    return encoded.digest, count
+    return encoded_points.digest, count
 
 
 class _EncodedPoints:

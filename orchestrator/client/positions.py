@@ -38,9 +38,9 @@ class PositionRequests(FleetConnection):
         request = SavePosition(
             **self.request_fields(), name=name, axes=list(axes), values=dict(at or {}), description=description
         )
-        saved = (await self.request_service("save-position", request, PositionSaved)).position
-        assert saved is not None
-        return saved
+        saved_position = (await self.request_service("save-position", request, PositionSaved)).position
+        assert saved_position is not None
+        return saved_position
 
     async def remove_position(self, name: str) -> PositionEntry | None:
         """Remove a saved position; return that of the fleet file with the same name, which counts again. Raises

@@ -21,7 +21,7 @@ class ReadingRequests(FleetRequests):
     async def axes(self) -> dict[str, AxisState]:
         """The state of every axis, by `controller.axis`; those of controllers that are offline are old."""
         states = await self.status()
-        return {f"{name}.{axis}": now for name, state in states.items() for axis, now in state.axes.items()}
+        return {f"{name}.{axis}": axis_now for name, state in states.items() for axis, axis_now in state.axes.items()}
 
     async def position(self, axis: str) -> float:
         """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
@@ -44,8 +44,10 @@ class ReadingRequests(FleetRequests):
         if not 0 < hz <= 1000:
             raise Refusal("bad-rate", f"{hz:g} Hz is not a rate", "choose 0.001 to 1000 Hz")
         states: dict[str, ControllerState] = dict(await self.status())
-        wanted = [f"{name}.{axis}" for name, state in states.items() for axis in state.axes] if axes is None else axes
-        for axis in wanted:
+        wanted_axes = (
+            [f"{name}.{axis}" for name, state in states.items() for axis in state.axes] if axes is None else axes
+        )
+        for axis in wanted_axes:
             controller, _, name = axis.partition(".")
             if controller not in states or name not in states[controller].axes:
                 raise _unknown_axis(axis, states)
@@ -58,15 +60,15 @@ class ReadingRequests(FleetRequests):
             states[state.controller] = state
 
         declared = [
-            await self.bus.subscribe(self.keys.state(each), receive_state) for each in group_by_controller(wanted)
+            await self.bus.subscribe(self.keys.state(each), receive_state) for each in group_by_controller(wanted_axes)
         ]
         try:
             while True:
-                yield {axis: _find_position(states, axis) for axis in wanted}
+                yield {axis: _find_position(states, axis) for axis in wanted_axes}
                 await asyncio.sleep(1 / hz)
         finally:
-            for each in declared:
-                await each.undeclare()
+            for declaration in declared:
+                await declaration.undeclare()
 
     async def events(self, controller: str | None = None) -> AsyncGenerator[ControllerEvent]:
         """The events of the fleet, or of one controller, as they come: starts, ends, faults, limits, e-stops."""

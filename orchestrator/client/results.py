@@ -110,7 +110,7 @@ class JobResult(JobReport):
         if self.points:
             from orchestrator.monitor.scan_points import plot_points
 
-            first = [each for each in self.points if each.step == self.points[0].step]
+            first = [point for point in self.points if point.step == self.points[0].step]
             title = f"{self.name} {self.job_id}: {len(first)} points of step {first[0].step}"
             return plot_points(first, title, None if path is None else Path(path))
         if not self.recordings:

@@ -35,13 +35,13 @@ class LoopThread:
         if threading.current_thread() is self._thread:
             work.close()
             raise RuntimeError("a callback must not call the blocking object that calls it")
-        ended = threading.Event()
+        ended_event = threading.Event()
 
         async def run() -> R:
             try:
                 return await work
             finally:
-                ended.set()
+                ended_event.set()
 
         future = asyncio.run_coroutine_threadsafe(run(), self._loop)
         try:
@@ -49,7 +49,7 @@ class LoopThread:
         except KeyboardInterrupt:
             # What the call has begun is stopped by its own clean-up, which says so.
             future.cancel()
-            ended.wait(STOP_S)
+            ended_event.wait(STOP_S)
             raise
 
     def close(self) -> None:
@@ -64,8 +64,8 @@ def call_outside_loops(function: Callable[[], R]) -> R:
     """Call `function` where no event loop runs: in this thread, or, if one runs in it, as in a notebook, in another."""
     if asyncio._get_running_loop() is None:  # noqa: SLF001 # pyright: ignore[reportPrivateUsage]
         return function()
-    with ThreadPoolExecutor(1, thread_name_prefix="tutti") as other:
-        return other.submit(function).result()
+    with ThreadPoolExecutor(1, thread_name_prefix="tutti") as other_executor:
+        return other_executor.submit(function).result()
 
 
 class BlockingObject(Generic[T]):

@@ -249,8 +249,8 @@ class _GateSet:
             for _ in range(_ZOOMS):
                 offsets = self._find_offset_range(rates)[side]
                 best, step = int(offsets.argmax() if side else offsets.argmin()), float(rates[1] - rates[0])
-                between = step * float(np.abs(self._ages).max())
-                limit, middle = float(offsets[best]) + (between if side else -between), float(rates[best])
+                slack = step * float(np.abs(self._ages).max())
+                limit, middle = float(offsets[best]) + (slack if side else -slack), float(rates[best])
                 rates = np.linspace(max(slowest, middle - step), min(fastest, middle + step), _GRID)
             limits.append(limit)
         return limits[0], limits[1]

@@ -80,16 +80,16 @@ class LatencyEstimator:
 
     def latency_at(self, now_ns: int) -> StartLatency:
         """Return what is guaranteed at the host instant `now_ns`."""
-        declared = self._declared
-        late = [UnusualStart(each[0] - declared.latest_ns, each[2]) for each in self._starts]
-        early = [UnusualStart(each[1] - declared.earliest_ns, each[2]) for each in self._starts]
-        late = [each for each in late if each.outside_ns > 0 and each.remaining_ns(now_ns)]
-        early = [each for each in early if each.outside_ns < 0 and each.remaining_ns(now_ns)]
+        declared_latency = self._declared
+        late = [UnusualStart(start[0] - declared_latency.latest_ns, start[2]) for start in self._starts]
+        early = [UnusualStart(start[1] - declared_latency.earliest_ns, start[2]) for start in self._starts]
+        late = [start for start in late if start.outside_ns > 0 and start.remaining_ns(now_ns)]
+        early = [start for start in early if start.outside_ns < 0 and start.remaining_ns(now_ns)]
         learned_early_ns, learned_late_ns = _second_largest_ns(early, now_ns), _second_largest_ns(late, now_ns)
         return StartLatency(
             usual_ns=self._estimate_usual_ns(),
-            earliest_ns=declared.earliest_ns - learned_early_ns,
-            latest_ns=declared.latest_ns + learned_late_ns,
+            earliest_ns=declared_latency.earliest_ns - learned_early_ns,
+            latest_ns=declared_latency.latest_ns + learned_late_ns,
             starts=len(self._starts),
             learned_early_ns=learned_early_ns,
             learned_late_ns=learned_late_ns,
@@ -104,16 +104,19 @@ class LatencyEstimator:
         and where the acknowledgement is that of another query after the command, the declared value is nearer than
         anything that acknowledgements and ends can show, by milliseconds.
         """
-        declared, answered = self._declared, self._answered
-        if len(answered) >= _MIN_STARTS and max(answered) - min(answered) <= declared.latest_ns - declared.earliest_ns:
-            return min(max(sum(answered) // len(answered), declared.earliest_ns), declared.latest_ns)
+        declared_latency, answered = self._declared, self._answered
+        if (
+            len(answered) >= _MIN_STARTS
+            and max(answered) - min(answered) <= declared_latency.latest_ns - declared_latency.earliest_ns
+        ):
+            return min(max(sum(answered) // len(answered), declared_latency.earliest_ns), declared_latency.latest_ns)
         if len(self._starts) < _MIN_STARTS:
-            return declared.usual_ns
-        first, last = min(each[0] for each in self._starts), max(each[1] for each in self._starts)
-        return sorted((first, declared.usual_ns, last))[1]
+            return declared_latency.usual_ns
+        first, last = min(start[0] for start in self._starts), max(start[1] for start in self._starts)
+        return sorted((first, declared_latency.usual_ns, last))[1]
 
 
 def _second_largest_ns(found: list[UnusualStart], now_ns: int) -> int:
     """Return what the second of the unusual starts on one side leaves: one alone may lie anywhere."""
-    left = sorted((each.remaining_ns(now_ns) for each in found), reverse=True)
+    left = sorted((start.remaining_ns(now_ns) for start in found), reverse=True)
     return ceil(left[1]) if len(left) > 1 else 0

@@ -23,7 +23,7 @@ class TaskOwner:
         """Start a task."""
         task = asyncio.get_running_loop().create_task(coroutine)
         self._tasks.add(task)
-        task.add_done_callback(lambda ended: self._note_end(ended, vital=vital))
+        task.add_done_callback(lambda ended_task: self._note_end(ended_task, vital=vital))
         return task
 
     def cancel_all(self) -> None:

@@ -126,18 +126,18 @@ class RateEstimator:
         """Learn from a move that ends now. Return False when it contradicts the earlier ones: all are then
         discarded."""
         fresh = [gate for gate in gates if self._narrows_range(gate, now_ns)]
-        measured = [each for each in measures if each.error_ppm < self._reach_ppm]
+        measured = [measure for measure in measures if measure.error_ppm < self._reach_ppm]
         if not fresh and not measured:
             return True  # too short, or observed too poorly, to show anything
         self._gates.extend(fresh)
         self._measurements.extend(measured)
         self._moves += 1
-        found = self._estimate_rate(now_ns)
-        if found is None:
+        rate = self._estimate_rate(now_ns)
+        if rate is None:
             self.discard_moves()
             self.rate = replace(self._assumed, at_ns=now_ns, consistent=False)
             return False
-        self.rate = found
+        self.rate = rate
         return True
 
     def _narrows_range(self, gate: RateGate, now_ns: int) -> bool:
@@ -145,8 +145,8 @@ class RateEstimator:
         return low > self._assumed.low_ppm or high < self._assumed.high_ppm
 
     def _estimate_rate(self, now_ns: int) -> CrystalRate | None:
-        spans = [(self._assumed.low_ppm, self._assumed.high_ppm), *(each.range_at(now_ns) for each in self._gates)]
-        low, high = max(each[0] for each in spans), min(each[1] for each in spans)
+        spans = [(self._assumed.low_ppm, self._assumed.high_ppm), *(gate.range_at(now_ns) for gate in self._gates)]
+        low, high = max(span[0] for span in spans), min(span[1] for span in spans)
         if low > high:
             return None
         likely, variance = (
@@ -161,7 +161,7 @@ class RateEstimator:
             assumed_ppm=self._assumed.assumed_ppm,
             at_ns=now_ns,
             error_ppm=sqrt(variance),
-            residual_ppm=sum(abs(each.rate_ppm - rate) for each in last) / len(last) if last else 0.0,
+            residual_ppm=sum(abs(measurement.rate_ppm - rate) for measurement in last) / len(last) if last else 0.0,
             moves=self._moves,
         )
 
@@ -169,12 +169,12 @@ class RateEstimator:
         """Return the most likely rate at `now_ns`, and its variance."""
         rate, variance = self._assumed.rate_ppm, self._assumed.error_ppm**2
         at_ns = now_ns
-        for each in self._measurements:
-            variance += WANDER_PPM**2 * max(0, each.at_ns - at_ns) / NS_PER_S
-            gain = variance / (variance + each.error_ppm**2)
-            rate += gain * (each.rate_ppm - rate)
+        for measurement in self._measurements:
+            variance += WANDER_PPM**2 * max(0, measurement.at_ns - at_ns) / NS_PER_S
+            gain = variance / (variance + measurement.error_ppm**2)
+            rate += gain * (measurement.rate_ppm - rate)
             variance *= 1 - gain
-            at_ns = each.at_ns
+            at_ns = measurement.at_ns
         return rate, variance + WANDER_PPM**2 * max(0, now_ns - at_ns) / NS_PER_S
 
 

@@ -85,10 +85,10 @@ class _LeastSquares:
             return None
         n = self._n
         over = self._host2 - self._host**2 / n
-        both = self._both - self._host * self._off / n
-        scatter = max(0.0, self._off2 - self._off**2 / n - both * both / over) / (n - 2)
+        both_host = self._both - self._host * self._off / n
+        scatter = max(0.0, self._off2 - self._off**2 / n - both_host * both_host / over) / (n - 2)
         middle_ns = begin_ns + round(self._host / n * NS_PER_S)
-        return RateMeasurement(both / over * 1e6, sqrt(scatter / over) * 1e6 + _MIN_ERROR_PPM, middle_ns)
+        return RateMeasurement(both_host / over * 1e6, sqrt(scatter / over) * 1e6 + _MIN_ERROR_PPM, middle_ns)
 
 
 class TimedMove:
@@ -142,17 +142,17 @@ class TimedMove:
     @property
     def rate_gates(self) -> list[RateGate]:
         """The feasible rates of the crystal that follow from this move."""
-        found: list[RateGate] = []
+        gates: list[RateGate] = []
         device_ns = self.duration_s * NS_PER_S
         if self._ended_ns is not None:
             moved_ns, latest_ns = self._ended_ns
             longest_ns = latest_ns - self.started_ns[0]
             shortest_ns = 0 if moved_ns is None else moved_ns - self.started_ns[1]
             low, high = _ratio_ppm(device_ns, longest_ns), _ratio_ppm(device_ns, shortest_ns)
-            found.append(RateGate(low, high, latest_ns, self.duration_s / 3))
+            gates.append(RateGate(low, high, latest_ns, self.duration_s / 3))
         if len(self._readings) > 1:
-            found.append(self._narrowest_pair())
-        return found
+            gates.append(self._narrowest_pair())
+        return gates
 
     @property
     def rate_measurements(self) -> list[RateMeasurement]:
@@ -162,14 +162,14 @@ class TimedMove:
         Queries reach a controller more evenly than its replies reach the host where a receiver delays replies, less
         evenly where the host is busy: the set with less scatter about a straight line is used.
         """
-        lines = [each.measure_rate(self.started_ns[0]) for each in (self._query_fit, self._reply_fit)]
-        told = [each for each in lines if each is not None]
-        return [min(told, key=lambda each: each.error_ppm)] if told else []
+        lines = [fit.measure_rate(self.started_ns[0]) for fit in (self._query_fit, self._reply_fit)]
+        told = [line for line in lines if line is not None]
+        return [min(told, key=lambda measurement: measurement.error_ppm)] if told else []
 
     def _narrowest_pair(self) -> RateGate:
         """Return the narrowest gate of all pairs of readings."""
         first, last, earliest, latest = (
-            np.array([getattr(each, name) for each in self._readings], dtype=float)
+            np.array([getattr(reading, name) for reading in self._readings], dtype=float)
             for name in ("first_ns", "last_ns", "earliest_ns", "latest_ns")
         )
         earliest, latest = earliest - self.started_ns[0], latest - self.started_ns[0]
@@ -178,8 +178,8 @@ class TimedMove:
         with np.errstate(divide="ignore", invalid="ignore"):
             low = np.where((least > 0) & (longest > 0), least / longest - 1, -1.0)
             high = np.where((least > 0) & (shortest > 0), most / shortest - 1, inf)
-        at_ns = max(each.latest_ns for each in self._readings)
-        apart_s = (at_ns - min(each.earliest_ns for each in self._readings)) / NS_PER_S
+        at_ns = max(reading.latest_ns for reading in self._readings)
+        apart_s = (at_ns - min(reading.earliest_ns for reading in self._readings)) / NS_PER_S
         return RateGate(float(low.max()) * 1e6, float(high.min()) * 1e6, at_ns, apart_s)
 
     def start_interval_ns(self, rate: CrystalRate, now_ns: int) -> tuple[int, int]:
@@ -194,9 +194,9 @@ class TimedMove:
                 earliest_ns = max(earliest_ns, moved_ns - most_ns)
         # Up to a reading the crystal may deviate by the wander of the whole move.
         low, high = rate.range_ppm(now_ns, 3 * self.duration_s)
-        for each in self._readings:
-            earliest_ns = max(earliest_ns, floor(each.earliest_ns - each.last_ns / (1 + low * 1e-6)))
-            latest_ns = min(latest_ns, ceil(each.latest_ns - each.first_ns / (1 + high * 1e-6)))
+        for reading in self._readings:
+            earliest_ns = max(earliest_ns, floor(reading.earliest_ns - reading.last_ns / (1 + low * 1e-6)))
+            latest_ns = min(latest_ns, ceil(reading.latest_ns - reading.first_ns / (1 + high * 1e-6)))
         return earliest_ns, latest_ns
 
 
@@ -215,14 +215,14 @@ def _select_best(readings: list[_PositionReading]) -> list[_PositionReading]:
     """Select, for each section, the readings that bound their own instant most tightly, early and late."""
     begin, length = readings[0].first_ns, readings[-1].last_ns - readings[0].first_ns
     stretches: dict[int, list[_PositionReading]] = {}
-    for each in readings:
-        stretches.setdefault(int((each.first_ns - begin) / length * _SECTIONS), []).append(each)
-    kept: list[_PositionReading] = []
-    for each in stretches.values():
-        kept += dict.fromkeys(
-            (max(each, key=lambda one: one.earliest_start_ns), min(each, key=lambda one: one.latest_start_ns))
+    for reading in readings:
+        stretches.setdefault(int((reading.first_ns - begin) / length * _SECTIONS), []).append(reading)
+    kept_readings: list[_PositionReading] = []
+    for reading in stretches.values():
+        kept_readings += dict.fromkeys(
+            (max(reading, key=lambda one: one.earliest_start_ns), min(reading, key=lambda one: one.latest_start_ns))
         )
-    return kept
+    return kept_readings
 
 
 def _subtract_pairwise(from_: _Floats, to: _Floats) -> _Floats:

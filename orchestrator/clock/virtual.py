@@ -74,8 +74,8 @@ class VirtualProcess:
     def resume(self) -> None:
         """Like SIGCONT: everything that became due meanwhile runs now, in order."""
         self.frozen = False
-        parked, self._parked = self._parked, []
-        self._loop.requeue_handles(parked)
+        parked_handles, self._parked = self._parked, []
+        self._loop.requeue_handles(parked_handles)
 
     def kill(self) -> None:
         """Like SIGKILL: nothing of the process ever runs again. Does nothing to a dead process."""

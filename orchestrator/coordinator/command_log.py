@@ -98,4 +98,6 @@ class CommandLog:
         return False
 
     def _find_leased(self, holder: str) -> tuple[str, ...]:
-        return next((held.axes for held in self._services.leases.all_leases if held.holder == holder), ())
+        return next(
+            (held_lease.axes for held_lease in self._services.leases.all_leases if held_lease.holder == holder), ()
+        )

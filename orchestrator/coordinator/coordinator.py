@@ -205,12 +205,12 @@ class Coordinator:
         """Take note of the adapter's certificate. Raises `Refusal` for a version too far from this one, `BusError`."""
         try:
             info = await self._view.ask_info(controller)
-            stated = PartVersion(info.tutti, info.protocol)
+            stated_version = PartVersion(info.tutti, info.protocol)
             self._fleet.certificates.note_stated(controller, info.certificate)
         except ValidationError:
-            stated = PartVersion("", "")
+            stated_version = PartVersion("", "")
         host = self._view.fleet.controllers[controller].host
-        require_version(stated, f"the adapter of {controller} (adapter host {host})", "the coordinator")
+        require_version(stated_version, f"the adapter of {controller} (adapter host {host})", "the coordinator")
 
     async def _enable_at_start(self, controller: str) -> None:
         """Enable axes with `enable: at_start` once the controller is idle."""

@@ -69,17 +69,17 @@ async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end:
     keeper = LatchKeeper(bus, keys, LiveClock().utc, _latch_store(options.journal))
     await keeper.start(f"standby-{uuid.uuid4().hex}")
     vacant = asyncio.ensure_future(wait_for_vacancy(bus, keys, LiveClock()))
-    ended = asyncio.ensure_future(end.wait())
-    await asyncio.wait([vacant, ended], return_when=asyncio.FIRST_COMPLETED)
-    for wait in (vacant, ended):
+    ended_task = asyncio.ensure_future(end.wait())
+    await asyncio.wait([vacant, ended_task], return_when=asyncio.FIRST_COMPLETED)
+    for wait in (vacant, ended_task):
         wait.cancel()
     await keeper.close()
     if end.is_set():
         return False
-    killed = LeaderFile(options.journal).kill_other_process()
-    if killed:
+    killed_process = LeaderFile(options.journal).kill_other_process()
+    if killed_process:
         log = ProcessLog("coordinator", "standby", LiveClock(), make_file_sink(options.log), (bus, keys))
-        log.warning(f"the coordinator in process {killed} was silent and has been killed; taking over")
+        log.warning(f"the coordinator in process {killed_process} was silent and has been killed; taking over")
     return True
 
 
@@ -98,7 +98,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         plan=ThreadExecutor("planning"),
         new_id=lambda: uuid.uuid4().hex,
         sink=make_file_sink(options.log),
-        save_fleet=lambda taken: save_fleet(options.fleet, taken),
+        save_fleet=lambda taken_fleet: save_fleet(options.fleet, taken_fleet),
         latches=latches,
         run_command=run_command_process,
         find_free=lambda: runs(_find_free_bytes, options.journal.parent),

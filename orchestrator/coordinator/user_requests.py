@@ -144,28 +144,28 @@ class UserRequests:
         command = self._commands.describe_command(name, request)
         reply = await self._execute(name, request)
         if command is not None:
-            refused = reply.refused.code if isinstance(reply, Reply) and reply.refused is not None else ""
-            recorded = self._commands.record_command(command, reply, refused)
+            refused_code = reply.refused.code if isinstance(reply, Reply) and reply.refused is not None else ""
+            recorded_command = self._commands.record_command(command, reply, refused_code)
             if name in ANSWERED_FIRST:
-                self._services.fleet.tasks.spawn(recorded, vital=False)
+                self._services.fleet.tasks.spawn(recorded_command, vital=False)
             else:
-                await recorded
+                await recorded_command
         return reply.to_json()
 
     async def _execute(self, name: str, request: Request) -> Model:
         try:
             return await self._handlers[name](request)
         except Refusal as error:
-            refused = RefusalDetails.of(error)
+            refused_details = RefusalDetails.of(error)
         except UnknownName as error:
-            refused = RefusalDetails(code="unknown-name", text=str(error), remedy="see `tutti axis ls`")
+            refused_details = RefusalDetails(code="unknown-name", text=str(error), remedy="see `tutti axis ls`")
         except JournalError as error:
             self._services.log.warning(str(error))
-            refused = RefusalDetails(code="journal", text=error.text, remedy=error.remedy)
+            refused_details = RefusalDetails(code="journal", text=error.text, remedy=error.remedy)
         reply = SERVICE_VERBS[name].reply
         if not issubclass(reply, Reply):  # it has no field for a refusal
-            raise RequestRefused(f"{refused.text}; {refused.remedy}")
-        return reply(refused=refused)
+            raise RequestRefused(f"{refused_details.text}; {refused_details.remedy}")
+        return reply(refused=refused_details)
 
     # Jobs
 
@@ -176,9 +176,9 @@ class UserRequests:
 
     async def _read_points(self, request: ReadPoints) -> PointsRead:
         services = self._services
-        after = request.after_step, request.after_point
+        steps_after = request.after_step, request.after_point
         load = services.journal.point_rows.load_points
-        return PointsRead(points=await services.execute(load, request.job_id, after, request.limit))
+        return PointsRead(points=await services.execute(load, request.job_id, steps_after, request.limit))
 
     async def _list_jobs(self, request: ListJobs) -> QueueState:
         services = self._services
@@ -280,10 +280,12 @@ class UserRequests:
             fleet = Fleet.model_validate(request.configuration)
         except ValidationError as error:
             raise Refusal("bad-file", _first_problem(error), "correct the fleet file") from None
-        changed = await self._reload.load_fleet(fleet, request.actor)
+        changed_fleet = await self._reload.load_fleet(fleet, request.actor)
         self._scheduler.forget_needs()
-        self._services.log.info(f"reloaded by {request.actor}: {', '.join(changed) or 'no controller has changed'}")
-        return FleetReloaded(changed=changed)
+        self._services.log.info(
+            f"reloaded by {request.actor}: {', '.join(changed_fleet) or 'no controller has changed'}"
+        )
+        return FleetReloaded(changed=changed_fleet)
 
     async def _list_names(self, _: Request) -> FleetNames:
         fleet = self._services.view.fleet
@@ -291,9 +293,9 @@ class UserRequests:
             controllers=list(fleet.controllers),
             axes={name: fleet.axis(name).unit for name in fleet.axis_names},
             groups=fleet.groups,
-            positions={each.name: list(each.axes) for each in self._services.positions.list_entries()},
-            inputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.inputs],
-            outputs=[f"{c}.{name}" for c, each in fleet.controllers.items() for name in each.outputs],
+            positions={entry.name: list(entry.axes) for entry in self._services.positions.list_entries()},
+            inputs=[f"{c}.{name}" for c, controller in fleet.controllers.items() for name in controller.inputs],
+            outputs=[f"{c}.{name}" for c, controller in fleet.controllers.items() for name in controller.outputs],
         )
 
     async def _show_configuration(self, _: Request) -> FleetLoaded:

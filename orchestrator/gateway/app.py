@@ -97,7 +97,7 @@ class Gateway:
 
     async def close(self) -> None:
         """End the sockets, and what they have begun."""
-        await asyncio.gather(*(each.disconnect(1012, "the gateway ends") for each in list(self._sockets)))
+        await asyncio.gather(*(socket.disconnect(1012, "the gateway ends") for socket in list(self._sockets)))
         await self.hub.close()
 
     def _make_routes(self) -> list[BaseRoute]:
@@ -266,8 +266,8 @@ class Gateway:
         text = body.get("text")
         if not isinstance(text, str):
             raise Refusal("bad-request", "`text` must be the text of a fleet file", "")
-        running = await self._commands.connect(identity).load_fleet()
-        return await self._execute(compare_fleet, text, running)
+        running_fleet = await self._commands.connect(identity).load_fleet()
+        return await self._execute(compare_fleet, text, running_fleet)
 
     def _note_stop(self, what: str, actor: str, answers: dict[str, Any]) -> None:
         """Show a stop on every page."""

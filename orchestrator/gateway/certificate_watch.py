@@ -48,11 +48,11 @@ class CertificateWatch:
         """Take over what the files are now; where they cannot be used, the present one stays."""
         present = self.certificate
         try:
-            found = await self.execute(read_web_certificate, present.file, present.key)
-            if found.digest != present.digest:
-                found.load_into(self.context)
-                self.certificate = found
-                self.log.info(f"the page has another certificate, until {found.expires:%Y-%m-%d %H:%M} UTC")
+            current = await self.execute(read_web_certificate, present.file, present.key)
+            if current.digest != present.digest:
+                current.load_into(self.context)
+                self.certificate = current
+                self.log.info(f"the page has another certificate, until {current.expires:%Y-%m-%d %H:%M} UTC")
             self._fault = ""
         except Refusal as error:
             if not self._fault:

@@ -48,25 +48,25 @@ class FleetCommands:
     def connect(self, identity: Identity) -> Tutti:
         """The connection with the actor of a user."""
         actor = identity.actor
-        found = self._connections.get(actor)
-        if found is None:
-            found = Tutti(self._tutti.bus, self._tutti.keys.fleet, actor, self._tutti.new_id)
-            self._connections[actor] = found
+        connection = self._connections.get(actor)
+        if connection is None:
+            connection = Tutti(self._tutti.bus, self._tutti.keys.fleet, actor, self._tutti.new_id)
+            self._connections[actor] = connection
             if len(self._connections) > MAX_CONNECTIONS:
                 self._connections.popitem(last=False)
         self._connections.move_to_end(actor)
-        return found
+        return connection
 
     async def stop(self, what: str, tutti: Tutti, reason: str) -> dict[str, Any]:
         """Stop the fleet: `stop` by ramps, with the running jobs, or `estop`. Needs no coordinator."""
         self._log.warning(f"{what} by {tutti.actor}", verb=what, actor=tutti.actor, reason=reason)
         answers: dict[str, Refusal | None]
         if what == "estop":
-            latched = await tutti.estop(reason or "on the operators' page")
-            answers = {name: None if done else _NOT_LATCHED for name, done in latched.items()}
+            latched_estop = await tutti.estop(reason or "on the operators' page")
+            answers = {name: None if done else _NOT_LATCHED for name, done in latched_estop.items()}
         else:
             answers = await tutti.stop(known=self.known_controllers())
-        plain = {name: None if each is None else describe_refusal(each) for name, each in answers.items()}
+        plain = {name: None if answer is None else describe_refusal(answer) for name, answer in answers.items()}
         self._on_stop(what, tutti.actor, plain)
         return {"answers": plain}
 
@@ -74,7 +74,9 @@ class FleetCommands:
         """Release the e-stop latch on all controllers, and clear faults."""
         self._note(identity, "reset", "")
         answers = await self.connect(identity).reset()
-        return {"answers": {name: None if each is None else describe_refusal(each) for name, each in answers.items()}}
+        return {
+            "answers": {name: None if answer is None else describe_refusal(answer) for name, answer in answers.items()}
+        }
 
     async def request(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str = "") -> Model:
         """Pass a request of `svc/{verb}` on. key: an idempotency key; the same one is the same request.
@@ -84,9 +86,9 @@ class FleetCommands:
         identity.require_right(verb)
         service, tutti = SERVICE_VERBS[verb], self.connect(identity)
         request_id = self._find_request_id(identity, verb, fields, key)
-        given = {"client_key": request_id, **fields} if "client_key" in service.request.model_fields else fields
+        given_fields = {"client_key": request_id, **fields} if "client_key" in service.request.model_fields else fields
         # In a thread: the model of a long job takes a tenth of a second, in which a jog would not be renewed.
-        request = await self._execute(make_request, service, given, request_id, identity.actor)
+        request = await self._execute(make_request, service, given_fields, request_id, identity.actor)
         if isinstance(request, SubmitJob):
             request = prepare_submission(request, identity)
         if not service.reads:
@@ -133,8 +135,8 @@ def make_request(verb: ServiceVerb, fields: Mapping[str, Any], request_id: str, 
     try:
         return verb.request.model_validate({**fields, "request_id": request_id, "actor": actor})
     except ValidationError as error:
-        found = [f"{'.'.join(map(str, each['loc'])) or 'body'}: {each['msg']}" for each in error.errors()[:10]]
-        raise Refusal("bad-request", "; ".join(found), "see /v1/openapi.json for the fields") from None
+        texts = [f"{'.'.join(map(str, details['loc'])) or 'body'}: {details['msg']}" for details in error.errors()[:10]]
+        raise Refusal("bad-request", "; ".join(texts), "see /v1/openapi.json for the fields") from None
 
 
 def prepare_submission(request: SubmitJob, identity: Identity) -> SubmitJob:

@@ -84,10 +84,10 @@ class Guard:
     async def _guard_request(self, scope: Scope, receive: Receive, send: Send) -> None:
         taken = 0
         headers = find_headers(scope)
-        added = dict(SECURITY_HEADERS)
+        added_headers = dict(SECURITY_HEADERS)
         if self._scheme == "https" and headers["host"].lower() not in self._own_hosts:
             # Not for `localhost`: a browser would then refuse every other plain page there.
-            added["Strict-Transport-Security"] = STRICT_TRANSPORT
+            added_headers["Strict-Transport-Security"] = STRICT_TRANSPORT
 
         async def receive_limited() -> Message:
             nonlocal taken
@@ -106,7 +106,7 @@ class Guard:
                         *message["headers"],
                         *(
                             (name.encode(), value.encode())
-                            for name, value in added.items()
+                            for name, value in added_headers.items()
                             if name.lower().encode() not in present
                         ),
                     ],

@@ -39,9 +39,9 @@ class JobFiles:
         Raises `Refusal` for a body that is not as it should be, and a template that is not there.
         """
         found: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
-        parameters, problems, filled = await self._execute(self._fill_job, body)
+        parameters, problems, filled_job = await self._execute(self._fill_job, body)
         found |= {"parameters": parameters, "problems": describe_problems(problems)}
-        return found if filled is None else found | await self.forecast_job(tutti, filled.job, filled)
+        return found if filled_job is None else found | await self.forecast_job(tutti, filled_job.job, filled_job)
 
     async def forecast_job(self, tutti: Tutti, job: Job, filled: FilledJob | None = None) -> dict[str, Any]:
         """What a job will do now: its forecast, with what each controller would be sent if it is not too long, and its
@@ -49,7 +49,7 @@ class JobFiles:
         forecast, problems = JobForecast(), list[FileProblem]()
         if len(job.steps) <= MAX_DRY_RUN_STEPS:
             forecast = await tutti.dry_run(job)
-            problems = [_locate_problem(each, filled) for each in forecast.problems]
+            problems = [_locate_problem(problem, filled) for problem in forecast.problems]
         fleet, positions = await tutti.load_fleet(), await tutti.list_positions()
         axes = look_at_axes(fleet, await tutti.status())
         return {
@@ -67,11 +67,11 @@ class JobFiles:
         try:
             template = Template(self._read_file(body))
             parameters = _describe_parameters(template)
-            filled = template.fill_settings(_read_values(body.get("values", {})))
-            _refuse_files(filled)
+            filled_settings = template.fill_settings(_read_values(body.get("values", {})))
+            _refuse_files(filled_settings)
         except FileError as error:
             return parameters, error.problems, None
-        return parameters, [], filled
+        return parameters, [], filled_settings
 
     def _read_file(self, body: Mapping[str, Any]) -> LoadedFile:
         text, template = body.get("text"), body.get("template")
@@ -97,22 +97,22 @@ def _describe_template(path: Path) -> dict[str, Any]:
 
 
 def _describe_parameters(template: Template) -> list[dict[str, Any]]:
-    return [{"name": name, **describe_parameter(each)} for name, each in template.parameters.items()]
+    return [{"name": name, **describe_parameter(parameter)} for name, parameter in template.parameters.items()]
 
 
 def _read_values(values: object) -> dict[str, ParameterSetting]:
-    given = cast(Mapping[str, object], values) if isinstance(values, dict) else {"": 0}
-    if not all(isinstance(each, str) for each in given.values()):
+    given_values = cast(Mapping[str, object], values) if isinstance(values, dict) else {"": 0}
+    if not all(isinstance(each, str) for each in given_values.values()):
         raise Refusal("bad-request", "`values` must be an object of texts", 'for example {"width": "20 mm"}')
-    return {name: ParameterSetting(value, "the form", written=True) for name, value in given.items() if value}
+    return {name: ParameterSetting(value, "the form", written=True) for name, value in given_values.items() if value}
 
 
 def _refuse_files(filled: FilledJob) -> None:
     """A job from elsewhere must not name files of this machine. Raises `FileError`."""
     problems = [
         filled.problem(("steps", number), "points in a file, or in a scanspec: submit it with `tutti submit FILE`")
-        for number, written in enumerate(filled.job.steps)
-        for step in written.iterate_written()
+        for number, written_step in enumerate(filled.job.steps)
+        for step in written_step.iterate_written()
         if step.has_unread_points
     ]
     if problems:

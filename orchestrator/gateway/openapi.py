@@ -60,13 +60,13 @@ _OWN = {
 def _make_schemas() -> tuple[dict[type[Model], str], dict[str, Any]]:
     """The schema of every model, and its name."""
     verbs = [*SERVICE_VERBS.values(), *CONTROLLER_VERBS.values()]
-    requests, replies = {each.request for each in verbs}, {each.reply for each in verbs}
-    ordered = sorted(requests | replies | {RefusalDetails}, key=lambda each: each.__name__)
-    places, found = models_json_schema([(each, "validation") for each in ordered], ref_template=_PLACE)
-    names = {each: places[each, "validation"]["$ref"].rpartition("/")[2] for each in ordered}
+    requests, replies = {verb.request for verb in verbs}, {verb.reply for verb in verbs}
+    ordered_requests = sorted(requests | replies | {RefusalDetails}, key=lambda each: each.__name__)
+    places, found = models_json_schema([(each, "validation") for each in ordered_requests], ref_template=_PLACE)
+    names = {each: places[each, "validation"]["$ref"].rpartition("/")[2] for each in ordered_requests}
     schemas: dict[str, Any] = found["$defs"]
-    for each in requests:
-        schema = schemas[names[each]]
+    for request in requests:
+        schema = schemas[names[request]]
         schema["properties"] = {name: value for name, value in schema["properties"].items() if name not in _GIVEN}
         schema["required"] = [name for name in schema.get("required", []) if name not in _GIVEN]
     return names, schemas

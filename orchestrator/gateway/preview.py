@@ -32,21 +32,21 @@ Lines = dict[str, dict[str, Any]]
 
 def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[str, AxisForecast]:
     """All axes as they are now; those of silent controllers are unknown."""
-    found: dict[str, AxisForecast] = {}
+    axes: dict[str, AxisForecast] = {}
     for name in fleet.axis_names:
         controller, _, local = name.partition(".")
         state = states.get(controller)
-        now = None if state is None or state.mode == "offline" else state.axes.get(local)
-        if now is not None:
+        axis_now = None if state is None or state.mode == "offline" else state.axes.get(local)
+        if axis_now is not None:
             axis = fleet.axis(name)
-            found[name] = AxisForecast(
-                motor=Fraction(now.commanded_counts) / axis.counts_per_unit,
+            axes[name] = AxisForecast(
+                motor=Fraction(axis_now.commanded_counts) / axis.counts_per_unit,
                 known=True,
-                offset=now.offset,
-                enabled=now.enabled or axis.enable != "manual",
-                referenced=now.referenced,
+                offset=axis_now.offset,
+                enabled=axis_now.enabled or axis.enable != "manual",
+                referenced=axis_now.referenced,
             )
-    return found
+    return axes
 
 
 async def draw_job(
@@ -92,12 +92,12 @@ class _Drawing:
         self._gap = ""
 
     def take(self, index: int, step: Step) -> None:
-        before = dict(self._forecaster.axes)
+        axes_before = dict(self._forecaster.axes)
         forecast = self._forecaster.take(index, step)
         begun_s = self._now_s
         motion = self._forecaster.motion
         if motion is not None:
-            self._draw_motion(motion, before)
+            self._draw_motion(motion, axes_before)
         elif step.is_motion:
             self.note_gap(index, "it begins at a position that only the machine knows")
         self._now_s += forecast.least_s

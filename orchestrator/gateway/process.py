@@ -86,18 +86,18 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         address = f"{'https' if secure else 'http'}://{next(iter(names), host)}:{port}/"
         log.info(f"serves fleet {place.fleet} on {address}")
         on_ready(f"page on {address}")
-        beside = [loop.create_task(ServiceManager().run_alone())] if place.service else []
+        tasks_beside = [loop.create_task(ServiceManager().run_alone())] if place.service else []
         if certificate is not None and context is not None:
             raise_alarm = _make_alarm(bus, keys, place)
             watch = CertificateWatch(
                 certificate, clock, execute, log, context, gateway.guard.admit, raise_alarm, beyond=bool(names)
             )
-            beside.append(loop.create_task(watch.run()))
+            tasks_beside.append(loop.create_task(watch.run()))
         try:
             async with report_own_alarms(bus, keys, ("gateway", "own"), place.connect):
                 await server.serve([listener])
         finally:
-            for task in beside:
+            for task in tasks_beside:
                 task.cancel()
             await gateway.close()
     finally:
@@ -147,21 +147,21 @@ def main() -> int:
     parser.add_argument("--ssl-keyfile", type=Path, default=None)
     parser.add_argument("--service", action="store_true", help="a service of its own: announce that it is ready")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
-    given = parser.parse_args()
+    given_args = parser.parse_args()
     place = GatewayPlace(
-        fleet=given.fleet,
-        connect=given.connect,
-        state=given.state,
-        log=given.log,
-        jobs=given.jobs,
-        address=given.address,
-        port=given.port,
-        certificate=given.ssl_certfile,
-        key=given.ssl_keyfile,
-        service=given.service,
+        fleet=given_args.fleet,
+        connect=given_args.connect,
+        state=given_args.state,
+        log=given_args.log,
+        jobs=given_args.jobs,
+        address=given_args.address,
+        port=given_args.port,
+        certificate=given_args.ssl_certfile,
+        key=given_args.ssl_keyfile,
+        service=given_args.service,
     )
-    if given.parent:
-        die_with_parent(given.parent)
+    if given_args.parent:
+        die_with_parent(given_args.parent)
     return run_service(serve_gateway(place, _print_ready), place.log, {NotServed: BAD_INPUT})
 
 

@@ -114,8 +114,8 @@ class FleetReads:
     # Jobs
 
     async def _list_jobs(self, request: ReadRequest) -> Response:
-        given = {name: request.values[name] for name in ("state", "name", "since") if request.values.get(name)}
-        return await self._ask(request, "list", limit=request.read_int("limit", 50), **given)
+        given_values = {name: request.values[name] for name in ("state", "name", "since") if request.values.get(name)}
+        return await self._ask(request, "list", limit=request.read_int("limit", 50), **given_values)
 
     async def _show_job(self, request: ReadRequest) -> Response:
         return await self._ask(request, "show", job_id=request.values["job_id"])
@@ -127,10 +127,10 @@ class FleetReads:
     async def _read_plan(self, request: ReadRequest) -> Response:
         """What a queued job will do now, and its plan for approval."""
         tutti, job_id = self._connect(request), request.values["job_id"]
-        planned = await tutti.plan_job(job_id)
-        shown = await tutti.show_job(job_id)
-        found = {} if shown.job is None else await self._files.forecast_job(tutti, shown.job)
-        return JSONResponse({**planned.to_plain(), **found})
+        planned_job = await tutti.plan_job(job_id)
+        shown_job = await tutti.show_job(job_id)
+        job = {} if shown_job.job is None else await self._files.forecast_job(tutti, shown_job.job)
+        return JSONResponse({**planned_job.to_plain(), **job})
 
     async def _load_recording(self, request: ReadRequest, step: int) -> StepRecording:
         recording = await self._connect(request).load_recording(request.values["job_id"], step)
@@ -170,16 +170,16 @@ class FleetReads:
         return JSONResponse({"files": await self._execute(self._find_recordings)})
 
     def _find_recordings(self) -> list[dict[str, Any]]:
-        found: list[dict[str, Any]] = []
+        recordings: list[dict[str, Any]] = []
         paths = [] if self._recordings is None else list(self._recordings.glob(f"*{RECORDED}"))
         for path in sorted(paths, key=lambda each: each.name, reverse=True)[:MAX_RECORDINGS]:
             try:
                 stat = path.stat()
             except OSError:
                 continue  # deleted meanwhile
-            changed = format_utc(datetime.fromtimestamp(stat.st_mtime, UTC))
-            found.append({"name": path.name, "bytes": stat.st_size, "changed_utc": changed})
-        return found
+            changed_utc = format_utc(datetime.fromtimestamp(stat.st_mtime, UTC))
+            recordings.append({"name": path.name, "bytes": stat.st_size, "changed_utc": changed_utc})
+        return recordings
 
     async def _list_commands(self, request: ReadRequest) -> Response:
         return await self._ask(request, "commands", limit=request.read_int("limit", 100))
@@ -195,15 +195,20 @@ class FleetReads:
 
     async def _read_clocks(self, request: ReadRequest) -> Response:
         clocks = await query_clocks(self._connect(request))
-        plain = {name: each.to_plain() for name, each in clocks.items()}
+        plain = {name: clock.to_plain() for name, clock in clocks.items()}
         return JSONResponse({"clocks": plain, "history": self._hub.clock_history.show()})
 
     async def _read_trace(self, request: ReadRequest) -> Response:
         after = request.read_int("after", 0)
         reply = await self._connect(request).read_trace(request.values["controller"], after=after)
         frames = [
-            {"at_s": round(each.after_s, 6), "direction": each.direction, "text": each.text, "meaning": each.meaning}
-            for each in FrameList(reply, raw=False).read_frames(reply)
+            {
+                "at_s": round(frame.after_s, 6),
+                "direction": frame.direction,
+                "text": frame.text,
+                "meaning": frame.meaning,
+            }
+            for frame in FrameList(reply, raw=False).read_frames(reply)
         ]
         return JSONResponse({"frames": frames[-MAX_TRACE_FRAMES:], "newest": reply.newest, "lost": reply.lost})
 
@@ -241,6 +246,8 @@ def _list_samples(recording: StepRecording, name: str, axis: AxisRecording) -> l
     rows: list[list[Any]] = []
     for at_ns, counts in axis.sampled:
         after_s = (at_ns - recording.t0_fleet_ns) / 1e9
-        planned = (start + evaluate(after_s).position) / scale
-        rows.append([recording.step, name, axis.unit, at_ns, after_s, round(planned, 9), round(counts / scale, 9)])
+        planned_position = (start + evaluate(after_s).position) / scale
+        rows.append(
+            [recording.step, name, axis.unit, at_ns, after_s, round(planned_position, 9), round(counts / scale, 9)]
+        )
     return rows

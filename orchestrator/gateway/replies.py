@@ -45,7 +45,7 @@ def make_refusal_response(refusal: Refusal, status: int | None = None) -> Respon
 
 def describe_problems(problems: Iterable[FileProblem]) -> list[dict[str, Any]]:
     """The mistakes of a file for programs, each with its line and field."""
-    return [{"line": each.line, "place": each.field, "text": each.text} for each in problems]
+    return [{"line": problem.line, "place": problem.field, "text": problem.text} for problem in problems]
 
 
 def make_model_response(model: Model) -> Response:

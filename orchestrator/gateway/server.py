@@ -55,14 +55,18 @@ class LimitedProtocol(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
         if len(self.connections) > MAX_CONNECTIONS:
-            oldest = min(self._list_idle(), key=lambda each: each.begun_s, default=self)
+            oldest = min(self._list_idle(), key=lambda protocol: protocol.begun_s, default=self)
             oldest.transport.close()
 
     def _list_idle(self) -> "Sequence[LimitedProtocol]":
         """Connections without a request at work."""
-        others = [each for each in self.connections if isinstance(each, LimitedProtocol) and each is not self]
+        others_connections = [
+            connection
+            for connection in self.connections
+            if isinstance(connection, LimitedProtocol) and connection is not self
+        ]
         # Before its first request a connection has no cycle, whatever the annotation says.
-        return [each for each in others if not each.cycle or each.cycle.response_complete]
+        return [protocol for protocol in others_connections if not protocol.cycle or protocol.cycle.response_complete]
 
 
 class LimitedServer(Server):

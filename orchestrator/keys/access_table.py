@@ -31,7 +31,7 @@ class Rights:
     watches: tuple[str, ...] = ()
 
     def __add__(self, other: "Rights") -> "Rights":
-        return Rights(*((*getattr(self, each.name), *getattr(other, each.name)) for each in fields(self)))
+        return Rights(*((*getattr(self, field.name), *getattr(other, field.name)) for field in fields(self)))
 
 
 def find_rights(name: KeyName, fleet: str, hosts: Mapping[str, Sequence[str]]) -> Rights:
@@ -96,11 +96,16 @@ def _make_host(keys: FleetKeys, name: str, hosts: Mapping[str, Sequence[str]]) -
         + Rights(serves=(keys.batch_command(name), keys.kept_estop(f"guardian-{name}")))
     )
     for controller in hosts.get(name, ()):
-        published = (keys.state(controller), keys.event(controller), keys.clock(controller), keys.link(controller))
-        served = (keys.state(controller), keys.event(controller), keys.clock(controller), keys.info(controller))
+        published_states = (
+            keys.state(controller),
+            keys.event(controller),
+            keys.clock(controller),
+            keys.link(controller),
+        )
+        served_states = (keys.state(controller), keys.event(controller), keys.clock(controller), keys.info(controller))
         rights += Rights(
-            puts=(*published, keys.log("controller", controller)),
-            serves=(*served, keys.trace(controller), keys.command(controller)),
+            puts=(*published_states, keys.log("controller", controller)),
+            serves=(*served_states, keys.trace(controller), keys.command(controller)),
             tokens=(keys.live("controller", controller),),
         )
     return rights

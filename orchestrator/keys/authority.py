@@ -59,19 +59,21 @@ class Authority:
             text = f"the authority has ended on {expires:%Y-%m-%d}"
             raise Refusal("authority-expired", text, "make a new one: `tutti keys init` in another folder")
         key = ec.generate_private_key(ec.SECP256R1())
-        issued = _begin(common_name, self._certificate.subject, key.public_key(), now - SKEW, expires)
-        issued = issued.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        issued_begin = _begin(common_name, self._certificate.subject, key.public_key(), now - SKEW, expires)
+        issued_begin = issued_begin.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
         if addresses:
             uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
-            names = x509.SubjectAlternativeName([_parse_address(each) for each in addresses])
-            issued = issued.add_extension(names, critical=False)
-        issued = issued.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
-        issued = issued.add_extension(_make_usage(authority=False), critical=True)
+            names = x509.SubjectAlternativeName([_parse_address(address) for address in addresses])
+            issued_begin = issued_begin.add_extension(names, critical=False)
+        issued_begin = issued_begin.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+        issued_begin = issued_begin.add_extension(_make_usage(authority=False), critical=True)
         issuer = x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key())
-        issued = issued.add_extension(issuer, critical=False)
-        signed = issued.sign(self._key, hashes.SHA256())
-        return IssuedKey(signed.public_bytes(Encoding.PEM), _encode_key(key), signed.not_valid_after_utc)
+        issued_begin = issued_begin.add_extension(issuer, critical=False)
+        signed_certificate = issued_begin.sign(self._key, hashes.SHA256())
+        return IssuedKey(
+            signed_certificate.public_bytes(Encoding.PEM), _encode_key(key), signed_certificate.not_valid_after_utc
+        )
 
 
 def make_authority(fleet: str, now: datetime, days: float = AUTHORITY_DAYS) -> tuple[Authority, bytes]:
@@ -79,22 +81,22 @@ def make_authority(fleet: str, now: datetime, days: float = AUTHORITY_DAYS) -> t
     key = ec.generate_private_key(ec.SECP256R1())
     name = f"authority of fleet {fleet}"[:64]
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    made = _begin(name, subject, key.public_key(), now - SKEW, now + timedelta(days=days))
-    made = made.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-    made = made.add_extension(_make_usage(authority=True), critical=True)
-    made = made.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-    return Authority(made.sign(key, hashes.SHA256()), key), _encode_key(key)
+    begin = _begin(name, subject, key.public_key(), now - SKEW, now + timedelta(days=days))
+    begin = begin.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    begin = begin.add_extension(_make_usage(authority=True), critical=True)
+    begin = begin.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    return Authority(begin.sign(key, hashes.SHA256()), key), _encode_key(key)
 
 
 def load_authority(certificate: bytes, key: bytes) -> Authority:
     """The authority of two PEM texts. Raises `Refusal`, code `bad-keys`, if they cannot be read, or are not a pair."""
     try:
-        loaded, private = x509.load_pem_x509_certificate(certificate), load_pem_private_key(key, None)
+        loaded_certificate, private = x509.load_pem_x509_certificate(certificate), load_pem_private_key(key, None)
     except (ValueError, TypeError) as error:
         raise Refusal("bad-keys", f"the authority cannot be read: {error}", "restore it from a backup") from None
-    if not isinstance(private, ec.EllipticCurvePrivateKey) or loaded.public_key() != private.public_key():
+    if not isinstance(private, ec.EllipticCurvePrivateKey) or loaded_certificate.public_key() != private.public_key():
         raise Refusal("bad-keys", "certificate and key of the authority are no pair", "restore both from a backup")
-    return Authority(loaded, private)
+    return Authority(loaded_certificate, private)
 
 
 def _begin(
@@ -132,7 +134,7 @@ def _parse_address(text: str) -> x509.GeneralName:
     except ValueError:
         pass
     labels = text.split(".")
-    if len(text) > 253 or not all(each.replace("-", "").isalnum() and each.isascii() for each in labels):
+    if len(text) > 253 or not all(label.replace("-", "").isalnum() and label.isascii() for label in labels):
         text = f"{text[:80]!r} is no address of a computer"
         raise Refusal("bad-address", text, "give a host name or an IP address, without a port")
     return x509.DNSName(text)

@@ -73,9 +73,9 @@ class KeyFolder:
     def revoke(self, subject: str, *, at_once: bool = False) -> RegisterEntry:
         """Take a name out of the table. at_once: routers do not wait until the fleet is at rest, but stop it."""
         with self._locked():
-            changed = read_register(self.folder).revoke(subject, at_once=at_once)
-            self._write(changed)
-            return changed.require(subject)
+            changed_register = read_register(self.folder).revoke(subject, at_once=at_once)
+            self._write(changed_register)
+            return changed_register.require(subject)
 
     def identity(self, subject: str) -> Path:
         """The folder to hand over to the owner of a name."""
@@ -84,7 +84,7 @@ class KeyFolder:
     def _open(self) -> tuple[Register, Authority]:
         register = read_register(self.folder)
         try:
-            texts = [read_private_file(self.folder / each) for each in (AUTHORITY_FILE, AUTHORITY_KEY_FILE)]
+            texts = [read_private_file(self.folder / file) for file in (AUTHORITY_FILE, AUTHORITY_KEY_FILE)]
         except FileNotFoundError as error:
             text = f"{error.filename} is missing: certificates can be issued only where the authority is"
             raise Refusal("no-keys", text, "give the folder that `tutti keys init` has made") from None
@@ -94,16 +94,16 @@ class KeyFolder:
         self, opened: tuple[Register, Authority], name: KeyName, now: datetime, days: float, addresses: tuple[str, ...]
     ) -> RegisterEntry:
         register, authority = opened
-        issued = authority.issue(str(name), now, days, addresses)
+        issued_key = authority.issue(str(name), now, days, addresses)
         # The identity first: a name in the table without a certificate is harmless, the reverse is puzzling.
         folder = self.identity(name.subject)
         make_private_folder(folder)
         replace_private_file(folder / AUTHORITY_FILE, authority.certificate)
-        replace_private_file(folder / KEY_FILE, issued.key)
-        replace_private_file(folder / CERTIFICATE_FILE, issued.certificate)
-        changed = register.admit(name, format_rfc3339(issued.expires), addresses)
-        self._write(changed)
-        return changed.require(name.subject)
+        replace_private_file(folder / KEY_FILE, issued_key.key)
+        replace_private_file(folder / CERTIFICATE_FILE, issued_key.certificate)
+        changed_register = register.admit(name, format_rfc3339(issued_key.expires), addresses)
+        self._write(changed_register)
+        return changed_register.require(name.subject)
 
     def _write(self, register: Register) -> None:
         write_register(self.folder, register)

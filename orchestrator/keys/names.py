@@ -52,7 +52,7 @@ def make_subject(role: Role, name: str) -> str:
 
 def parse_common_name(text: str) -> KeyName:
     """Parse the common name of a certificate. Raises `ValueError`, which shows the form."""
-    found = _COMMON_NAME.fullmatch(text)
-    if found is None:
+    match = _COMMON_NAME.fullmatch(text)
+    if match is None:
         raise ValueError(f"{text[:80]!r} is not of the form ROLE-NAME.GENERATION, e.g. host-lab3.2")
-    return KeyName(cast("Role", found[1]), found[2], int(found[3]))
+    return KeyName(cast("Role", match[1]), match[2], int(match[3]))

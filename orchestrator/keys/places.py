@@ -19,15 +19,15 @@ def find_identity_folder(keys: Path, role: Role, name: str | None = None) -> Pat
     if not folder.is_dir():
         return keys
     entries = read_register(keys).names.items()
-    found = [
+    found_entries = [
         subject
-        for subject, each in entries
-        if each.role == role and name in (None, each.name) and not each.revoked and (folder / subject).is_dir()
+        for subject, entry in entries
+        if entry.role == role and name in (None, entry.name) and not entry.revoked and (folder / subject).is_dir()
     ]
-    if not found:
+    if not found_entries:
         wanted = f"{role}-{name}" if name else f"of the role {role}"
         raise Refusal("no-keys", f"{keys} has no identity {wanted}", "see `tutti keys ls`; add it: `tutti keys add-…`")
-    if len(found) > 1:
-        text = f"{keys} has several identities of the role {role}: {', '.join(found)}"
-        raise Refusal("which-key", text, f"give the folder of one: {folder / found[0]}")
-    return folder / found[0]
+    if len(found_entries) > 1:
+        text = f"{keys} has several identities of the role {role}: {', '.join(found_entries)}"
+        raise Refusal("which-key", text, f"give the folder of one: {folder / found_entries[0]}")
+    return folder / found_entries[0]

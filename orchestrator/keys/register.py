@@ -71,10 +71,10 @@ class Register(Model):
         Raises `Refusal`, code `key-exists`, and `ValueError` for what cannot be a name.
         """
         subject = make_subject(role, name)
-        before = self.names.get(subject)
-        if before is not None and not before.revoked:
-            raise Refusal("key-exists", f"{before.key_name} exists already", f"`tutti keys renew {subject}`")
-        return KeyName(role, name, 1 if before is None else before.generation + 1)
+        name_before = self.names.get(subject)
+        if name_before is not None and not name_before.revoked:
+            raise Refusal("key-exists", f"{name_before.key_name} exists already", f"`tutti keys renew {subject}`")
+        return KeyName(role, name, 1 if name_before is None else name_before.generation + 1)
 
     def name_to_renew(self, subject: str) -> KeyName:
         """The next generation of a name. Raises `Refusal`, code `key-revoked` or `unknown-name`."""
@@ -96,8 +96,8 @@ class Register(Model):
 
     def revoke(self, subject: str, *, at_once: bool = False) -> "Register":
         """The register without that name in the table. Raises `Refusal`, code `unknown-name`."""
-        changed = self._with(subject, self.require(subject).model_copy(update={"revoked": True}))
-        return changed.model_copy(update={"urgent": self.urgent + at_once})
+        changed_register = self._with(subject, self.require(subject).model_copy(update={"revoked": True}))
+        return changed_register.model_copy(update={"urgent": self.urgent + at_once})
 
     def _with(self, subject: str, entry: RegisterEntry) -> "Register":
         return self.model_copy(update={"names": {**self.names, subject: entry}})

@@ -52,10 +52,14 @@ def make_access_settings(register: Register, fleet: Fleet) -> dict[str, object]:
     # A session through a socket has no certificate: its folder lets the fleet's own user in, and no other.
     rules.append(_make_rule(_SOCKET, "ingress", _ALL_MESSAGES, ("**",)))
     policies: list[dict[str, object]] = [{"rules": [_OUT, _SOCKET], "subjects": [_SOCKET]}]
-    linked = [str(name) for name in register.admitted() if name.role == "router"]
-    for name, allowed in rights.items():
-        carries = name in linked and len(linked) > 1
-        own = [_make_rule(name, "ingress", _ALL_MESSAGES, ("**",))] if carries else list(_list_rules(name, allowed))
+    linked_routers = [str(name) for name in register.admitted() if name.role == "router"]
+    for name, allowed_rights in rights.items():
+        carries = name in linked_routers and len(linked_routers) > 1
+        own = (
+            [_make_rule(name, "ingress", _ALL_MESSAGES, ("**",))]
+            if carries
+            else list(_list_rules(name, allowed_rights))
+        )
         rules += own
         # What a name receives is decided by what it may declare and request.
         policies.append({"rules": [_OUT, *(rule["id"] for rule in own)], "subjects": [name]})
@@ -94,8 +98,8 @@ def nest_settings(settings: Mapping[str, object]) -> dict[str, Any]:
 
 
 def _list_rules(name: str, rights: Rights) -> Sequence[dict[str, object]]:
-    found = ((kind, messages, getattr(rights, kind)) for kind, messages in _MESSAGES.items())
-    return [_make_rule(f"{name} {kind}", "ingress", messages, keys) for kind, messages, keys in found if keys]
+    kinds = ((kind, messages, getattr(rights, kind)) for kind, messages in _MESSAGES.items())
+    return [_make_rule(f"{name} {kind}", "ingress", messages, keys) for kind, messages, keys in kinds if keys]
 
 
 def _make_rule(id: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, object]:

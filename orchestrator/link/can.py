@@ -122,8 +122,10 @@ class FrameReader:
 
 def longest_bits(frame: CanFrame) -> int:
     """Bits of `frame` on the bus with the maximum of stuff bits, and the intermission after it."""
-    stuffed = (STUFFED_BITS_EXTENDED if frame.extended else STUFFED_BITS) + (0 if frame.rtr else 8 * len(frame.data))
-    return stuffed + (stuffed - 1) // 4 + FIXED_BITS
+    stuffed_bits = (STUFFED_BITS_EXTENDED if frame.extended else STUFFED_BITS) + (
+        0 if frame.rtr else 8 * len(frame.data)
+    )
+    return stuffed_bits + (stuffed_bits - 1) // 4 + FIXED_BITS
 
 
 def frame_ns(frame: CanFrame, bitrate: int) -> int:
@@ -170,8 +172,10 @@ class CanLink:
     async def read_frame(self) -> CanReceived:
         """Wait for a frame of another node, or an error frame of this end. Raises `LinkClosed`."""
         while not self._received:
-            received = await self._link.read()
-            self._received.extend(CanReceived(frame, received.at_ns) for frame in self._reader.add_bytes(received.data))
+            received_bytes = await self._link.read()
+            self._received.extend(
+                CanReceived(frame, received_bytes.at_ns) for frame in self._reader.add_bytes(received_bytes.data)
+            )
         return self._received.popleft()
 
     async def close(self) -> None:

@@ -162,7 +162,7 @@ class CanNode:
 
     def count_errors(self, transmit: int = 0, receive: int = 0) -> None:
         """Add to the error counters; report a change of the node's state."""
-        before = self.node_state
+        state_before = self.node_state
         self.transmit_errors = max(0, self.transmit_errors + transmit)
         # A receiver that has been passive is nearly so after its first good frame.
         most = PASSIVE_FROM - 1 if receive < 0 else OFF_FROM
@@ -171,7 +171,7 @@ class CanNode:
             self.off = True
             self.waiting.clear()
             self.on_error(ERROR_BUS_OFF)
-        elif self.node_state != before:
+        elif self.node_state != state_before:
             self.on_error(ERROR_PASSIVE)
 
 
@@ -264,12 +264,12 @@ class MemoryCanBus:
             return
         heads = [(_arbitration_rank(frame), node, frame) for node in ready for frame in (node.next_frame(),)]
         least, _, frame = heads[0] if len(heads) == 1 else min(heads, key=lambda head: head[0])
-        same = [(node, head) for rank, node, head in heads if rank == least]
-        senders = [node for node, _ in same]
+        same_nodes = [(node, head) for rank, node, head in heads if rank == least]
+        senders = [node for node, _ in same_nodes]
         begin_ns = planned_ns
         self._sending = True
         acknowledged = self._is_acknowledged(senders)
-        spoilt = any(head != frame or not node.is_active for node, head in same) or self._is_disturbed()
+        spoilt = any(head != frame or not node.is_active for node, head in same_nodes) or self._is_disturbed()
         bits = exact_bits(frame)
         if spoilt:
             bits = self._draw.randint(1, bits - INTERMISSION_BITS) + ERROR_FRAME_BITS + INTERMISSION_BITS

@@ -145,7 +145,7 @@ class MemoryWire:
 
     def delayed_start(self, start_ns: int) -> bool:
         """Whether a line that may have affected a start at that instant was late, which no process can detect."""
-        return any(start_ns - START_RELEVANT_NS < each <= start_ns for each in self.late_ns)
+        return any(start_ns - START_RELEVANT_NS < instant_ns <= start_ns for instant_ns in self.late_ns)
 
     def delay_ns(self) -> int:
         """One draw of the latency."""

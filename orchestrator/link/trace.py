@@ -64,13 +64,13 @@ class TraceRing:
     def tail_text(self) -> list[str]:
         """The last entries as readable lines, as many as a line of a log can hold; at least the beginning of one."""
         lines: list[str] = []
-        left = TAIL_CHARACTERS
+        characters_left = TAIL_CHARACTERS
         for at_ns, direction, data in reversed(self.recent_entries()):
             line = f"{at_ns} {direction} {data!r}"
-            if lines and len(line) > left:
+            if lines and len(line) > characters_left:
                 break
             lines.append(line[:TAIL_CHARACTERS])
-            left -= len(line)
+            characters_left -= len(line)
         return lines[::-1]
 
 
@@ -95,9 +95,9 @@ class TracedLink:
         return at_ns
 
     async def read(self) -> ReceivedBytes:
-        received = await self._link.read()
-        self._ring.add_entry(received.at_ns, "in", received.data)
-        return received
+        received_bytes = await self._link.read()
+        self._ring.add_entry(received_bytes.at_ns, "in", received_bytes.data)
+        return received_bytes
 
     def fileno(self) -> int:
         return self._link.fileno()

@@ -41,14 +41,14 @@ def convert_rates(data: Any) -> tuple[Any, list[Problem]]:
         block = converted if len(place) == 1 else converted.get(place[0])
         if not isinstance(block, Mapping):
             continue
-        found = cast(Mapping[str, Any], block).get(place[-1])
-        if not isinstance(found, str):
+        found_block = cast(Mapping[str, Any], block).get(place[-1])
+        if not isinstance(found_block, str):
             continue
         value = _VALID
         try:
-            value = value if unit is None else parse_rate(found, unit, order)
+            value = value if unit is None else parse_rate(found_block, unit, order)
         except UnitError as error:
-            problems.append(Problem(place, str(error), found))
+            problems.append(Problem(place, str(error), found_block))
         if len(place) == 1:
             converted[place[0]] = value
         else:

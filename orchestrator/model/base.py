@@ -79,12 +79,12 @@ def _rational(text: str) -> Fraction:
     try:
         if len(text) > MAX_RATIONAL_LENGTH or _RATIONAL.fullmatch(plain) is None:
             raise ValueError(text)
-        found = Fraction(plain)
+        rational = Fraction(plain)
     except (ValueError, ZeroDivisionError):
         raise ValueError(f'{_shorten(text)!r} is not a number; write e.g. 400, 0.25, or "10000/3"') from None
-    if not -MAX_RATIONAL <= found <= MAX_RATIONAL:
+    if not -MAX_RATIONAL <= rational <= MAX_RATIONAL:
         raise ValueError(f"{_shorten(text)} is out of range; the largest number is {float(MAX_RATIONAL):g}")
-    return found
+    return rational
 
 
 Rational = Annotated[

@@ -24,15 +24,15 @@ _BOUNDS = {
 def list_problems(error: ValidationError, model: type[BaseModel]) -> list[Problem]:
     """All mistakes of `error`, each with its place below `model`."""
     return [
-        Problem(tuple(each["loc"]), explain_error(cast(Mapping[str, Any], each), model), each["input"])
-        for each in error.errors(include_url=False)
+        Problem(tuple(details["loc"]), explain_error(cast(Mapping[str, Any], details), model), details["input"])
+        for details in error.errors(include_url=False)
     ]
 
 
 def explain_error(error: Mapping[str, Any], model: type[BaseModel]) -> str:
     """The text for one of pydantic's errors in a document for `model`."""
     kind, context = str(error["type"]), cast(Mapping[str, Any], error.get("ctx", {}))
-    found = error.get("input")
+    value = error.get("input")
     match kind:
         case "missing":
             return "is missing"
@@ -41,25 +41,25 @@ def explain_error(error: Mapping[str, Any], model: type[BaseModel]) -> str:
         case "value_error":
             return str(context.get("error", error["msg"]))
         case "literal_error" | "enum":
-            return f"found {show_value(found)}; allowed: {context['expected']}{_suggest_choice(found, context)}"
+            return f"found {show_value(value)}; allowed: {context['expected']}{_suggest_choice(value, context)}"
         case "union_tag_invalid":
             tags, what = context["expected_tags"], context["discriminator"]
             return f"found {context['tag']!r} for {what}; allowed: {tags}"
         case "union_tag_not_found":
             return f"needs the field {context['discriminator']}, which selects its kind"
         case "string_pattern_mismatch":
-            return f"found {show_value(found)}; an id may contain only a-z, 0-9, _ and -"
+            return f"found {show_value(value)}; an id may contain only a-z, 0-9, _ and -"
         case "too_short" | "string_too_short":
-            return f"found {show_value(found)}; at least {context['min_length']} must be given"
+            return f"found {show_value(value)}; at least {context['min_length']} must be given"
         case "too_long" | "string_too_long":
-            return f"has {len(cast(str, found))} entries or characters; at most {context['max_length']}"
+            return f"has {len(cast(str, value))} entries or characters; at most {context['max_length']}"
         case "finite_number":
-            return f"found {show_value(found)}; the number must be finite"
+            return f"found {show_value(value)}; the number must be finite"
         case _ if kind in _BOUNDS:
             field, words = _BOUNDS[kind]
-            return f"found {show_value(found)}; must be {words} {context[field]:g}"
+            return f"found {show_value(value)}; must be {words} {context[field]:g}"
         case _:
-            return f"found {show_value(found)}; {_expect_type(kind, found) or _lower_first(str(error['msg']))}"
+            return f"found {show_value(value)}; {_expect_type(kind, value) or _lower_first(str(error['msg']))}"
 
 
 def show_value(value: object) -> str:
@@ -96,11 +96,11 @@ def _suggest_choice(found: object, context: Mapping[str, Any]) -> str:
 
 def _explain_unknown_field(error: Mapping[str, Any], model: type[BaseModel]) -> str:
     *place, name = cast(Sequence[str | int], error["loc"])
-    allowed = find_fields(model, place)
-    if not allowed:
+    allowed_fields = find_fields(model, place)
+    if not allowed_fields:
         return "unknown field; see `tutti schema` for the fields that are allowed here"
-    near = difflib.get_close_matches(str(name), allowed, 1)
-    return f"unknown field; {f'did you mean {near[0]}? ' if near else ''}allowed: {', '.join(allowed)}"
+    near = difflib.get_close_matches(str(name), allowed_fields, 1)
+    return f"unknown field; {f'did you mean {near[0]}? ' if near else ''}allowed: {', '.join(allowed_fields)}"
 
 
 def find_fields(model: type[BaseModel], place: Sequence[str | int]) -> list[str]:
@@ -136,9 +136,9 @@ def _step_into(schema: dict[str, Any], here: dict[str, Any], part: str | int) ->
             return _resolve(schema, option["items"])
         if part in option.get("properties", {}):
             return _resolve(schema, option["properties"][part])
-        for below in (option.get("additionalProperties"), *option.get("patternProperties", {}).values()):
-            if isinstance(below, dict) and isinstance(part, str):
-                return _resolve(schema, cast(dict[str, Any], below))
+        for option_below in (option.get("additionalProperties"), *option.get("patternProperties", {}).values()):
+            if isinstance(option_below, dict) and isinstance(part, str):
+                return _resolve(schema, cast(dict[str, Any], option_below))
     return None
 
 

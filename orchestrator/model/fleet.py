@@ -261,9 +261,9 @@ class Axis(Model):
         """Wrap a user position for display into one turn, from 0; unchanged for an axis that does not wrap."""
         if self.turn_length is None:
             return position
-        within = position % float(self.turn_length)
+        position_within = position % float(self.turn_length)
         return (
-            within if within < float(self.turn_length) else 0.0
+            position_within if position_within < float(self.turn_length) else 0.0
         )  # a value slightly below 0 is rounded up to a whole turn
 
     @cached_property
@@ -561,22 +561,22 @@ class Fleet(Model):
     @property
     def connections(self) -> list[WireConnection]:
         """All wires of the fleet, one entry per output and input."""
-        found: list[WireConnection] = []
+        found_connections: list[WireConnection] = []
         for wire in self.wiring:
             source, _, output = wire.from_.partition(".")
             for end in wire.to:
                 target, _, name = end.partition(".")
                 driven_by, feeds = self.controllers[source].outputs[output], self.controllers[target].inputs[name]
-                found.append(WireConnection(source, output, driven_by, target, name, feeds, wire.delay_us))
-        return found
+                found_connections.append(WireConnection(source, output, driven_by, target, name, feeds, wire.delay_us))
+        return found_connections
 
     def permits_of(self, axes: Iterable[str]) -> dict[str, Permit]:
         """The permits that bind any of `axes`, by name."""
-        wanted = set(axes)
+        wanted_axes = set(axes)
         return {
             name: permit
             for name, permit in self.permits.items()
-            if permit.axes is None or wanted & {axis for each in permit.axes for axis in self.expand_name(each)}
+            if permit.axes is None or wanted_axes & {axis for each in permit.axes for axis in self.expand_name(each)}
         }
 
     @cached_property
@@ -628,9 +628,11 @@ def _find_link_problems(controllers: dict[str, Controller]) -> list[Problem]:
         for number, name in enumerate(names[1:], 1):
             text = _explain_unshareable(place, first, controllers[first], name, controllers[name])
             address = _address_of(controllers[name])
-            same = next((other for other in names[:number] if _address_of(controllers[other]) == address), None)
-            if text is None and same is not None:
-                text = f"{same} and {name} both have address {address} on {place}; give each its own address"
+            twin = next(
+                (other_name for other_name in names[:number] if _address_of(controllers[other_name]) == address), None
+            )
+            if text is None and twin is not None:
+                text = f"{twin} and {name} both have address {address} on {place}; give each its own address"
             if text is not None:
                 problems.append(Problem((name, "link"), text))
     return problems
@@ -663,8 +665,8 @@ def group_by_link(controllers: Mapping[str, Controller]) -> list[list[str]]:
 
 def group_by_controller(axes: Iterable[str]) -> dict[str, list[str]]:
     """Group axes `controller.axis` by their controller, in order."""
-    found: dict[str, list[str]] = {}
+    found_controller: dict[str, list[str]] = {}
     for axis in axes:
         controller, _, name = axis.partition(".")
-        found.setdefault(controller, []).append(name)
-    return found
+        found_controller.setdefault(controller, []).append(name)
+    return found_controller

@@ -36,8 +36,8 @@ class DefinedNames:
         if name in known or not isinstance(name, str):
             return None  # another type is reported by the field itself
         what = "axis, group or controller" if kind == "axes" else kind
-        listed = self.axes if kind == "axes" else known
-        return f"the fleet has no {what} {name[:80]}; {suggest_name(name, known)}{list_names(listed, kind)}"
+        listed_axes = self.axes if kind == "axes" else known
+        return f"the fleet has no {what} {name[:80]}; {suggest_name(name, known)}{list_names(listed_axes, kind)}"
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:

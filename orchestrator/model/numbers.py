@@ -19,8 +19,8 @@ _YES = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false",
 
 def split_number(text: str) -> tuple[str, str] | None:
     """Split text such as `"200 mm/s"` into its number and its unit, which may be empty; None if it is neither."""
-    found = _WITH_UNIT.fullmatch(text[:MAX_TEXT])
-    return None if found is None or len(text) > MAX_TEXT else (found[1], found[2] or "")
+    match = _WITH_UNIT.fullmatch(text[:MAX_TEXT])
+    return None if match is None or len(text) > MAX_TEXT else (match[1], match[2] or "")
 
 
 def suggest_number(text: str) -> str:

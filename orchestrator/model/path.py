@@ -262,8 +262,8 @@ class FrameSpec(Model):
 
     def find_positions(self, coordinates: list[float], units: list[Unit]) -> list[float]:
         """The positions of the axes at a point, in their units."""
-        found: list[float] = (self.make_matrix() @ coordinates + self.make_offset(units)).tolist()
-        return found
+        positions: list[float] = (self.make_matrix() @ coordinates + self.make_offset(units)).tolist()
+        return positions
 
     def find_coordinates(self, positions: "Matrix", units: list[Unit]) -> "Matrix":
         """The coordinates of positions (points, axes): the inverse map, for reports."""

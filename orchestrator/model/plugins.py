@@ -59,16 +59,16 @@ def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
     Raises `UnknownPlugin` with the known names, `PluginError`.
     """
     kind = _KINDS[group]
-    found = [entry for entry in entry_points(group=group) if entry.name == name]
-    if not found:
+    points = [entry for entry in entry_points(group=group) if entry.name == name]
+    if not points:
         raise UnknownPlugin(f"no {kind} {name[:80]!r}; {_KNOWN[group]}: {', '.join(plugin_names(group))}")
-    if len(found) > 1:
-        packages = " and ".join(sorted(_package_of(each) for each in found))
+    if len(points) > 1:
+        packages = " and ".join(sorted(_package_of(point) for point in points))
         raise PluginError(
-            f"{len(found)} packages provide the {kind} {name}: {packages}",
+            f"{len(points)} packages provide the {kind} {name}: {packages}",
             "uninstall all but one of them",
         )
-    (entry,) = found
+    (entry,) = points
     place = f"the {kind} {name} of package {_package_of(entry)} (entry point {entry.value})"
     try:
         plugin: Any = entry.load()
@@ -78,23 +78,23 @@ def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
             f"{place} cannot be imported: {reason}", "repair or uninstall this package; `tutti adapter ls` lists all"
         ) from None
     _require_version(plugin, place, _package_of(entry))
-    missing = [each for each in members if not hasattr(plugin, each)]
-    if missing:
-        raise PluginError(f"{place} has no {', '.join(missing)}", "see the contract in `tutti.adapter`")
+    missing_members = [member for member in members if not hasattr(plugin, member)]
+    if missing_members:
+        raise PluginError(f"{place} has no {', '.join(missing_members)}", "see the contract in `tutti.adapter`")
     return plugin
 
 
 def list_plugins(group: PluginGroup, members: Sequence[str]) -> list[PluginListing]:
     """Return all plug-ins of a group, each imported to find out whether it can be used."""
-    found: list[PluginListing] = []
-    for entry in sorted(entry_points(group=group), key=lambda each: each.name):
+    plugins: list[PluginListing] = []
+    for entry in sorted(entry_points(group=group), key=lambda point: point.name):
         problem = ""
         try:
             load_plugin(group, entry.name, members)
         except PluginError as error:
             problem = str(error)
-        found.append(PluginListing(group, entry.name, _package_of(entry), entry.value, problem))
-    return found
+        plugins.append(PluginListing(group, entry.name, _package_of(entry), entry.value, problem))
+    return plugins
 
 
 def _require_version(plugin: Any, place: str, package: str) -> None:

@@ -30,9 +30,9 @@ def make_private_folder(folder: Path) -> None:
 
     Raises `OSError`.
     """
-    missing = [each for each in (folder, *folder.parents) if not each.exists()]
-    for each in reversed(missing):
-        each.mkdir(mode=FOLDER_MODE, exist_ok=True)
+    missing_folders = [each for each in (folder, *folder.parents) if not each.exists()]
+    for path in reversed(missing_folders):
+        path.mkdir(mode=FOLDER_MODE, exist_ok=True)
 
 
 def restrict_to_user(path: Path) -> None:
@@ -42,11 +42,11 @@ def restrict_to_user(path: Path) -> None:
     """
     refuse_link(path)
     try:
-        found = path.lstat()
+        status = path.lstat()
     except FileNotFoundError:
         return
-    if found.st_uid == os.geteuid() and stat.S_IMODE(found.st_mode) & 0o077:
-        path.chmod(stat.S_IMODE(found.st_mode) & 0o700)
+    if status.st_uid == os.geteuid() and stat.S_IMODE(status.st_mode) & 0o077:
+        path.chmod(stat.S_IMODE(status.st_mode) & 0o700)
 
 
 def refuse_link(path: Path) -> None:

@@ -26,8 +26,8 @@ def validate_with(problems: Sequence[Problem], title: str, validate: Callable[[]
     try:
         result = validate()
     except ValidationError as error:
-        errors = [_carry_over(dict(each)) for each in error.errors(include_url=False)]
-    errors += [_make_error(each) for each in problems]
+        errors = [_carry_over(dict(details)) for details in error.errors(include_url=False)]
+    errors += [_make_error(problem) for problem in problems]
     if errors:
         raise ValidationError.from_exception_data(title, errors)
     assert result is not None
@@ -37,7 +37,7 @@ def validate_with(problems: Sequence[Problem], title: str, validate: Callable[[]
 def raise_problems(problems: Sequence[Problem], title: str) -> None:
     """Raise `ValidationError` with all of `problems`, if there are any."""
     if problems:
-        raise ValidationError.from_exception_data(title, [_make_error(each) for each in problems])
+        raise ValidationError.from_exception_data(title, [_make_error(problem) for problem in problems])
 
 
 def _make_error(problem: Problem) -> InitErrorDetails:

@@ -159,11 +159,11 @@ class Profile(_IntegrationCache):
     def extent_counts(self) -> tuple[float, float]:
         """The smallest and largest absolute position during the motion, turning points inside segments included."""
         points = [self.first_position * self.scale_counts, float(self.end_counts - self.start_counts)]
-        for each in self.segments:
-            points += (each.position, each.state_at(each.duration_s).position)
-            for root in _find_turning_points(each.velocity, each.acceleration, each.jerk):
-                if 0.0 < root < each.duration_s:
-                    points.append(each.state_at(root).position)
+        for segment in self.segments:
+            points += (segment.position, segment.state_at(segment.duration_s).position)
+            for root in _find_turning_points(segment.velocity, segment.acceleration, segment.jerk):
+                if 0.0 < root < segment.duration_s:
+                    points.append(segment.state_at(root).position)
         return self.start_counts + min(points), self.start_counts + max(points)
 
     @property

@@ -136,7 +136,7 @@ class SyncBudget(Model):
     def margin_ns(self) -> int:
         """The remaining margin of what the job allows: the smallest of start, end and path."""
         limits = (self.end, self.path)
-        left = [each.allowed_ns - each.predicted_ns for each in limits if each and each.allowed_ns is not None]
+        left = [limit.allowed_ns - limit.predicted_ns for limit in limits if limit and limit.allowed_ns is not None]
         return max(0, min([self.allowed_ns - self.predicted_ns, *left]))
 
 

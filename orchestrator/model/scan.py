@@ -119,7 +119,7 @@ class PointAxis(Model):
 
 def make_header(axes: Sequence[PointAxis]) -> bytes:
     """The line before the rows of sent points; it belongs to the digest: points fit only these axes and units."""
-    return json.dumps([each.to_plain() for each in axes], separators=(",", ":")).encode() + b"\n"
+    return json.dumps([axis.to_plain() for axis in axes], separators=(",", ":")).encode() + b"\n"
 
 
 def find_row_bytes(axes: Sequence["PointAxis | PointColumn"]) -> int:
@@ -172,7 +172,7 @@ class PointTable(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        if sum(each is not None for each in (self.file, self.rows, self.digest)) != 1:
+        if sum(file is not None for file in (self.file, self.rows, self.digest)) != 1:
             raise ValueError("needs one of `file`, `rows` (with `axes`) and `digest`")
         if (self.rows is None) != (self.axes is None):
             raise ValueError("`axes` names the columns of `rows`; give both or neither")
@@ -189,7 +189,7 @@ class PointTable(Model):
     @property
     def axis_names(self) -> list[str]:
         """The axes; none while they are in a file that was not read yet."""
-        return list(self.axes or []) if self.digest is None else [each.axis for each in self.columns]
+        return list(self.axes or []) if self.digest is None else [column.axis for column in self.columns]
 
     @property
     def point_count(self) -> int:
@@ -225,16 +225,16 @@ class GridPoints:
         """The kinds of ways between neighbouring points: how often each occurs, and by axis the pairs of positions
         between which it can lead; none for an axis that stands."""
         before = 1
-        for moving, axis in enumerate(self.axes.values()):
-            often = before * (self.counts[moving] - 1)
-            before *= self.counts[moving]
+        for moving_level, axis in enumerate(self.axes.values()):
+            often = before * (self.counts[moving_level] - 1)
+            before *= self.counts[moving_level]
             if not often:
                 continue
             pairs: list[list[tuple[int, int]]] = [[] for _ in self.axes]
             listed = axis.values is not None
-            pairs[moving] = [(k, k + 1) for k in range(self.counts[moving] - 1 if listed else 1)]
-            for inner, other in list(enumerate(self.axes.values()))[moving + 1 :]:
-                if not other.snake and self.counts[inner] > 1:
+            pairs[moving_level] = [(k, k + 1) for k in range(self.counts[moving_level] - 1 if listed else 1)]
+            for inner, other_axis in list(enumerate(self.axes.values()))[moving_level + 1 :]:
+                if not other_axis.snake and self.counts[inner] > 1:
                     pairs[inner] = [(self.counts[inner] - 1, 0)]
             yield often, pairs
 

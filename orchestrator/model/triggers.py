@@ -121,10 +121,10 @@ def check_step_triggers(triggers: Sequence[Trigger], axes: Iterable[str]) -> Non
 def check_job_outputs(steps: Iterable[Any], outputs: Iterable[str]) -> None:
     """Raise `ValueError` for a trigger whose output the job switches itself. steps: of the job; outputs: that it
     switches."""
-    switched = set(outputs)
+    switched_outputs = set(outputs)
     for number, step in enumerate(steps):
         for place, trigger in enumerate(getattr(step, "triggers", ())):
-            if trigger.output in switched:
+            if trigger.output in switched_outputs:
                 raise ValueError(
                     f"steps.{number}.triggers.{place}: output {trigger.output} is switched by a step `do: output` of "
                     "the job, too; use another output, or remove that step"

@@ -102,10 +102,10 @@ def parse_with_unit(text: float | str, like: str) -> Fraction:
     if parts is None or not parts[1]:
         raise UnitError(f"{like[:MAX_TEXT]!r} has no unit; write a number without quotes, or add the unit")
     unit = _parse_unit(parts[1])
-    found = split_number(text) if isinstance(text, str) else None
-    if found is None or not found[1]:
+    number = split_number(text) if isinstance(text, str) else None
+    if number is None or not number[1]:
         raise UnitError(f"{str(text)[:MAX_TEXT]!r} has no unit, and {like!r} has one; give both one")
-    return parse_quantity(found[0] + found[1], unit)
+    return parse_quantity(number[0] + number[1], unit)
 
 
 _PER_TIME = re.compile(r"(.+?)/(s|min)(?:\^?([23])|([²³]))?")
@@ -126,11 +126,11 @@ def parse_rate(text: str, unit: Unit, order: int) -> float:
         raise UnitError(f"found text {text[:MAX_TEXT]!r}; write the number without quotes: {number}")
     if order == 0:
         return float(convert_units(Fraction(number), _parse_unit(name), unit))
-    found = _PER_TIME.fullmatch("rev/min" if name == "rpm" else name)
-    if found is None or _order_of(found) != order:
+    match = _PER_TIME.fullmatch("rev/min" if name == "rpm" else name)
+    if match is None or _order_of(match) != order:
         raise UnitError(f'{text[:MAX_TEXT]!r} is not in a unit of {wanted}; write e.g. "{number} {wanted}"')
-    seconds = 60**order if found[2] == "min" else 1
-    return float(convert_units(Fraction(number), _parse_unit(found[1]), unit) / seconds)
+    seconds = 60**order if match[2] == "min" else 1
+    return float(convert_units(Fraction(number), _parse_unit(match[1]), unit) / seconds)
 
 
 def _order_of(found: re.Match[str]) -> int:

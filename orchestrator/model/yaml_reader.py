@@ -64,7 +64,7 @@ class YamlError(TuttiError, ValueError):
     """A document that cannot be used, with all of its mistakes that were found."""
 
     def __init__(self, problems: list[YamlProblem]) -> None:
-        super().__init__("\n".join(f"line {each.line}: {each.text}" for each in problems))
+        super().__init__("\n".join(f"line {problem.line}: {problem.text}" for problem in problems))
         self.problems = problems
 
 
@@ -232,9 +232,9 @@ class _DocumentReader:
         if key == "<<" and event.implicit[0]:
             text = "merge keys (`<<`) are not used; write the fields out, or use an alias for the whole block"
             self.problems.append(YamlProblem(line, self._path(), text))
-        earlier = cast("dict[str, YamlNode]", block.node.children).get(key)
-        if earlier is not None:
-            text = f"is given twice; the first one is in line {earlier.line}"
+        earlier_child = cast("dict[str, YamlNode]", block.node.children).get(key)
+        if earlier_child is not None:
+            text = f"is given twice; the first one is in line {earlier_child.line}"
             self.problems.append(YamlProblem(line, (*self._path(), key), text))
         block.key, block.key_line = key, line
 
@@ -295,11 +295,11 @@ class _DocumentReader:
 
     def _check_comma(self, block: _OpenBlock, key: str, node: YamlNode) -> None:
         """`{gantry.x: 1,5}` is two entries to YAML, the second a key without a value."""
-        before = block.last
-        if not block.in_braces or before is None or node.text or node.children is not None:
+        node_before = block.last
+        if not block.in_braces or node_before is None or node.text or node.children is not None:
             return
-        if key.isdecimal() and isinstance(before.value, int | float) and before.children is None:
-            text = f"a comma separates entries; write the number with a point: {before.text}.{key}"
+        if key.isdecimal() and isinstance(node_before.value, int | float) and node_before.children is None:
+            text = f"a comma separates entries; write the number with a point: {node_before.text}.{key}"
             self.problems.append(YamlProblem(block.key_line, (*self._path(inside=False), key), text))
 
     def _close_block(self) -> None:

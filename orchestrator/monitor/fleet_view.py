@@ -103,7 +103,7 @@ class LiveView:
 
     def take_alarms(self, alarms: Iterable[AlarmRecord]) -> None:
         """Store which of these alarms say that the bus is open."""
-        self.open_bus.update((each.id, each) for each in alarms if each.kind == OPEN_BUS)
+        self.open_bus.update((alarm.id, alarm) for alarm in alarms if alarm.kind == OPEN_BUS)
 
     def find_ages(self) -> dict[str, float]:
         """The age of each controller's state, in s, where it is too old to be shown as live."""
@@ -115,8 +115,8 @@ class LiveView:
         }
 
     def _take_queue(self, queue: QueueState) -> str | None:
-        before, self.queue = self.queue, queue
-        was_stopped = before is not None and before.stopped is not None
+        state_before, self.queue = self.queue, queue
+        was_stopped = state_before is not None and state_before.stopped is not None
         return describe_queue(queue) if (queue.stopped is not None) != was_stopped else None
 
     def _take_lease(self, lease: LeaseState) -> None:
@@ -126,11 +126,11 @@ class LiveView:
     def store_progress(self, progress: JobProgress) -> bool:
         """Store a job's progress; return whether its state or step has changed. Of finished jobs only the newest is
         kept."""
-        before = self.jobs.pop(progress.job_id, None)
+        job_before = self.jobs.pop(progress.job_id, None)
         ends = progress.state in FINISHED_STATES
-        kept = {job_id: each for job_id, each in self.jobs.items() if not (ends and each.state in FINISHED_STATES)}
-        self.jobs = kept | {progress.job_id: progress}
-        return before is None or (before.state, before.step) != (progress.state, progress.step)
+        kept_jobs = {job_id: job for job_id, job in self.jobs.items() if not (ends and job.state in FINISHED_STATES)}
+        self.jobs = kept_jobs | {progress.job_id: progress}
+        return job_before is None or (job_before.state, job_before.step) != (progress.state, progress.step)
 
     def render_screen(self) -> RenderableType:
         """Render the whole screen."""
@@ -151,10 +151,10 @@ class LiveView:
         parts: list[RenderableType] = []
         if self.queue is not None and self.queue.stopped is not None:
             parts.append(Text(describe_queue(self.queue), style="bold yellow"))
-        shown = sorted(self.jobs.values(), key=lambda each: (each.state == "queued", each.job_id))
-        parts += [make_job_bar(each) for each in shown[:MAX_JOBS_SHOWN]]
-        if len(shown) > MAX_JOBS_SHOWN:
-            parts.append(Text(f"and {len(shown) - MAX_JOBS_SHOWN} more jobs; see `tutti job ls`", style="dim"))
+        shown_jobs = sorted(self.jobs.values(), key=lambda progress: (progress.state == "queued", progress.job_id))
+        parts += [make_job_bar(each) for each in shown_jobs[:MAX_JOBS_SHOWN]]
+        if len(shown_jobs) > MAX_JOBS_SHOWN:
+            parts.append(Text(f"and {len(shown_jobs) - MAX_JOBS_SHOWN} more jobs; see `tutti job ls`", style="dim"))
         return parts
 
 
@@ -178,16 +178,18 @@ def make_state_table(
         known = state.mode != "offline"
         row_style = "" if age_s is None else "dim"
         mode = state.mode if age_s is None else f"unknown, {age_s:.0f} s old"
-        for index, (axis, now) in enumerate(state.axes.items()):
+        for index, (axis, axis_now) in enumerate(state.axes.items()):
             first = index == 0
             table.add_row(
                 controller if first else "",
                 Text(mode, style="red" if age_s is not None else _MODE_STYLE.get(mode, "")) if first else "",
                 axis,
-                f"{now.position:,.4f} {now.unit}" if known else "-",
-                f"{now.velocity:,.2f} /s" if known else "-",
+                f"{axis_now.position:,.4f} {axis_now.unit}" if known else "-",
+                f"{axis_now.velocity:,.2f} /s" if known else "-",
                 _describe_clock(state) if first else "",
-                _describe_ready(state, now, permits.get(f"{controller}.{axis}")) if known and age_s is None else "",
+                _describe_ready(state, axis_now, permits.get(f"{controller}.{axis}"))
+                if known and age_s is None
+                else "",
                 style=row_style,
             )
         troubles += _list_troubles(controller, state, leases or {}, age_s)
@@ -203,8 +205,8 @@ def _list_troubles(
     if state.estop is not None:
         why = f": {state.estop.reason}" if state.estop.reason else ""
         lines.append((f"E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe", "bold red"))
-    held = {holder for holder in state.leases.values() if holder.startswith("manual-")}
-    lines += [(_describe_holder(holder, leases), "yellow") for holder in sorted(held)]
+    held_leases = {holder for holder in state.leases.values() if holder.startswith("manual-")}
+    lines += [(_describe_holder(holder, leases), "yellow") for holder in sorted(held_leases)]
     lines += [(f"{fault.text} → {fault.remedy}", "red") for fault in state.faults]
     if age_s is None:
         return [Text(f"{controller}: {line}", style) for line, style in lines]

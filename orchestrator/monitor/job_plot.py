@@ -46,7 +46,7 @@ def plot_recordings(
     motion within one poll: a poll does not report the instant at which the controller sampled the position.
     """
     mpl.rcParams["font.size"] = 9
-    names = list(dict.fromkeys(chain.from_iterable(each.axes for each in recordings)))
+    names = list(dict.fromkeys(chain.from_iterable(recording.axes for recording in recordings)))
     timings = {name: list(_find_timings(name, recordings, steps)) for name in names}
     timed = any(timings.values())
     height = ROW if len(names) < MANY_AXES else LOW_ROW
@@ -58,12 +58,12 @@ def plot_recordings(
     grid = figure.subplots(len(names), len(columns), squeeze=False, sharex=True, width_ratios=columns)
     rows: list[list[Axes]] = [list(row) for row in grid]
     for name, row in zip(names, rows, strict=True):
-        mine = [each for each in recordings if name in each.axes]
+        mine = [recording for recording in recordings if name in recording.axes]
         _draw_positions(row[0], row[1], name, mine, recordings[0].t0_fleet_ns)
         if timed:
             _draw_timings(row[2], timings[name])
-        for each in row:
-            each.grid(alpha=0.3)
+        for axes in row:
+            axes.grid(alpha=0.3)
     if timed:
         _align_timings([row[2] for row in rows])
     _finish_plot(rows, recordings)
@@ -100,12 +100,12 @@ def _draw_positions(
 def _draw_timings(axes: Axes, timings: Sequence[tuple[Literal["start", "end"], TimingInterval]]) -> None:
     axes.axhline(0, color=COLOUR_PLAN, linewidth=1)
     for kind, colour in COLOURS_TIMING.items():
-        found = [each for its_kind, each in timings if its_kind == kind]
-        if not found:
+        intervals = [interval for its_kind, interval in timings if its_kind == kind]
+        if not intervals:
             continue
-        middles = [(each.earliest_ms + each.latest_ms) / 2 for each in found]
-        halves = [(each.latest_ms - each.earliest_ms) / 2 for each in found]
-        times = [each.at_s for each in found]
+        middles = [(interval.earliest_ms + interval.latest_ms) / 2 for interval in intervals]
+        halves = [(interval.latest_ms - interval.earliest_ms) / 2 for interval in intervals]
+        times = [interval.at_s for interval in intervals]
         axes.errorbar(times, middles, yerr=halves, fmt="none", ecolor=colour, elinewidth=1.2, capsize=2.5, label=kind)
     axes.set_ylabel("off plan, ms")
 
@@ -113,8 +113,8 @@ def _draw_timings(axes: Axes, timings: Sequence[tuple[Literal["start", "end"], T
 def _align_timings(column: Sequence[Axes]) -> None:
     """One scale for all, so that controllers can be compared."""
     limits = [each.get_ylim() for each in column if each.containers]
-    for each in column:
-        each.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
+    for axes in column:
+        axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
 
 
 def _finish_plot(rows: Sequence[Sequence[Axes]], recordings: Sequence[StepRecording]) -> None:
@@ -146,16 +146,16 @@ def _find_timings(
     """Starts and ends of an axis by the evidence in the reports."""
     controller, _, axis = name.partition(".")
     first_ns = recordings[0].t0_fleet_ns
-    moved = {each.step: each.axes[name] for each in recordings if name in each.axes}
+    moved_axes = {recording.step: recording.axes[name] for recording in recordings if name in recording.axes}
     for step in steps:
         member = step.members.get(controller)
         evidence = None if member is None else member.evidence.get(axis)
-        if evidence is None or step.t0_fleet_ns is None or step.index not in moved:
+        if evidence is None or step.t0_fleet_ns is None or step.index not in moved_axes:
             continue
         start, end, t0_ns = evidence.start_for_verdict, evidence.end, step.t0_fleet_ns
         yield "start", _off_plan(start.earliest_ns, start.latest_ns, t0_ns, first_ns)
         if end is not None and step.state == "done":
-            planned_ns = t0_ns + round(moved[step.index].profile.duration_s * NS_PER_S)
+            planned_ns = t0_ns + round(moved_axes[step.index].profile.duration_s * NS_PER_S)
             yield "end", _off_plan(end.earliest_ns, end.latest_ns, planned_ns, first_ns)
 
 

@@ -45,12 +45,12 @@ def plot_sampled_path(path: SampledPath, title: str) -> Figure:
     figure.suptitle(title, fontsize=11)
     grid = figure.add_gridspec(2, 2, width_ratios=(6, 5))
     _draw_course(figure.add_subplot(grid[:, 0]), path)
-    above = figure.add_subplot(grid[0, 1])
-    below = figure.add_subplot(grid[1, 1], sharex=above)
-    _draw_positions(above, path)
-    _draw_errors(below, path)
-    above.tick_params(labelbottom=False)
-    figure.align_ylabels([above, below])
+    axes_above = figure.add_subplot(grid[0, 1])
+    axes_below = figure.add_subplot(grid[1, 1], sharex=axes_above)
+    _draw_positions(axes_above, path)
+    _draw_errors(axes_below, path)
+    axes_above.tick_params(labelbottom=False)
+    figure.align_ylabels([axes_above, axes_below])
     return figure
 
 

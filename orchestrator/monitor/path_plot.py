@@ -71,12 +71,12 @@ def plot_path(path: PlannedPath, shown: PathAxes, title: str) -> Figure:
     _draw_course(figure.add_subplot(grid[:, 0]), path, shown.make_lines(courses), binding)
     speed = figure.add_subplot(grid[0, 1])
     _draw_speed(speed, path, times_s, binding)
-    below = [figure.add_subplot(grid[k + 1, 1], sharex=speed) for k in range(len(axes))]
-    for row, (name, course) in zip(below, courses.items(), strict=True):
+    axes_below = [figure.add_subplot(grid[k + 1, 1], sharex=speed) for k in range(len(axes))]
+    for row, (name, course) in zip(axes_below, courses.items(), strict=True):
         _draw_parts(row, name, course, times_s)
-    for each in (speed, *below[:-1]):
+    for each in (speed, *axes_below[:-1]):
         each.tick_params(labelbottom=False)
-    below[-1].set_xlabel("s after T0")
+    axes_below[-1].set_xlabel("s after T0")
     handles = [Line2D([], [], color=colour, linewidth=2.5, label=binds) for binds, colour in colours.items()]
     if handles:
         figure.legend(
@@ -89,13 +89,13 @@ def plot_path(path: PlannedPath, shown: PathAxes, title: str) -> Figure:
         )
     drawn = dict.fromkeys(what for course in courses.values() for what in course.parts)
     styles = [Line2D([], [], color=STYLES[what], label=what) for what in drawn]
-    below[0].legend(handles=styles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
-    figure.align_ylabels([speed, *below])
+    axes_below[0].legend(handles=styles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+    figure.align_ylabels([speed, *axes_below])
     return figure
 
 
 def _make_course(path: PlannedPath, name: str, axis: Axis, offset: float, times_s: Array) -> AxisCourse:
-    scale, start = float(axis.counts_per_unit), next(each.start_counts for each in path.moves if each.axis == name)
+    scale, start = float(axis.counts_per_unit), next(move.start_counts for move in path.moves if move.axis == name)
     profile = path.plan.profiles.get(name)
     if profile is None:
         still = np.zeros(len(times_s))
@@ -105,8 +105,8 @@ def _make_course(path: PlannedPath, name: str, axis: Axis, offset: float, times_
     limits = axis.limits
     parts = {"velocity": velocity / limits.velocity, "acceleration": acceleration / limits.acceleration}
     if limits.jerk is not None:
-        begins = np.array([each.start_s for each in profile.segments])
-        jerks = np.array([each.jerk for each in profile.segments]) / scale
+        begins = np.array([segment.start_s for segment in profile.segments])
+        jerks = np.array([segment.jerk for segment in profile.segments]) / scale
         parts["jerk"] = jerks[np.searchsorted(begins, times_s, side="right") - 1] / limits.jerk
     return AxisCourse(start / scale + position + offset, parts)
 
@@ -114,7 +114,7 @@ def _make_course(path: PlannedPath, name: str, axis: Axis, offset: float, times_
 def _colour_bindings(path: PlannedPath, times_s: Array) -> tuple[list[str], dict[str, str]]:
     """The colour of each instant, and by what limits the path there the colour of that; the most frequent have one."""
     stretches = path.report.stretches
-    ends = np.array([each.to_s for each in stretches])
+    ends = np.array([stretch.to_s for stretch in stretches])
     if not stretches:
         return [COLOUR_OTHER] * len(times_s), {}
     where = np.minimum(np.searchsorted(ends, times_s), len(stretches) - 1)
@@ -138,19 +138,19 @@ def _draw_coloured(axes: Axes, x: Array, y: Array, colours: Sequence[str], width
 
 def _draw_course(axes: Axes, path: PlannedPath, lines: Mapping[str, Array], colours: Sequence[str]) -> None:
     """The path in the plane of its first two coordinates that change; of one coordinate over time."""
-    moving = [name for name, line in lines.items() if float(np.ptp(line)) > STILL] or list(lines)[:1]
-    y = moving[-1] if len(moving) < 2 else moving[1]
-    x = lines[moving[0]]
-    if len(moving) < 2:
+    moving_axes = [name for name, line in lines.items() if float(np.ptp(line)) > STILL] or list(lines)[:1]
+    y = moving_axes[-1] if len(moving_axes) < 2 else moving_axes[1]
+    x = lines[moving_axes[0]]
+    if len(moving_axes) < 2:
         x = np.linspace(0.0, path.plan.duration_s, POINTS)
     else:
         axes.set_aspect("equal", adjustable="datalim")
     _draw_coloured(axes, x, lines[y], colours, 2.0)
     axes.plot(x[0], lines[y][0], "o", color="black", markersize=6, fillstyle="none")
     axes.plot(x[-1], lines[y][-1], "s", color="black", markersize=4)
-    axes.set_xlabel(f"{moving[0]}, {path.report.unit}" if len(moving) > 1 else "s after T0")
+    axes.set_xlabel(f"{moving_axes[0]}, {path.report.unit}" if len(moving_axes) > 1 else "s after T0")
     axes.set_ylabel(f"{y}, {path.report.unit}")
-    more = f"; not shown: {', '.join(moving[2:])}" if len(moving) > 2 else ""
+    more = f"; not shown: {', '.join(moving_axes[2:])}" if len(moving_axes) > 2 else ""
     axes.set_title(f"from ○ to ■{more}", loc="left", fontsize=9)
 
 

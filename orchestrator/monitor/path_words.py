@@ -26,10 +26,10 @@ def describe_path(report: PathReport) -> list[str]:
 def _describe_binding(report: PathReport) -> str:
     """What limits the speed, the longest first, with its share of the time."""
     spans: dict[str, float] = {}
-    for each in report.stretches:
-        spans[each.binds] = spans.get(each.binds, 0.0) + each.to_s - each.from_s
+    for stretch in report.stretches:
+        spans[stretch.binds] = spans.get(stretch.binds, 0.0) + stretch.to_s - stretch.from_s
     whole_s = sum(spans.values())
     longest = sorted(spans, key=lambda binds: -spans[binds])
-    shown = [f"{binds} ({100 * spans[binds] / whole_s:.0f} %)" for binds in longest[:MAX_BINDING] if whole_s]
-    more = len(longest) - len(shown)
-    return ", ".join(shown) + (f" and {more} more" if more else "") if shown else "nothing"
+    shown_limits = [f"{binds} ({100 * spans[binds] / whole_s:.0f} %)" for binds in longest[:MAX_BINDING] if whole_s]
+    more = len(longest) - len(shown_limits)
+    return ", ".join(shown_limits) + (f" and {more} more" if more else "") if shown_limits else "nothing"

@@ -15,8 +15,8 @@ def describe_queue(state: QueueState) -> str:
     jobs = "1 job waits" if state.waiting == 1 else f"{state.waiting} jobs wait"
     if state.stopped is None:
         return f"the queue is running; {jobs}"
-    since = format_time(state.stopped.utc)
-    return f"the queue is stopped since {since} ({state.stopped.reason}); {jobs}: tutti queue start"
+    stop_time = format_time(state.stopped.utc)
+    return f"the queue is stopped since {stop_time} ({state.stopped.reason}); {jobs}: tutti queue start"
 
 
 def make_job_table(jobs: Iterable[QueueEntry]) -> RenderableType:

@@ -25,14 +25,16 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
 
     detailed: all steps, and the members of each move with their budgets. Otherwise it fits a terminal of 24 lines.
     """
-    shown = list(report.steps) if detailed else _select_steps(report.steps)
+    shown_steps = list(report.steps) if detailed else _select_steps(report.steps)
     steps = make_plain_table(["#>", "step", "planned>", "actual>", "start skew>", "budget>", "end skew>", "verdict"])
-    for step in shown:
+    for step in shown_steps:
         steps.add_row(*_make_step_row(step))
     used = describe_used(report.parameters_used, report.positions_used)
     parts: list[RenderableType] = [_make_head(report), *(Text(line) for line in used), "", steps]
-    if len(shown) < len(report.steps):
-        parts.append(Text(f"and {len(report.steps) - len(shown)} more steps, which are done as planned", style="dim"))
+    if len(shown_steps) < len(report.steps):
+        parts.append(
+            Text(f"and {len(report.steps) - len(shown_steps)} more steps, which are done as planned", style="dim")
+        )
     parts += [Text(line) for step in report.steps for line in _describe_scan(step)]
     chained = _describe_chain(report.steps)
     parts += [Text(line) for line in (chained if detailed else chained[:MAX_CHAIN_LINES])]
@@ -74,8 +76,8 @@ def _select_steps(steps: Sequence[StepReport]) -> list[StepReport]:
         return list(steps)
     plain = [step for step in steps if step.state == "done" and step.verdict in ("none", "green")]
     conspicuous = [step for step in steps if step not in plain][:MAX_STEPS_SHOWN]
-    chosen = conspicuous + plain[: MAX_STEPS_SHOWN - len(conspicuous)]
-    return sorted(chosen, key=lambda step: step.index)
+    chosen_reports = conspicuous + plain[: MAX_STEPS_SHOWN - len(conspicuous)]
+    return sorted(chosen_reports, key=lambda step: step.index)
 
 
 def _make_details(report: JobReport) -> list[RenderableType]:
@@ -87,8 +89,8 @@ def _make_details(report: JobReport) -> list[RenderableType]:
             members.add_row(*row)
         for row in _make_budget_rows(step):
             budgets.add_row(*row)
-    later = [Text(line) for step in report.steps for line in _describe_deviations(step)]
-    return ["", members, "", "Predicted, guaranteed, and measured:", budgets, *later]
+    texts_later = [Text(line) for step in report.steps for line in _describe_deviations(step)]
+    return ["", members, "", "Predicted, guaranteed, and measured:", budgets, *texts_later]
 
 
 def _make_step_row(step: StepReport) -> list[str | Text]:
@@ -112,7 +114,7 @@ def _make_member_rows(step: StepReport) -> list[list[str]]:
     rows: list[list[str]] = []
     t0_ns = step.t0_fleet_ns or 0
     for name, member in step.members.items():
-        starts = {axis: _format_start(each, t0_ns) for axis, each in member.evidence.items()}
+        starts = {axis: _format_start(evidence, t0_ns) for axis, evidence in member.evidence.items()}
         # One command or one timer starts all axes of most controllers: show it once.
         if len(set(starts.values())) == 1:
             starts = {", ".join(member.axes): next(iter(starts.values()))}
@@ -154,7 +156,7 @@ def _describe_deviations(step: StepReport) -> list[str]:
     """Describe a path with its bound, triggers, feed holds inside the step, and predicted end and path skew."""
     budget = step.budget
     lines = [f"step {step.index}: {text}" for text in ([] if step.path is None else describe_path(step.path))]
-    lines += [f"step {step.index}: {_describe_triggers(each)}" for each in step.triggers]
+    lines += [f"step {step.index}: {_describe_triggers(trigger)}" for trigger in step.triggers]
     latch = step.latch
     if latch is not None:
         lines.append(f"step {step.index}: {latch.axis} was at {latch.position:g} {latch.unit} when {latch.input} came")
@@ -197,18 +199,20 @@ def _describe_scan(step: StepReport) -> list[str]:
     other = sum(number for verdict, number in scan.verdicts.items() if verdict in ("amber", "red"))
     lines = [line + (f"; {other} not green" if other else "")]
     return lines + [
-        f"step {step.index}, point {each.point}: {each.verdict}" + (f", {each.text}" if each.text else "")
-        for each in scan.not_green
+        f"step {step.index}, point {finding.point}: {finding.verdict}" + (f", {finding.text}" if finding.text else "")
+        for finding in scan.not_green
     ]
 
 
 def _describe_chain(steps: Sequence[StepReport]) -> list[str]:
     """How closely motion steps followed each other, and why others began from rest."""
-    gaps_ms = [each.chain.gap_s * 1e3 for each in steps if each.chain and each.chain.kept and each.chain.gap_s]
+    gaps_ms = [
+        report.chain.gap_s * 1e3 for report in steps if report.chain and report.chain.kept and report.chain.gap_s
+    ]
     lines: list[str] = []
     if gaps_ms:
         lines = [
-            f"right behind the step before: {len(gaps_ms)} of {sum(each.chain is not None for each in steps)}, "
+            f"right behind the step before: {len(gaps_ms)} of {sum(report.chain is not None for report in steps)}, "
             f"{median(gaps_ms):.1f} ms after its end in the median, {max(gaps_ms):.1f} ms at most"
         ]
     for step in steps:
@@ -232,14 +236,14 @@ def describe_gap(step: StepReport) -> str:
 def _explain_verdict(step: StepReport) -> list[str]:
     """Both figures of the start skew where evidence and promises differ, and how late hosts were."""
     lines: list[str] = []
-    proved, promised = step.start_skew, step.promised_skew
-    if proved is not None and promised is not None:
+    proved_interval, promised_interval = step.start_skew, step.promised_skew
+    if proved_interval is not None and promised_interval is not None:
         lines.append(
-            f"step {step.index}: start skew {_format_skew(proved)} by the controllers' evidence, "
-            f"{_format_skew(promised)} by the promises"
+            f"step {step.index}: start skew {_format_skew(proved_interval)} by the controllers' evidence, "
+            f"{_format_skew(promised_interval)} by the promises"
         )
     for name, member in step.members.items():
-        late_ns = max((each.late_ns for each in member.evidence.values()), default=0)
+        late_ns = max((evidence.late_ns for evidence in member.evidence.values()), default=0)
         if late_ns:
             lines.append(f"step {step.index}: the host was late by {late_ns / 1e6:.1f} ms at the start of {name}")
     return lines

@@ -24,16 +24,16 @@ MAX_MARKED = 2000  # points with a circle for each planned position
 def make_point_table(records: Sequence[PointRecord]) -> RenderableType:
     """A row a point: targets, measured positions, verdict, start skew, time."""
     table = make_plain_table(["step>", "point>", "target", "measured", "verdict", "start skew>", "took>"])
-    for each in records:
-        skew = "" if each.start_skew is None else f"≤ {each.start_skew.at_most_ns / 1e6:.1f} ms"
+    for record in records:
+        skew = "" if record.start_skew is None else f"≤ {record.start_skew.at_most_ns / 1e6:.1f} ms"
         table.add_row(
-            str(each.step),
-            str(each.point),
-            " ".join(f"{axis}={value:g}" for axis, value in each.target.items()),
-            " ".join(f"{axis}={'-' if value is None else f'{value:g}'}" for axis, value in each.measured.items()),
-            each.verdict if each.state == "done" else each.state,
+            str(record.step),
+            str(record.point),
+            " ".join(f"{axis}={value:g}" for axis, value in record.target.items()),
+            " ".join(f"{axis}={'-' if value is None else f'{value:g}'}" for axis, value in record.measured.items()),
+            record.verdict if record.state == "done" else record.state,
             skew,
-            "" if each.took_s is None else f"{each.took_s:.3f} s",
+            "" if record.took_s is None else f"{record.took_s:.3f} s",
         )
     return table
 
@@ -49,30 +49,37 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
-    skews = [(float(each.point), each.start_skew) for each in records if each.start_skew is not None]
+    skews = [(float(record.point), record.start_skew) for record in records if record.start_skew is not None]
     parts = [*axes, "start skew"] if skews else axes
-    left, *differences = figure.subplot_mosaic([["map", part] for part in parts], width_ratios=(3, 2)).values()
-    planned = {axis: [each.target[axis] for each in records] for axis in axes}
-    measured = {axis: [_or_nan(each.measured.get(axis)) for each in records] for axis in axes}
-    numbers = [float(each.point) for each in records]
+    axes_left, *differences = figure.subplot_mosaic([["map", part] for part in parts], width_ratios=(3, 2)).values()
+    planned_targets = {axis: [record.target[axis] for record in records] for axis in axes}
+    measured = {axis: [_or_nan(record.measured.get(axis)) for record in records] for axis in axes}
+    numbers = [float(record.point) for record in records]
     across, up = (axes[0], axes[1]) if len(axes) > 1 else (None, axes[0])
-    x_planned = numbers if across is None else planned[across]
+    x_planned = numbers if across is None else planned_targets[across]
     x_measured = numbers if across is None else measured[across]
     # Without lines between: the path there is that of each axis on its own limits.
-    left.plot(x_planned, planned[up], color=COLOUR_PLAN, linewidth=0.6, alpha=0.6, zorder=1)
+    axes_left.plot(x_planned, planned_targets[up], color=COLOUR_PLAN, linewidth=0.6, alpha=0.6, zorder=1)
     if len(records) <= MAX_MARKED:
-        left.plot(
-            x_planned, planned[up], "o", markersize=7, fillstyle="none", color=COLOUR_PLAN, zorder=2, label="planned"
+        axes_left.plot(
+            x_planned,
+            planned_targets[up],
+            "o",
+            markersize=7,
+            fillstyle="none",
+            color=COLOUR_PLAN,
+            zorder=2,
+            label="planned",
         )
-    left.plot(x_measured, measured[up], ".", markersize=5, color=COLOUR_SEEN, zorder=3, label="measured")
-    left.set_xlabel("point" if across is None else across)
-    left.set_ylabel(up)
-    left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-    left.grid(alpha=0.3)
+    axes_left.plot(x_measured, measured[up], ".", markersize=5, color=COLOUR_SEEN, zorder=3, label="measured")
+    axes_left.set_xlabel("point" if across is None else across)
+    axes_left.set_ylabel(up)
+    axes_left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    axes_left.grid(alpha=0.3)
     # Lines between many points would hide them.
     line = ".-" if len(records) <= MAX_JOINED else "."
     for axis, difference in zip(axes, differences, strict=False):
-        off = [seen - meant for seen, meant in zip(measured[axis], planned[axis], strict=True)]
+        off = [seen - meant for seen, meant in zip(measured[axis], planned_targets[axis], strict=True)]
         difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
         difference.plot(numbers, off, line, color=COLOUR_SEEN, markersize=4, linewidth=0.6)
         difference.set_ylabel(f"{axis}: off plan")

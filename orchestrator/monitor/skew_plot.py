@@ -26,8 +26,11 @@ def plot_skews(skews_ms: Mapping[str, list[float]], path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     for row, (name, values) in enumerate(reversed(list(skews_ms.items()))):
-        ordered = sorted(max(each, MIN_SHOWN_MS) for each in values)
-        low, middle, high = (ordered[min(len(ordered) - 1, int(share * len(ordered)))] for share in (0.01, 0.5, 0.99))
+        ordered_values = sorted(max(value, MIN_SHOWN_MS) for value in values)
+        low, middle, high = (
+            ordered_values[min(len(ordered_values) - 1, int(share * len(ordered_values)))]
+            for share in (0.01, 0.5, 0.99)
+        )
         colour = COLOUR_OLD if ": old" in name else COLOUR_NEW
         axes.plot([low, high], [row, row], color=colour, linewidth=5, solid_capstyle="round")
         axes.plot([middle], [row], "|", color="black", markersize=11)

@@ -32,20 +32,20 @@ def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
     Raises `Refusal` if the two contradict each other.
     """
     waits: dict[str, set[str]] = {}
-    earlier: set[str] = set()
+    earlier_entry: set[str] = set()
     for entry in [*order.entries, order.loners]:
         for axis in entry:
-            waits[axis] = earlier | set(fleet.axis(axis).homing.after)
-        earlier = earlier | set(entry)
-    left = dict(waits)
-    while free := [axis for axis, others in left.items() if not others & left.keys()]:
+            waits[axis] = earlier_entry | set(fleet.axis(axis).homing.after)
+        earlier_entry = earlier_entry | set(entry)
+    waits_left = dict(waits)
+    while free := [axis for axis, others in waits_left.items() if not others & waits_left.keys()]:
         for axis in free:
-            del left[axis]
-    if left:
-        first = min(left)
+            del waits_left[axis]
+    if waits_left:
+        first = min(waits_left)
         raise Refusal(
             "homing-order",
-            f"{first} must be homed after {', '.join(sorted(left[first] & left.keys()))} (homing.after), "
+            f"{first} must be homed after {', '.join(sorted(waits_left[first] & waits_left.keys()))} (homing.after), "
             "but comes before it in the given order",
             "change the order, or home_order in the fleet file",
         )

@@ -170,11 +170,11 @@ class PathCourse:
         at_s = max(from_s, clock.ramps[-1].end_s)
         for begin_s in np.arange(at_s, at_s + BRAKE_SEARCH_S, END_STEP_S / 2).tolist():
             for ramp_s in RAMPS_S:
-                changed = clock.change_rate(begin_s, rate, ramp_s)
-                if changed.ramps[-1].end_path_s >= self.duration_s:
+                changed_rate = clock.change_rate(begin_s, rate, ramp_s)
+                if changed_rate.ramps[-1].end_path_s >= self.duration_s:
                     break
-                if self._fits(changed, begin_s, ramp_s):
-                    return changed
+                if self._fits(changed_rate, begin_s, ramp_s):
+                    return changed_rate
         text = f"no change of speed within {BRAKE_SEARCH_S:g} s keeps the limits of the axes, or the path ends before"
         raise Refusal("path-ramp", text, "try again a little later")
 

@@ -184,12 +184,12 @@ def _make_pieces(evaluate: Evaluate, times_s: Array) -> _Pieces:
     turn = np.divide(-accelerations, jerks, out=np.zeros_like(jerks), where=jerks != 0.0).clip(0.0, lengths)
     tops = np.abs(before + turn * (accelerations + turn * jerks / 2))
     speeds = np.maximum(np.maximum(np.abs(before), np.abs(after)), tops)
-    inside = INSIDE[None, :, None] * lengths[:, :, None]
-    made = positions[:-1, None] + inside * (
-        before[:, None] + inside * (accelerations[:, None] / 2 + inside * jerks[:, None] / 6)
+    length_inside = INSIDE[None, :, None] * lengths[:, :, None]
+    position = positions[:-1, None] + length_inside * (
+        before[:, None] + length_inside * (accelerations[:, None] / 2 + length_inside * jerks[:, None] / 6)
     )
-    true = evaluate((times_s[:-1, None] + inside[:, :, 0]).ravel()).positions.reshape(made.shape)
-    errors = np.sqrt(((made - true) ** 2).sum(axis=2)).max(axis=1)
+    true = evaluate((times_s[:-1, None] + length_inside[:, :, 0]).ravel()).positions.reshape(position.shape)
+    errors = np.sqrt(((position - true) ** 2).sum(axis=2)).max(axis=1)
     return _Pieces(times_s, positions, velocities, accelerations, jerks, errors, speeds, peaks)
 
 

@@ -75,8 +75,8 @@ class PlannedPath:
         """The report of the path in another time, as its members have agreed on it, with its bound."""
         factor = duration_s / self.report.duration_s
         stretches = [
-            each.model_copy(update={"from_s": each.from_s * factor, "to_s": each.to_s * factor})
-            for each in self.report.stretches
+            stretch.model_copy(update={"from_s": stretch.from_s * factor, "to_s": stretch.to_s * factor})
+            for stretch in self.report.stretches
         ]
         return self.report.model_copy(update={"duration_s": duration_s, "stretches": stretches, "bound": bound})
 
@@ -106,19 +106,21 @@ def plan_path_step(
     slow = next((start for start in starts if start.order < 3), None)
     stretches, course = _list_stretches(plan), None
     if slow is not None and len(step.pieces) == 1 and isinstance(step.pieces[0], LinePiece):
-        fitted = fit_line(axes, plan.length, _find_line_limits(step, unit))
-        times_s = np.linspace(0.0, fitted.duration_s, SAMPLES)
-        speeds = sample_speeds(fitted, axes, times_s)
+        fitted_line = fit_line(axes, plan.length, _find_line_limits(step, unit))
+        times_s = np.linspace(0.0, fitted_line.duration_s, SAMPLES)
+        speeds = sample_speeds(fitted_line, axes, times_s)
         stretches = [PathStretch(from_s=0.0, to_s=plan.duration_s, binds=f"a trapezoid, which {slow.name} needs")]
     else:
-        fitted = fit_profiles(evaluate_motors, plan.duration_s, axes, tolerance)
-        _require_orders(start for start in starts if start.name in fitted.profiles)
+        fitted_line = fit_profiles(evaluate_motors, plan.duration_s, axes, tolerance)
+        _require_orders(start for start in starts if start.name in fitted_line.profiles)
         times_s = np.linspace(0.0, plan.duration_s, SAMPLES)
         speeds = np.abs(plan.evaluate(times_s).velocities).T
-        moved = [column for column, axis in enumerate(axes) if axis.name in fitted.profiles]
-        course = PathCourse(fitted.motion, axes, moved, fitted.motion.positions[0], find_fit_error(axes, tolerance))
+        moved_axes = [column for column, axis in enumerate(axes) if axis.name in fitted_line.profiles]
+        course = PathCourse(
+            fitted_line.motion, axes, moved_axes, fitted_line.motion.positions[0], find_fit_error(axes, tolerance)
+        )
     path = PlannedPath(
-        StepPlan(fitted.duration_s, fitted.profiles, fitted.standing),
+        StepPlan(fitted_line.duration_s, fitted_line.profiles, fitted_line.standing),
         [make_axis_move(each.name, each.axis, each.start_counts, exact[each.name][1], each.order) for each in starts],
         exact,
         PathReport(
@@ -129,13 +131,13 @@ def plan_path_step(
             stretches=stretches,
         ),
         tolerance,
-        fitted.error,
+        fitted_line.error,
         {axis.name: axis.counts_per_unit for axis in axes},
         times_s,
         {start.name: row for start, row in zip(starts, speeds, strict=True)},
         course,
     )
-    return replace(path, report=path.make_report(fitted.duration_s, None))
+    return replace(path, report=path.make_report(fitted_line.duration_s, None))
 
 
 def _find_line_limits(step: FollowPath, unit: Unit) -> AlongLimits:
@@ -157,16 +159,16 @@ def _describe_axis(start: PathStart) -> PathAxis:
 
 def _list_stretches(plan: PathPlan) -> list[PathStretch]:
     """What limits a path when, without what lasts a moment only; neighbours differ."""
-    found: list[PathStretch] = []
+    stretches: list[PathStretch] = []
     least_s = plan.duration_s / MAX_STRETCHES
-    for each in plan.find_stretches():
-        binds = ALONG[each.order] if each.axis is None else f"{ORDERS[each.order]} of {each.axis}"
-        last = found[-1] if found else None
-        if last is not None and (last.binds == binds or each.t1_s - each.t0_s < least_s):
-            found[-1] = last.model_copy(update={"to_s": each.t1_s})
+    for stretch in plan.find_stretches():
+        binds = ALONG[stretch.order] if stretch.axis is None else f"{ORDERS[stretch.order]} of {stretch.axis}"
+        last = stretches[-1] if stretches else None
+        if last is not None and (last.binds == binds or stretch.t1_s - stretch.t0_s < least_s):
+            stretches[-1] = last.model_copy(update={"to_s": stretch.t1_s})
         else:
-            found.append(PathStretch(from_s=each.t0_s, to_s=each.t1_s, binds=binds))
-    return found
+            stretches.append(PathStretch(from_s=stretch.t0_s, to_s=stretch.t1_s, binds=binds))
+    return stretches
 
 
 def _find_unit(starts: Sequence[PathStart]) -> Unit:
@@ -196,9 +198,10 @@ def find_start(step: FollowPath, units: Sequence[Unit], frames: Mapping[str, Fra
         raise Refusal("unread-path", text, "submit the job with `tutti submit`, or from Python, where the file is")
     try:
         frame = None if step.frame is None else find_frame(step, frames)
-        named = units if frame is None else [frame.unit] * len(units)
+        named_units = units if frame is None else [frame.unit] * len(units)
         values = [
-            parse_quantity(value, unit, name) for value, unit, name in zip(step.start, named, step.axes, strict=True)
+            parse_quantity(value, unit, name)
+            for value, unit, name in zip(step.start, named_units, step.axes, strict=True)
         ]
     except UnitError as error:
         raise Refusal("bad-unit", f"`start`: {error}", "correct the unit") from None

@@ -36,22 +36,22 @@ def find_corners(scan: Scan, units: Sequence[Unit], unknown: Collection[str] = (
     names = scan.axis_names
     if scan.points is not None and scan.points.rows is None:
         return {
-            each.axis: [
-                _make_corner({each.axis: value}, each.axis, point)
+            column.axis: [
+                _make_corner({column.axis: value}, column.axis, point)
                 for value, point in (
-                    (each.first, 1),
-                    (each.least, each.least_at),
-                    (each.most, each.most_at),
-                    (each.last, scan.point_count),
+                    (column.first, 1),
+                    (column.least, column.least_at),
+                    (column.most, column.most_at),
+                    (column.last, scan.point_count),
                 )
             ]
-            for each in scan.points.columns
+            for column in scan.points.columns
         }
     points = _find_extreme_points(scan, units)
 
     def find_positions(point: int) -> dict[str, Fraction]:
-        found = zip(names, _find_point(scan, point, units), strict=True)
-        return {name: position for name, position in found if name not in unknown}
+        point_values = zip(names, _find_point(scan, point, units), strict=True)
+        return {name: position for name, position in point_values if name not in unknown}
 
     return {
         name: [_make_corner(find_positions(point), name, point + 1) for point in each]
@@ -61,9 +61,9 @@ def find_corners(scan: Scan, units: Sequence[Unit], unknown: Collection[str] = (
 
 
 def _make_corner(positions: Mapping[str, Fraction | float], axis: str, point: int) -> ScanCorner:
-    shown = {name: float(value) for name, value in positions.items()}
+    shown_positions = {name: float(value) for name, value in positions.items()}
     # As it will be sent: the decimal of the nearest double.
-    return ScanCorner(Fraction(str(shown[axis])), point, shown)
+    return ScanCorner(Fraction(str(shown_positions[axis])), point, shown_positions)
 
 
 def _find_point(scan: Scan, point: int, units: Sequence[Unit]) -> list[Fraction]:
@@ -74,20 +74,20 @@ def _find_point(scan: Scan, point: int, units: Sequence[Unit]) -> list[Fraction]
 
 def _find_extreme_points(scan: Scan, units: Sequence[Unit]) -> list[list[int]]:
     """By axis: the numbers of the points at its first, lowest, highest and last position, from 0."""
-    found: list[list[int]] = []
+    points: list[list[int]] = []
     if scan.points is not None and scan.points.rows is not None:
         for column, unit in enumerate(units):
             values = [parse_quantity(row[column], unit) for row in scan.points.rows]
-            found.append([0, values.index(min(values)), values.index(max(values)), len(values) - 1])
-        return found
+            points.append([0, values.index(min(values)), values.index(max(values)), len(values) - 1])
+        return points
     grid = GridPoints(scan.axes)
     for axis, unit, count, stride in zip(scan.axes.values(), units, grid.counts, grid.strides, strict=True):
-        listed = range(count) if axis.values is not None else (0, count - 1)
-        values = {index: axis.position(index, unit) for index in listed}
+        listed_range = range(count) if axis.values is not None else (0, count - 1)
+        values = {index: axis.position(index, unit) for index in listed_range}
         low, high = min(values, key=lambda k: values[k]), max(values, key=lambda k: values[k])
         # In its first pass every axis goes forward.
-        found.append([0, low * stride, high * stride, grid.count - 1])
-    return found
+        points.append([0, low * stride, high * stride, grid.count - 1])
+    return points
 
 
 def iterate_ways(scan: Scan, units: Sequence[Unit]) -> Iterator[ScanWays]:
@@ -99,8 +99,8 @@ def iterate_ways(scan: Scan, units: Sequence[Unit]) -> Iterator[ScanWays]:
     for count, pairs in GridPoints(scan.axes).iterate_ways():
         nearest: dict[str, Way] = {}
         farthest: dict[str, Way] = {}
-        for name, axis, unit, each in zip(names, scan.axes.values(), units, pairs, strict=True):
-            ways = [(axis.position(begin, unit), axis.position(end, unit)) for begin, end in each]
+        for name, axis, unit, pair in zip(names, scan.axes.values(), units, pairs, strict=True):
+            ways = [(axis.position(begin, unit), axis.position(end, unit)) for begin, end in pair]
             if ways:
                 nearest[name] = min(ways, key=_length)
                 farthest[name] = max(ways, key=_length)

@@ -109,14 +109,14 @@ def solve_shapes(bounds: ShapeBounds, names: Sequence[str], *, synchronised: boo
     durations = np.zeros(len(names))
     for k, name in enumerate(names):
         try:
-            durations[k], found = _run_ruckig(
+            durations[k], found_rows = _run_ruckig(
                 ShapeBounds(*(part[k : k + 1] for part in bounds)), synchronised=False, margin=1.0
             )
         except PlanError as error:
             raise PlanError(f"{name}: no motion found ({error}; all axes together: {'; '.join(reasons)})") from None
-        if found is None:
+        if found_rows is None:
             return float(durations[k]), None
-        rows.append(found)
+        rows.append(found_rows)
     shapes = ShapeRows(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
     longest_s = float(durations.max())
     return longest_s, stretch_shapes(shapes, longest_s / durations[:, None]) if synchronised else shapes
@@ -171,8 +171,8 @@ def _run_ruckig(bounds: ShapeBounds, margin: float, *, synchronised: bool) -> tu
         return duration_s, None
     profiles = trajectory.profiles[0]
     cells = n * SEGMENTS
-    t = np.fromiter(chain.from_iterable([each.t for each in profiles]), np.float64, cells).reshape(n, SEGMENTS)
-    j = np.fromiter(chain.from_iterable([each.j for each in profiles]), np.float64, cells).reshape(n, SEGMENTS)
+    t = np.fromiter(chain.from_iterable([profile.t for profile in profiles]), np.float64, cells).reshape(n, SEGMENTS)
+    j = np.fromiter(chain.from_iterable([profile.j for profile in profiles]), np.float64, cells).reshape(n, SEGMENTS)
     # From rest, acceleration is the sum of the jerks before.
     a = np.zeros((n, SEGMENTS))
     np.cumsum((t * j)[:, :-1], axis=1, out=a[:, 1:])

@@ -69,14 +69,14 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
     `PlanError` naming the axis.
     """
     _check_limits(moves)
-    moving = [move for move in moves if move.target_counts != move.start_counts]
+    moving_moves = [move for move in moves if move.target_counts != move.start_counts]
     standing: list[str] = []
-    if len(moving) < len(moves):
+    if len(moving_moves) < len(moves):
         standing = [move.axis for move in moves if move.target_counts == move.start_counts]
-    if not moving:
+    if not moving_moves:
         return StepPlan(0.0, {}, standing)
-    bounds, scales = _normalise_moves(moving, speed)
-    names = [move.axis for move in moving]
+    bounds, scales = _normalise_moves(moving_moves, speed)
+    names = [move.axis for move in moving_moves]
     if sync == "phase":
         duration_s, shapes, scales = _plan_linear(bounds, scales, names)
     else:
@@ -89,15 +89,15 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
         )
     profiles = {
         move.axis: Profile(move.start_counts, move.target_counts, scale, t, a, j)
-        for move, scale, t, a, j in zip(moving, scales.tolist(), *(part.tolist() for part in shapes), strict=True)
+        for move, scale, t, a, j in zip(moving_moves, scales.tolist(), *(part.tolist() for part in shapes), strict=True)
     }
     return StepPlan(duration_s, profiles, standing)
 
 
 def _check_limits(moves: Sequence[AxisMove]) -> None:
     """Check targets against the soft limits: the path is monotone, so it is inside if its ends are."""
-    outside = [m for m in moves if m.soft_limits and not m.soft_limits[0] <= m.target_counts <= m.soft_limits[1]]
-    for move in outside:
+    moves_outside = [m for m in moves if m.soft_limits and not m.soft_limits[0] <= m.target_counts <= m.soft_limits[1]]
+    for move in moves_outside:
         low, high = move.soft_limits or (0, 0)
         raise PlanError(f"{move.axis}: target {move.target_counts} counts is outside its soft limits {low} to {high}")
 
@@ -125,9 +125,9 @@ def _plan_axes(
     if shapes is None:
         return duration_s, None
     if second.any():
-        part = ShapeBounds(*(each[second] for each in bounds))
-        chosen = _make_common_trapezoids(part, duration_s, ramps) if synchronised else _plan_fastest(part)
-        for whole, rows in zip(shapes, chosen, strict=True):
+        part = ShapeBounds(*(bound[second] for bound in bounds))
+        chosen_trapezoids = _make_common_trapezoids(part, duration_s, ramps) if synchronised else _plan_fastest(part)
+        for whole, rows in zip(shapes, chosen_trapezoids, strict=True):
             whole[second] = rows
     check_shapes(shapes, bounds, names)
     return duration_s, shapes
@@ -191,9 +191,9 @@ class ExactTargets:
 
     def expect_targets(self, exact: Mapping[str, tuple[Fraction, int]]) -> "ExactTargets":
         """A copy after moves to these targets: by axis, the exact one and its count."""
-        expected = ExactTargets()
-        expected._exact = {**self._exact, **exact}
-        return expected
+        expected_targets = ExactTargets()
+        expected_targets._exact = {**self._exact, **exact}
+        return expected_targets
 
     def forget_target(self, axis: str) -> None:
         """Forget the target of an axis that moved otherwise (homed, jogged, power-cycled)."""

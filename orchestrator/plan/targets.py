@@ -16,14 +16,16 @@ def choose_turn(axis: Axis, here: Fraction, target: Fraction, offset: Fraction) 
     if turn is None:
         return target
     if axis.shortest_way:
-        turned = target + turn * round((here - target) / turn)
+        turned_target = target + turn * round((here - target) / turn)
     else:
-        turned = target + turn * (floor((here + offset) / turn) - floor((target + offset) / turn))
+        turned_target = target + turn * (floor((here + offset) / turn) - floor((target + offset) / turn))
     limits = axis.soft_limits_counts
-    if limits is None or limits[0] <= axis.to_counts(turned) <= limits[1]:
-        return turned
-    inside = [way for way in (turned - turn, turned + turn) if limits[0] <= axis.to_counts(way) <= limits[1]]
-    return min(inside, key=lambda way: abs(way - here), default=turned)
+    if limits is None or limits[0] <= axis.to_counts(turned_target) <= limits[1]:
+        return turned_target
+    turns_inside = [
+        way for way in (turned_target - turn, turned_target + turn) if limits[0] <= axis.to_counts(way) <= limits[1]
+    ]
+    return min(turns_inside, key=lambda way: abs(way - here), default=turned_target)
 
 
 def explain_beyond_limits(name: str, axis: Axis, target: Fraction, offset: Fraction) -> str | None:

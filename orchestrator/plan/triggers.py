@@ -65,8 +65,8 @@ class ResolvedTrigger:
             if profile is None:
                 raise self._refuse("trigger-axis", f"axis {self.axis} does not move", "name an axis that moves")
             levels = self._find_levels(profile)
-            found = find_crossings(profile, np.array(sorted(set(levels))))
-            instants = sorted({round(each * NS_PER_S) for each in found.tolist()})
+            crossings = find_crossings(profile, np.array(sorted(set(levels))))
+            instants = sorted({round(each * NS_PER_S) for each in crossings.tolist()})
         if not instants:
             raise self._refuse("trigger-never", "the step is over before the first one", "write a shorter `every`")
         if len(instants) > MAX_INSTANTS:
@@ -75,7 +75,7 @@ class ResolvedTrigger:
 
     def _find_times_ns(self, duration_ns: int) -> list[int]:
         if not self.period_ns:
-            late = next((each for each in self.times_ns if each > duration_ns), None)
+            late = next((instant_ns for instant_ns in self.times_ns if instant_ns > duration_ns), None)
             if late is not None:
                 text = f"{format_ns(late)} is after the end of the step, which lasts {format_ns(duration_ns)}"
                 raise self._refuse("trigger-late", text, "remove it, or move slower")
@@ -117,21 +117,21 @@ class ResolvedTrigger:
 
 def resolve_triggers(fleet: Fleet, triggers: Sequence[Trigger], find_offset: FindOffset) -> list[ResolvedTrigger]:
     """The triggers of a step in counts. Raises `Refusal` for an output that is unknown or in use, and for units."""
-    used = find_used_outputs(fleet)
-    resolved: list[ResolvedTrigger] = []
+    used_outputs = find_used_outputs(fleet)
+    resolved_triggers: list[ResolvedTrigger] = []
     for place, trigger in enumerate(triggers):
         explained = fleet.names.explain_unknown(trigger.output, "output")
         if explained is not None:
             raise Refusal("unknown-name", f"`triggers.{place}`: {explained}", "correct the name")
-        if trigger.output in used:
+        if trigger.output in used_outputs:
             raise Refusal(
                 "output-in-use",
-                f"`triggers.{place}`: output {trigger.output} is {used[trigger.output]}",
+                f"`triggers.{place}`: output {trigger.output} is {used_outputs[trigger.output]}",
                 "use another output, or remove that use from the fleet file",
                 controller_of(trigger.output),
             )
-        resolved.append(_resolve_trigger(fleet, place, trigger, find_offset))
-    return resolved
+        resolved_triggers.append(_resolve_trigger(fleet, place, trigger, find_offset))
+    return resolved_triggers
 
 
 def _resolve_trigger(fleet: Fleet, place: int, trigger: Trigger, find_offset: FindOffset) -> ResolvedTrigger:
@@ -169,12 +169,14 @@ def find_brake_outputs(fleet: Fleet) -> dict[str, str]:
 def find_used_outputs(fleet: Fleet) -> dict[str, str]:
     """Outputs that the fleet file uses for something else than triggers, with what they are."""
     permits = {permit.input: name for name, permit in fleet.permits.items()}
-    used = find_brake_outputs(fleet)
+    used_outputs = find_brake_outputs(fleet)
     for wire in fleet.wiring:
-        named = next((permits[end] for end in wire.to if end in permits), None)
+        named_permit = next((permits[end] for end in wire.to if end in permits), None)
         ends = ", ".join(wire.to)
-        used[wire.from_] = f"wired to {ends}" + (f", for the permit {named}" if named else ", as a trigger line")
-    return used
+        used_outputs[wire.from_] = f"wired to {ends}" + (
+            f", for the permit {named_permit}" if named_permit else ", as a trigger line"
+        )
+    return used_outputs
 
 
 def group_by_owner(triggers: Sequence[ResolvedTrigger]) -> Mapping[str, list[ResolvedTrigger]]:
@@ -203,10 +205,10 @@ def find_crossings(profile: Profile, levels: Array) -> Array:
     counts = np.maximum(lasts - firsts, 0)
     piece = np.repeat(np.arange(len(counts)), counts)
     order = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
-    wanted = levels[firsts[piece] + order]
-    instants = _halve(profile, before[piece], after[piece], wanted)
+    wanted_level = levels[firsts[piece] + order]
+    instants = _halve(profile, before[piece], after[piece], wanted_level)
     chosen = np.argsort(instants, kind="stable")
-    return _drop_wavering(profile, instants[chosen], wanted[chosen])
+    return _drop_wavering(profile, instants[chosen], wanted_level[chosen])
 
 
 def _drop_wavering(profile: Profile, instants: Array, levels: Array) -> Array:
@@ -228,11 +230,11 @@ def _find_nodes(profile: Profile) -> Array:
     """Ends of spans in which the profile goes one way: rows of time, position, number of the segment that begins or
     contains the span after it."""
     rows: list[tuple[float, float, float]] = []
-    for number, each in enumerate(profile.segments):
-        rows.append((each.start_s, each.position, number))
-        for turn in sorted(_find_turns(each.velocity, each.acceleration, each.jerk)):
-            if 0.0 < turn < each.duration_s:
-                rows.append((each.start_s + turn, each.state_at(turn).position, number))
+    for number, segment in enumerate(profile.segments):
+        rows.append((segment.start_s, segment.position, number))
+        for turn in sorted(_find_turns(segment.velocity, segment.acceleration, segment.jerk)):
+            if 0.0 < turn < segment.duration_s:
+                rows.append((segment.start_s + turn, segment.state_at(turn).position, number))
     rows.append((profile.duration_s, float(profile.end_counts - profile.start_counts), len(profile.segments) - 1))
     return np.array(rows)
 
@@ -249,15 +251,15 @@ def _find_turns(velocity: float, acceleration: float, jerk: float) -> list[float
 
 def _halve(profile: Profile, before: Array, after: Array, wanted: Array) -> Array:
     """The instants in the spans from `before` to `after` at which the profile is at `wanted`."""
-    table = np.array([tuple(each) for each in profile.segments])
+    table = np.array([tuple(segment) for segment in profile.segments])
     start, _, position, velocity, acceleration, jerk = table[before[:, 2].astype(int)].T
     low, high = before[:, 0].copy(), after[:, 0].copy()
     rising = after[:, 1] > before[:, 1]
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         t = middle - start
-        here = position + t * (velocity + t * (acceleration / 2 + t * jerk / 6))
-        reached = (here >= wanted) == rising
+        position_here = position + t * (velocity + t * (acceleration / 2 + t * jerk / 6))
+        reached = (position_here >= wanted) == rising
         high, low = np.where(reached, middle, high), np.where(reached, low, middle)
     return high
 
@@ -269,8 +271,8 @@ def make_range_finder(profile: Profile) -> Callable[[float, float], tuple[float,
     times, places = nodes[:, 0].tolist(), nodes[:, 1].tolist()
 
     def find_range(early_s: float, late_s: float) -> tuple[float, float]:
-        inside = places[bisect_left(times, early_s) : bisect_right(times, late_s)]
-        points = [at(early_s).position, at(late_s).position, *inside]
+        places_inside = places[bisect_left(times, early_s) : bisect_right(times, late_s)]
+        points = [at(early_s).position, at(late_s).position, *places_inside]
         return profile.start_counts + min(points), profile.start_counts + max(points)
 
     return find_range

@@ -43,7 +43,7 @@ def write_package(name: str, folder: Path) -> list[Path]:
     """
     require_free_name(name)
     source = find_example(_FOLDER)
-    written: list[Path] = []
+    written_paths: list[Path] = []
     try:
         folder.mkdir(parents=True)
         for file in sorted(source.rglob("*")):
@@ -52,12 +52,12 @@ def write_package(name: str, folder: Path) -> list[Path]:
             goal = folder / _rename(str(file.relative_to(source)), name)
             goal.parent.mkdir(parents=True, exist_ok=True)
             goal.write_text(_rename(file.read_text(encoding="utf-8"), name), encoding="utf-8")
-            written.append(goal)
+            written_paths.append(goal)
     except FileExistsError:
         raise BadPackage(f"{folder} exists already", "give another folder with --into") from None
     except OSError as error:
         raise BadPackage(f"{folder} cannot be written: {error.strerror}", "give another folder with --into") from None
-    return written
+    return written_paths
 
 
 def _is_build_product(file: Path) -> bool:

@@ -23,23 +23,23 @@ def load_checked_fleet(file: Path, *, tolerant: bool = False) -> Fleet:
 def check_loaded_fleet(source: LoadedFile, *, tolerant: bool = False) -> Fleet:
     """The same for a fleet file that was read already, or arrived as text. Raises `FileError` with every problem."""
     fleet = parse_file(source, Fleet)
-    return _complete_fleet(fleet, lambda each: source.problem(each.place, each.text), tolerant=tolerant)
+    return _complete_fleet(fleet, lambda problem: source.problem(problem.place, problem.text), tolerant=tolerant)
 
 
 def check_fleet(fleet: Fleet) -> Fleet:
     """The same for a fleet that a program has made. Raises `FileError` with every problem."""
     name = f"fleet {fleet.fleet}"
     return _complete_fleet(
-        fleet, lambda each: FileProblem(name, 0, ".".join(map(str, each.place)), each.text), tolerant=False
+        fleet, lambda problem: FileProblem(name, 0, ".".join(map(str, problem.place)), problem.text), tolerant=False
     )
 
 
 def _complete_fleet(fleet: Fleet, locate: Callable[[Problem], FileProblem], *, tolerant: bool) -> Fleet:
     fleet = apply_make_defaults(fleet)
     problems = [
-        locate(each)
+        locate(problem)
         for name, config in fleet.controllers.items()
-        for each in [
+        for problem in [
             *find_controller_problems(name, config, tolerant=tolerant),
             *find_simulation_problems(name, config),
         ]

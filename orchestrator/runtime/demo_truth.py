@@ -23,8 +23,8 @@ class VerdictCheck(NamedTuple):
 
 def check_verdicts(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns: int) -> list[VerdictCheck]:
     """Check each completed motion step. truth: the folder of the simulators' logs, in host time of this kernel."""
-    logged = {name: _load_starts(truth / f"{name}.jsonl") for name in fleet.controllers}
-    found: list[VerdictCheck] = []
+    logged_starts = {name: _load_starts(truth / f"{name}.jsonl") for name in fleet.controllers}
+    verdicts: list[VerdictCheck] = []
     for step in report.steps:
         if step.start_skew is None or step.t0_fleet_ns is None or step.state != "done":
             continue
@@ -35,22 +35,22 @@ def check_verdicts(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns:
                 motor = fleet.controllers[name].axes[axis].motors[0]
                 t0_ns = step.t0_fleet_ns + origin_host_ns
                 start_ns = min(
-                    (at_ns for axis_name, at_ns in logged[name] if axis_name == motor),
+                    (at_ns for axis_name, at_ns in logged_starts[name] if axis_name == motor),
                     key=lambda at_ns: abs(at_ns - t0_ns),
                     default=0,
                 )
                 true.append(start_ns)
                 early_ns, late_ns = (
-                    each + origin_host_ns
-                    for each in (evidence.start_for_verdict.earliest_ns, evidence.start_for_verdict.latest_ns)
+                    earliest_n + origin_host_ns
+                    for earliest_n in (evidence.start_for_verdict.earliest_ns, evidence.start_for_verdict.latest_ns)
                 )
                 if not early_ns <= start_ns <= late_ns:
                     off_ns = start_ns - (early_ns if start_ns < early_ns else late_ns)
                     outside.append(f"{name}.{axis} by {off_ns / 1e6:+.2f} ms")
         skew_ns = max(true) - min(true) if true else 0
         within = step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
-        found.append(VerdictCheck(step.index, skew_ns, within, outside))
-    return found
+        verdicts.append(VerdictCheck(step.index, skew_ns, within, outside))
+    return verdicts
 
 
 def _load_starts(log: Path) -> list[tuple[str, int]]:

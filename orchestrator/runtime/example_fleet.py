@@ -67,6 +67,6 @@ def load_example(make: str) -> Controller:
     config = apply_make_defaults(fleet).controllers[make]
     problems = find_controller_problems(make, config)
     if problems:
-        text = "; ".join(each.text for each in problems)
+        text = "; ".join(problem.text for problem in problems)
         raise PluginError(f"fleet_example of {make} does not pass check_config: {text}", "correct one of them")
     return config

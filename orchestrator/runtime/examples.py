@@ -17,9 +17,9 @@ def find_example(name: str) -> Path:
     if _CHECKOUT.is_dir():
         return _CHECKOUT / name
     place = ("share", "tutti", "examples", name)
-    for each in metadata.files("tutti") or []:
-        if each.parts[-4:] == place:
-            return Path(str(each.locate())).resolve()
-        if each.parts[-5:-1] == place:
-            return Path(str(each.locate())).resolve().parent
+    for file in metadata.files("tutti") or []:
+        if file.parts[-4:] == place:
+            return Path(str(file.locate())).resolve()
+        if file.parts[-5:-1] == place:
+            return Path(str(file.locate())).resolve().parent
     raise ExamplesMissing(f"this installation of Tutti has no example {name}; install it again from its wheel")

@@ -14,22 +14,22 @@ from orchestrator.model.messages import LeaderHeartbeat
 
 async def find_leader(endpoint: str, fleet: str) -> LeaderHeartbeat | None:
     """Return the heartbeat of the coordinator that leads `fleet`, or None. Raises `RouterUnreachable`."""
-    found: asyncio.Future[LeaderHeartbeat] = asyncio.get_running_loop().create_future()
+    future: asyncio.Future[LeaderHeartbeat] = asyncio.get_running_loop().create_future()
 
     def receive_heartbeat(sample: BusSample) -> None:
         try:
             heartbeat = LeaderHeartbeat.read_message(sample.payload)
         except ValidationError:
             return
-        if not found.done():
-            found.set_result(heartbeat)
+        if not future.done():
+            future.set_result(heartbeat)
 
     bus = await open_bus(endpoint)
     try:
         subscription = await bus.subscribe(FleetKeys(fleet).leader, receive_heartbeat)
         try:
             async with asyncio.timeout(LEADER_TIMEOUT_NS / NS_PER_S):
-                return await found
+                return await future
         except TimeoutError:
             return None
         finally:

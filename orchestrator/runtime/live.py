@@ -264,10 +264,10 @@ class LiveFleet:
             self._router_watch.cancel()
             await asyncio.wait([self._router_watch])
         # Both coordinators at once: the standby must not take over from the other.
-        both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
-        await asyncio.gather(*(self._end_child(child) for child in both))
+        both_children = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
+        await asyncio.gather(*(self._end_child(child) for child in both_children))
         order = [GATEWAY, "coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
-        for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
+        for child in sorted(self.children.values(), key=lambda process: order.index(process.name.partition("/")[0])):
             await self._end_child(child)
         if self._rotation is not None:
             self._rotation.cancel()
@@ -294,35 +294,39 @@ class LiveFleet:
                     simulate = config.simulate.model_copy(update={"link": link})
                     controllers[name] = config.model_copy(update={"simulate": simulate})
                     self.say(f"{name}: simulated {config.adapter} on {link.endpoint}")
-        for each in self.fleet.connections:
-            if each.target not in controllers:
+        for connection in self.fleet.connections:
+            if connection.target not in controllers:
                 continue
-            if each.source not in controllers:
-                self.say(f"{each.source}.{each.output} is on another computer: that wire is not simulated")
-            self.change_simulation(each.target, input=(each.feeds.number, each.input_level(on=False)))
+            if connection.source not in controllers:
+                self.say(f"{connection.source}.{connection.output} is on another computer: that wire is not simulated")
+            self.change_simulation(connection.target, input=(connection.feeds.number, connection.input_level(on=False)))
         self.fleet = self.fleet.model_copy(update={"controllers": {**self.fleet.controllers, **controllers}})
 
     def _own_controllers(self) -> dict[str, Controller]:
         """The controllers of the adapter hosts here."""
-        here = self.hosts
-        return {name: each for name, each in self.fleet.controllers.items() if here is None or each.host in here}
+        hosts_here = self.hosts
+        return {
+            name: controller
+            for name, controller in self.fleet.controllers.items()
+            if hosts_here is None or controller.host in hosts_here
+        }
 
     async def _start_router(self) -> None:
         if self.connect:
-            other = None if self.take_over else await find_leader(self.connect, self.fleet.fleet)
-            if other is not None:
+            other_leader = None if self.take_over else await find_leader(self.connect, self.fleet.fleet)
+            if other_leader is not None:
                 # Checked before adapter hosts are started, which would be second drivers of the same controllers.
                 raise UpFailed(
-                    f"coordinator {other.coordinator[:8]} leads fleet {self.fleet.fleet} (epoch "
-                    f"{other.epoch}) on {self.connect}; end its `tutti up` first, or start with "
+                    f"coordinator {other_leader.coordinator[:8]} leads fleet {self.fleet.fleet} (epoch "
+                    f"{other_leader.epoch}) on {self.connect}; end its `tutti up` first, or start with "
                     "--take-over"
                 )
             return
         endpoint = self._choose_endpoint()
         module = "orchestrator.bus.zenoh.router"
         try:
-            kept = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
-            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid()), *kept])
+            kept_fleets = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
+            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid()), *kept_fleets])
         except UpFailed:
             if self.children["router"].exit_code != EXIT_PORT_IN_USE:
                 raise
@@ -393,9 +397,9 @@ class LiveFleet:
         command += ["--address", web.host, *([] if web.jobs is None else ["--jobs", str(web.jobs)])]
         if web.certificate is not None:
             command += ["--ssl-certfile", str(web.certificate[0]), "--ssl-keyfile", str(web.certificate[1])]
-        chosen = [] if web.port is None else ["--port", str(web.port)]
+        port_options = [] if web.port is None else ["--port", str(web.port)]
         try:
-            gateway = await self._start_child(GATEWAY, [*command, *chosen])
+            gateway = await self._start_child(GATEWAY, [*command, *port_options])
         except UpFailed as error:
             self.say(f"no page: {error}")
             return
@@ -450,14 +454,14 @@ class LiveFleet:
             "truth": str(self.state / "truth" / f"{name}.jsonl") if self.truth else None,
             "wires": [
                 {
-                    "output": each.driven_by.number,
-                    "world": str(simulation_pipe(self.state, each.target)),
-                    "input": each.feeds.number,
-                    "level_when_on": each.input_level(on=True),
-                    "delay_us": sum(each.delay_us) // 2,
+                    "output": connection.driven_by.number,
+                    "world": str(simulation_pipe(self.state, connection.target)),
+                    "input": connection.feeds.number,
+                    "level_when_on": connection.input_level(on=True),
+                    "delay_us": sum(connection.delay_us) // 2,
                 }
-                for each in self.fleet.connections
-                if each.source == name and each.target in self._own_controllers()
+                for connection in self.fleet.connections
+                if connection.source == name and connection.target in self._own_controllers()
             ],
         }
 
@@ -590,8 +594,8 @@ def _group_links(controllers: Mapping[str, Controller]) -> Iterator[list[list[st
 
 def had_journal(folder: Path) -> bool:
     """Whether a coordinator has led a fleet with this state folder, and so had a journal there."""
-    stored = [FileStore(path).load() for path in (folder / ADAPTERS).glob("*.json")]
-    return (folder / f"{JOURNAL}.reign").exists() or any(memory.epoch for memory in stored)
+    stored_memories = [FileStore(path).load() for path in (folder / ADAPTERS).glob("*.json")]
+    return (folder / f"{JOURNAL}.reign").exists() or any(memory.epoch for memory in stored_memories)
 
 
 def simulation_pipe(state: Path, controller: str) -> Path:

@@ -66,10 +66,10 @@ async def _run(clock: VirtualClock, fleet: Fleet, job: Job) -> PathDemo:
     await virtual.start()
     await sleep_ns(clock, SETTLE_S * NS_PER_S)
     (step,) = find_paths(job.steps)
-    found: list[StepSamples] = []
+    found_samples: list[StepSamples] = []
 
     def take(sample: BusSample) -> None:
-        found.append(StepSamples.read_message(sample.payload))
+        found_samples.append(StepSamples.read_message(sample.payload))
 
     client = virtual.make_client("demo")
     await client.bus.subscribe(client.keys.job_samples(), take)
@@ -78,19 +78,19 @@ async def _run(clock: VirtualClock, fleet: Fleet, job: Job) -> PathDemo:
     report = await client.wait_for_job(await client.submit(job))
     await sleep_ns(clock, NS_PER_S)
     watching.cancel()
-    done = next((each for each in report.steps if each.do == "path"), None)
-    if report.state != "done" or done is None or done.t0_fleet_ns is None or not found:
+    done_step = next((each for each in report.steps if each.do == "path"), None)
+    if report.state != "done" or done_step is None or done_step.t0_fleet_ns is None or not found_samples:
         raise PathDemoFailed(f"the job is {report.state}: {report.reason or 'nothing was sampled'}")
     origin_ns = next(iter(virtual.coordinators.values()))[1].leadership.scale.origin_host_ns
     await client.close()
     plan = plan_path(step, [_describe_axis(fleet, name) for name in step.axes])
-    begins_ns, ends_s = done.t0_fleet_ns + origin_ns, plan.duration_s
+    begins_ns, ends_s = done_step.t0_fleet_ns + origin_ns, plan.duration_s
     rows = [((at_ns - begins_ns) / NS_PER_S, where) for at_ns, where in seen]
     kept = [(at_s, where) for at_s, where in rows if -0.05 <= at_s <= ends_s + 0.05]
     times_s, truth = np.array([at_s for at_s, _ in kept]), np.array([where for _, where in kept])
     course = plan.path(np.linspace(0.0, plan.length, COURSE))
     unit = fleet.axis(step.axes[0]).unit
-    samples = _collect_samples(found, done.t0_fleet_ns, ends_s)
+    samples = _collect_samples(found_samples, done_step.t0_fleet_ns, ends_s)
     return PathDemo(report, step.axes, unit, plan, samples, times_s, truth, measure_distances(truth, course))
 
 
@@ -125,11 +125,11 @@ def _collect_samples(found: list[StepSamples], t0_ns: int, ends_s: float) -> dic
 
 def measure_distances(points: Array, course: Array) -> Array:
     """How far points (n, axes) are from a course of straight lines between points (m, axes)."""
-    found = np.zeros(len(points))
+    distances = np.zeros(len(points))
     ways = np.diff(course, axis=0)
     squares = np.maximum((ways**2).sum(axis=1), 1e-300)
     for k, point in enumerate(points):
         off = point - course[:-1]
         part = np.clip((off * ways).sum(axis=1) / squares, 0.0, 1.0)
-        found[k] = np.sqrt(((off - part[:, None] * ways) ** 2).sum(axis=1).min())
-    return found
+        distances[k] = np.sqrt(((off - part[:, None] * ways) ** 2).sum(axis=1).min())
+    return distances

@@ -36,10 +36,10 @@ class ProbePart:
 def parse_probe_endpoint(text: str) -> TcpLink | UdpLink | SerialLink:
     """Return the link of an endpoint: `tcp:HOST:PORT`, `udp:HOST:PORT`, `/dev/ttyUSB0`, `/dev/ttyUSB0,9600`,
     `/dev/ttyUSB0,9600,7O1`. Raises `BadProbe`."""
-    found = _NETWORK.fullmatch(text)
-    if found is not None and 0 < int(found[3]) < 65536:
-        kind = TcpLink if found[1] == "tcp" else UdpLink
-        return kind.model_validate({"kind": found[1], "host": found[2], "port": int(found[3])})
+    match = _NETWORK.fullmatch(text)
+    if match is not None and 0 < int(match[3]) < 65536:
+        kind = TcpLink if match[1] == "tcp" else UdpLink
+        return kind.model_validate({"kind": match[1], "host": match[2], "port": int(match[3])})
     serial = _SERIAL.fullmatch(text)
     if serial is None:
         raise BadProbe(f"{text[:80]!r} is no endpoint, such as {_EXAMPLES}")
@@ -60,8 +60,8 @@ def parse_probe_query(text: str) -> bytes:
     def unescape(found: "re.Match[str]") -> str:
         return chr(int(found[1][1:], 16)) if found[1][0] == "x" else _ESCAPED[found[1]]
 
-    rest = _ESCAPE.sub("", text)
-    if "\\" in rest:
+    rest_sub = _ESCAPE.sub("", text)
+    if "\\" in rest_sub:
         raise BadProbe(f"{text[:80]!r}: unknown escape; known are \\r, \\n, \\t, \\0, \\\\ and \\x18")
     try:
         return _ESCAPE.sub(unescape, text).encode("latin-1")
@@ -89,9 +89,9 @@ async def _collect(link: Link, parts: list[ProbePart], written_ns: int, wait_s: 
     try:
         async with asyncio.timeout(wait_s):
             while size < MOST_BYTES:
-                received = await link.read()
-                parts.append(ProbePart(received.at_ns - written_ns, received.data))
-                size += len(received.data)
+                received_bytes = await link.read()
+                parts.append(ProbePart(received_bytes.at_ns - written_ns, received_bytes.data))
+                size += len(received_bytes.data)
     except TimeoutError:
         return
     except LinkClosed:

@@ -73,7 +73,9 @@ def load_security(place: RouterPlace) -> RouterSecurity:
     if fleet is None:
         text = "the access table needs the fleet file: it says which controllers are on which host"
         raise Refusal("no-fleet-file", text, "give it: `tutti router FLEET --keys DIR`")
-    nameless = [each for each in split_endpoints(place.listen) if not (uses_tls(each) or is_socket(each))]
+    nameless = [
+        endpoint for endpoint in split_endpoints(place.listen) if not (uses_tls(endpoint) or is_socket(endpoint))
+    ]
     if nameless:
         text = f"with keys nothing listens at {nameless[0]}: sessions there have no names, and so no rights"
         raise Refusal("bad-endpoint", text, "listen at tls/HOST:PORT, or unixsock-stream/PATH")
@@ -129,24 +131,24 @@ class RouterService:
         """Wait until another table is wanted and nothing moves; return it."""
         while True:
             await asyncio.sleep(LOOK_S)
-            wanted = self._load_again()
-            if replace(wanted, urgent=0) == replace(self._security, urgent=0):
+            wanted_security = self._load_again()
+            if replace(wanted_security, urgent=0) == replace(self._security, urgent=0):
                 self._waiting = ""
                 continue
-            if await self._is_free(urgent=wanted.urgent > self._security.urgent):
-                return wanted
+            if await self._is_free(urgent=wanted_security.urgent > self._security.urgent):
+                return wanted_security
 
     def _load_again(self) -> RouterSecurity:
         """What is wanted now; what cannot be read is said once, and changes nothing."""
         try:
-            wanted = load_security(self._place)
+            wanted_security = load_security(self._place)
         except (TuttiError, FileError, OSError) as error:
             if str(error) != self._problem:
                 self._say(f"the present table stays: {error}")
             self._problem = str(error)
             return self._security
         self._problem = ""
-        return wanted
+        return wanted_security
 
     async def _is_free(self, *, urgent: bool) -> bool:
         """Whether the router may be opened anew. urgent: the fleet is stopped for it."""
@@ -173,7 +175,9 @@ class RouterService:
 
 def find_busy(states: Iterable[ControllerState]) -> str:
     """What is not at rest, in words; "" if everything is."""
-    busy = [each.controller for each in states if each.mode not in RESTING_MODES or each.job is not None or each.leases]
+    busy = [
+        state.controller for state in states if state.mode not in RESTING_MODES or state.job is not None or state.leases
+    ]
     return f"at work: {', '.join(sorted(busy))}" if busy else ""
 
 

@@ -50,7 +50,7 @@ def _make_link(kind: LinkKind, number: int, present: Link) -> Link:
 
 def describe_links(fleet: Fleet) -> list[dict[str, Any]]:
     """Where the simulated controllers of a fleet listen: one entry per link."""
-    found: list[dict[str, Any]] = []
+    links: list[dict[str, Any]] = []
     for names in group_by_link(fleet.controllers):
         link = fleet.controllers[names[0]].link_to_open.to_plain()
         link.pop("address", None)
@@ -63,5 +63,5 @@ def describe_links(fleet: Fleet) -> list[dict[str, Any]]:
             }
             for name in names
         ]
-        found.append({**link, "controllers": controllers})
-    return found
+        links.append({**link, "controllers": controllers})
+    return links

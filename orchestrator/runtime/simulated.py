@@ -21,8 +21,8 @@ def make_simulator_options(config: Controller) -> Mapping[str, Any]:
     the file describes. What `simulate.options` states has precedence."""
     options = validate_options(find_make_or_substitute(config.adapter).options_model, config)
     expected = {name: getattr(options, name) for name in type(options).model_fields}
-    derived = find_simulator(config.adapter).make_options(config, expected)
-    return {**derived, **config.simulate.options}
+    derived_options = find_simulator(config.adapter).make_options(config, expected)
+    return {**derived_options, **config.simulate.options}
 
 
 class SimulatedTiming(NamedTuple):
@@ -64,5 +64,5 @@ def find_simulation_problems(name: str, config: Controller) -> list[Problem]:
     try:
         model.model_validate(dict(config.simulate.options))
     except ValidationError as error:
-        return [Problem((*own, *each.place), each.text) for each in list_problems(error, model)]
+        return [Problem((*own, *problem.place), problem.text) for problem in list_problems(error, model)]
     return []

@@ -95,14 +95,14 @@ def _copy_database(source: Path, copy: Path) -> None:
 
 def _find_plain_files(folder: Path) -> Iterator[Path]:
     """Fleet, latches and stores of a state folder; a link in it is left out, as no process of a fleet makes one."""
-    found = [folder / FLEET_FILE, *sorted(folder.glob(LATCHES)), *sorted((folder / ADAPTERS).glob("*"))]
-    for path in found:
+    folders = [folder / FLEET_FILE, *sorted(folder.glob(LATCHES)), *sorted((folder / ADAPTERS).glob("*"))]
+    for path in folders:
         if path.is_file() and not path.is_symlink() and _KNOWN.fullmatch(str(path.relative_to(folder))):
             yield path
 
 
 def _order_files(folder: Path) -> list[str]:
-    return sorted(str(each.relative_to(folder)) for each in folder.rglob("*") if each.is_file())
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
 def _describe(path: Path) -> BackupMember:
@@ -128,19 +128,19 @@ def unpack_backup(source: BinaryIO, name: str, folder: Path) -> BackupManifest:
             if first is None or first.name != MANIFEST or not first.isreg() or first.size > _MAX_MANIFEST:
                 raise _no_backup(name)
             manifest = _read_manifest(tar, first, name)
-            missing = set(manifest.members)
+            missing_members = set(manifest.members)
             while (entry := tar.next()) is not None:
-                known = manifest.members.get(entry.name)
-                if entry.name not in missing or known is None or not entry.isreg() or entry.issparse():
+                known_member = manifest.members.get(entry.name)
+                if entry.name not in missing_members or known_member is None or not entry.isreg() or entry.issparse():
                     raise BadBackup(f"{name}: {entry.name!r} does not belong into a backup", "make a new backup")
-                _unpack_member(tar, entry, known, folder / entry.name)
-                missing.discard(entry.name)
+                _unpack_member(tar, entry, known_member, folder / entry.name)
+                missing_members.discard(entry.name)
     except (tarfile.TarError, EOFError) as error:
         if manifest is None:
             raise _no_backup(name) from None
         raise BadBackup(f"{name}: it is cut off, or damaged ({error})", AGAIN) from None
-    if missing:
-        raise BadBackup(f"{name}: it is cut off before {min(missing)}", AGAIN)
+    if missing_members:
+        raise BadBackup(f"{name}: it is cut off before {min(missing_members)}", AGAIN)
     return manifest
 
 
@@ -149,7 +149,7 @@ def _read_manifest(tar: tarfile.TarFile, entry: tarfile.TarInfo, name: str) -> B
         manifest = BackupManifest.model_validate_json(_open_member(tar, entry).read())
     except ValidationError:
         raise _no_backup(name) from None
-    odd = sorted(each for each in manifest.members if not _KNOWN.fullmatch(each))
+    odd = sorted(member for member in manifest.members if not _KNOWN.fullmatch(member))
     if odd or JOURNAL not in manifest.members:
         raise BadBackup(f"{name}: {odd[0] if odd else f'without {JOURNAL}'!r} in its manifest", "make a new backup")
     return manifest
@@ -157,16 +157,16 @@ def _read_manifest(tar: tarfile.TarFile, entry: tarfile.TarInfo, name: str) -> B
 
 def _unpack_member(tar: tarfile.TarFile, entry: tarfile.TarInfo, known: BackupMember, path: Path) -> None:
     path.parent.mkdir(exist_ok=True)
-    found, size = hashlib.sha256(), 0
+    found_hash, size = hashlib.sha256(), 0
     with _open_member(tar, entry) as member, path.open("xb") as file:
         while data := member.read(_CHUNK):
-            found.update(data)
+            found_hash.update(data)
             size += len(data)
             file.write(data)
         file.flush()
         os.fsync(file.fileno())
     path.chmod(FILE_MODE)
-    if (size, found.hexdigest()) != (known.size, known.digest):
+    if (size, found_hash.hexdigest()) != (known.size, known.digest):
         raise tarfile.ReadError(f"{entry.name} is not what was written")
 
 

@@ -83,10 +83,10 @@ def _restrict_folder(folder: Path) -> None:
     restrict_to_user(folder)
     for inner in [folder / name for name in _FOLDERS]:
         restrict_to_user(inner)
-        for each in inner.glob("*") if inner.name != "ports" else ():
-            restrict_to_user(each)
-    for each in (*folder.glob(f"{JOURNAL}*"), folder / FLEET_FILE, folder / LOCK):
-        restrict_to_user(each)
+        for state_file in inner.glob("*") if inner.name != "ports" else ():
+            restrict_to_user(state_file)
+    for state_file in (*folder.glob(f"{JOURNAL}*"), folder / FLEET_FILE, folder / LOCK):
+        restrict_to_user(state_file)
 
 
 def find_running_fleet(folder: Path) -> RunningFleet | None:
@@ -94,20 +94,20 @@ def find_running_fleet(folder: Path) -> RunningFleet | None:
     try:
         entry = json.loads((folder / LOCK).read_text(encoding="utf-8"))
         place = entry["fleet"], entry["connect"], folder, entry.get("adapter_host", "")
-        found = RunningFleet(entry["pid"], entry["started"], *place)
+        fleet = RunningFleet(entry["pid"], entry["started"], *place)
         here = entry["host"] == socket.gethostname()
     except (OSError, ValueError, KeyError, TypeError):
         return None
     # What a killed process has left there names no living one.
-    return found if here and find_start_ticks(found.pid) == found.started else None
+    return fleet if here and find_start_ticks(fleet.pid) == fleet.started else None
 
 
 def find_running_fleets(adapter_host: str = "") -> list[RunningFleet]:
     """All fleets of this user that run with their default state folders, by name; with a name, those of which this
     adapter host runs by `tutti host`."""
     folders = sorted(path.parent for path in default_state("any").parent.glob(f"*/{LOCK}"))
-    running = [found for folder in folders if (found := find_running_fleet(folder)) is not None]
-    return [each for each in running if each.adapter_host == adapter_host]
+    running_folders = [fleet for folder in folders if (fleet := find_running_fleet(folder)) is not None]
+    return [each for each in running_folders if each.adapter_host == adapter_host]
 
 
 def default_state(fleet: str) -> Path:

@@ -71,10 +71,10 @@ def _import_opened(source: BinaryIO, file: Path, folder: Path, wishes: ImportWis
             epoch = _find_epoch(fresh, folder, wishes.seen)
             damages = _prepare_journal(fresh / JOURNAL, file, epoch, wishes)
             jobs = check_journal(fresh / JOURNAL).jobs
-            replaced = _set_aside(folder, wishes.utc)
+            old_folder = _set_aside(folder, wishes.utc)
             left_out = _move_files(fresh, folder)
         sync_folder(folder)
-        return ImportedState(epoch, jobs, replaced, left_out, damages)
+        return ImportedState(epoch, jobs, old_folder, left_out, damages)
     finally:
         lock.release()
 
@@ -122,13 +122,13 @@ def _set_aside(folder: Path, utc: str) -> Path | None:
     present = sorted(folder.glob(f"{JOURNAL}*"))
     if not present:
         return None
-    kept = folder / (REPLACED + re.sub(r"[^0-9TZ]", "", utc.replace(".", "T", 1)))
-    make_private_folder(kept)
+    kept_folder = folder / (REPLACED + re.sub(r"[^0-9TZ]", "", utc.replace(".", "T", 1)))
+    make_private_folder(kept_folder)
     for path in present:
-        path.rename(kept / path.name)
-    sync_folder(kept)
+        path.rename(kept_folder / path.name)
+    sync_folder(kept_folder)
     sync_folder(folder)
-    return kept
+    return kept_folder
 
 
 def _move_files(fresh: Path, folder: Path) -> list[str]:

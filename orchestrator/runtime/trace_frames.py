@@ -41,6 +41,6 @@ class FrameList:
                 if self._decoder is None
                 else self._decoder.decode_bytes(direction, data)
             )
-            for each in frames:
+            for frame in frames:
                 after_s = (at_ns - self._origin_ns) / 1e9
-                yield ShownFrame(after_s, fleet_ns, direction, each.address, each.text, each.meaning)
+                yield ShownFrame(after_s, fleet_ns, direction, frame.address, frame.text, frame.meaning)

@@ -55,8 +55,8 @@ GUARDIAN_TIMEOUT_NS = 300 * NS_PER_MS  # timeout of a guardian
 RESTART_NS = 200 * NS_PER_MS
 MAX_WAKE_DELAY_NS = 60 * NS_PER_US  # largest wake-up delay of the firing process
 READ_ONLY_JOURNAL_CALLS = frozenset(
-    each.__name__
-    for each in (
+    decision.__name__
+    for decision in (
         Journal.list_decisions,
         Journal.find_jobs,
         Journal.find_referenced_jobs,
@@ -165,8 +165,8 @@ class VirtualFleet:
                         return states
                     await sleep_ns(self.clock, 50 * NS_PER_MS)
         except TimeoutError:
-            shown = {name: (state.mode, state.epoch, state.faults) for name, state in states.items()}
-            raise TimeoutError(f"after {limit_s} s the states are {shown}") from None
+            shown_modes = {name: (state.mode, state.epoch, state.faults) for name, state in states.items()}
+            raise TimeoutError(f"after {limit_s} s the states are {shown_modes}") from None
         finally:
             await client.close()
 
@@ -324,8 +324,8 @@ class VirtualFleet:
             try:
                 if standby:
                     await wait_for_vacancy(bus, self.keys, self.clock)
-                    for other, (silent, _) in self.coordinators.items():
-                        if other != name and silent.alive:
+                    for other_name, (silent, _) in self.coordinators.items():
+                        if other_name != name and silent.alive:
                             silent.kill()
                 await coordinator.start(take_over=take_over, vacant=standby)
             except AnotherLeader as error:

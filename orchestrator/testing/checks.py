@@ -39,8 +39,10 @@ class RunPhase(CampaignPhase):
     @property
     def unstoppable(self) -> set[str]:
         """Controllers that could not be stopped for a while."""
-        kept = [each for each in self.faults if each.begun and (each.kind.unstoppable or each.kind.reach == "power")]
-        return {name for each in kept for name in each.affected}
+        kept_faults = [
+            fault for fault in self.faults if fault.begun and (fault.kind.unstoppable or fault.kind.reach == "power")
+        ]
+        return {name for fault in kept_faults for name in fault.affected}
 
 
 class RunChecks:
@@ -96,5 +98,5 @@ def find_controllers(job: Job, everything: Sequence[str]) -> tuple[str, ...]:
     names: list[str] = []
     for step in iterate_steps(job.steps):
         names += step.switched_outputs or step.named_axes or step.awaited_inputs or everything
-    found = {name.partition(".")[0] for name in names}
-    return tuple(found) if found <= set(everything) else tuple(everything)
+    partitions = {name.partition(".")[0] for name in names}
+    return tuple(partitions) if partitions <= set(everything) else tuple(everything)

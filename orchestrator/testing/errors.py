@@ -25,10 +25,10 @@ class CallbackFailed(TuttiError):
 def find_controller(fleet: Fleet, name: str) -> Controller:
     """The controller `name`. Raises `UnknownName` with those that there are."""
     if name not in fleet.controllers:
-        known = list(fleet.controllers)
+        names = list(fleet.controllers)
         raise UnknownName(
             name,
-            f"the fleet has no controller {name[:80]}; {suggest_name(name, known)}{list_names(known, 'controller')}",
+            f"the fleet has no controller {name[:80]}; {suggest_name(name, names)}{list_names(names, 'controller')}",
         )
     return fleet.controllers[name]
 

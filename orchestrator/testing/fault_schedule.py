@@ -110,8 +110,8 @@ class FaultSchedule:
         """The clients of the test give no signs of life any more, as after `kill -9`."""
 
         def set_silent(*, silent: bool) -> None:
-            for each in self.clients:
-                each.silent = silent
+            for client in self.clients:
+                client.silent = silent
 
         set_silent(silent=True)
         return lambda: set_silent(silent=False)

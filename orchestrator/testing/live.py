@@ -59,17 +59,17 @@ class _LiveTruth(AxisTruth):
             entry = json.loads(line)
             if entry["axis"] == self._motor:
                 motion = CommandedMotion(self._motor, entry["start_ns"], entry["start_counts"])
-                known = motions.setdefault(entry["start_ns"], motion)
-                known.end_ns, known.end_counts = entry.get("end_ns"), entry.get("end_counts")
+                known_motion = motions.setdefault(entry["start_ns"], motion)
+                known_motion.end_ns, known_motion.end_counts = entry.get("end_ns"), entry.get("end_counts")
         return list(motions.values())
 
     def _find_counts(self, at_ns: int) -> float:
         self._require_past(at_ns, raw_ns() - TRUTH_DELAY_NS)
         motions = self._find_motions()
-        begun = [each for each in motions if each.start_ns <= at_ns]
-        if not begun:
+        begun_motions = [motion for motion in motions if motion.start_ns <= at_ns]
+        if not begun_motions:
             return motions[0].start_counts if motions else 0.0
-        last = begun[-1]
+        last = begun_motions[-1]
         if last.end_ns is None or last.end_counts is None or last.end_ns > at_ns:
             raise BadTest(f"{self._name} moves at that time; in a live fleet its position is known at rest only")
         return last.end_counts
@@ -129,13 +129,13 @@ class LiveTestbed(FleetTestbed):
         if self._failures:
             raise self._failures[0]
         live = self._require_live()
-        running = [each for each in self.tutti.list_jobs() if each.state not in (*FINISHED_STATES, "queued")]
-        found = [f"job {each.name} is still {each.state}; wait for it, or stop it" for each in running]
-        found += [f"{name} moves" for name, axis in self.tutti.axes().items() if axis.moving or axis.homing]
+        running_jobs = [job for job in self.tutti.list_jobs() if job.state not in (*FINISHED_STATES, "queued")]
+        texts = [f"job {entry.name} is still {entry.state}; wait for it, or stop it" for entry in running_jobs]
+        texts += [f"{name} moves" for name, axis in self.tutti.axes().items() if axis.moving or axis.homing]
         if live.failed is not None and live.failed.done():
-            found.append(live.failed.result())
-        if found:
-            raise FleetViolation("\n  ".join([f"fleet {self.fleet.fleet} at the end of the test:", *found]))
+            texts.append(live.failed.result())
+        if texts:
+            raise FleetViolation("\n  ".join([f"fleet {self.fleet.fleet} at the end of the test:", *texts]))
 
     def _end(self) -> None:
         tutti, self._tutti = self._tutti, None
@@ -272,5 +272,5 @@ def live_fleet(fleet: Path | str | Fleet, *, check: bool = True) -> LiveTestbed:
 
     check: check at the end that no job runs and nothing moves. Raises `FileError` with every mistake of the file.
     """
-    checked = check_fleet(fleet) if isinstance(fleet, Fleet) else load_checked_fleet(Path(fleet))
-    return LiveTestbed(checked, check=check)
+    checked_fleet = check_fleet(fleet) if isinstance(fleet, Fleet) else load_checked_fleet(Path(fleet))
+    return LiveTestbed(checked_fleet, check=check)

@@ -90,8 +90,8 @@ class FleetTestbed(ABC):
 
     def set_input(self, name: str, *, on: bool, at: str | float | None = None) -> None:
         """Make the input `controller.input` active or passive, whatever its polarity. Raises `UnknownName`."""
-        controller, wired = find_input(self.fleet, name)
-        self._change(controller, {"input": [wired.number, on == (wired.active == "high")]}, at)
+        controller, wired_input = find_input(self.fleet, name)
+        self._change(controller, {"input": [wired_input.number, on == (wired_input.active == "high")]}, at)
 
     def press_limit(self, axis: str, which: LimitSwitch, *, at: str | float | None = None) -> None:
         """Press limit switches of an axis: `forward`, `reverse` (of its motor), `both`, or `none`. Raises

@@ -52,7 +52,7 @@ class MotorRecord:
     @property
     def motions(self) -> list[CommandedMotion]:
         """All its motions so far."""
-        return [each for each in self._controller.commanded_motions if each.axis == self._motor]
+        return [motion for motion in self._controller.commanded_motions if motion.axis == self._motor]
 
     def take_sample(self, now_ns: int) -> None:
         """Record the present position, and what has begun and ended since the last sample."""
@@ -89,7 +89,7 @@ class MotorRecord:
 
     def find_counts(self, at_ns: int) -> float:
         """The position at an instant, host ns, in counts of the make; that of the first sample before it."""
-        after = bisect_right(self._samples, at_ns, key=lambda each: each.at_ns)
+        after = bisect_right(self._samples, at_ns, key=lambda sample: sample.at_ns)
         if after == 0 or after == len(self._samples):
             return self._samples[min(after, len(self._samples) - 1)].counts
         return _interpolate(self._samples[after - 1], self._samples[after], at_ns)
@@ -99,9 +99,9 @@ def _interpolate(before: _Sample, after: _Sample, at_ns: int) -> float:
     """The position between two samples: the cubic with their positions and velocities."""
     duration_s = (after.at_ns - before.at_ns) / NS_PER_S
     share = (at_ns - before.at_ns) / (after.at_ns - before.at_ns)
-    rest = 1 - share
-    from_before = rest * rest * ((1 + 2 * share) * before.counts + share * duration_s * before.counts_per_s)
-    from_after = share * share * ((1 + 2 * rest) * after.counts - rest * duration_s * after.counts_per_s)
+    rest_share = 1 - share
+    from_before = rest_share * rest_share * ((1 + 2 * share) * before.counts + share * duration_s * before.counts_per_s)
+    from_after = share * share * ((1 + 2 * rest_share) * after.counts - rest_share * duration_s * after.counts_per_s)
     return from_before + from_after
 
 
@@ -122,7 +122,7 @@ class AxisTruth(ABC):
     @property
     def moves(self) -> list[TrueMove]:
         """All commanded motions so far, in order of start."""
-        return [self._make_move(each) for each in self._find_motions()]
+        return [self._make_move(motion) for motion in self._find_motions()]
 
     def position_at(self, t: float) -> float:
         """The commanded position at fleet time `t`, s, in the axis's unit: exact at begins and ends of moves, between

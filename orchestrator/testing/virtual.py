@@ -219,5 +219,5 @@ def virtual_fleet(
     seed: all that is random is drawn from it; equal seeds give equal runs. check: check the invariants at the end.
     limit: of fleet time for one call. Raises `FileError` with every mistake of the file.
     """
-    checked = check_fleet(fleet) if isinstance(fleet, Fleet) else load_checked_fleet(Path(fleet))
-    return VirtualTestbed(checked, seed, parse_delay_ns("limit", limit) or 0, check=check)
+    checked_fleet = check_fleet(fleet) if isinstance(fleet, Fleet) else load_checked_fleet(Path(fleet))
+    return VirtualTestbed(checked_fleet, seed, parse_delay_ns("limit", limit) or 0, check=check)

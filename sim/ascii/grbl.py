@@ -222,10 +222,10 @@ class GrblController(LineController):
         reply("ok\r\n")
 
     def _store_setting(self, text: str) -> None:
-        found = re.fullmatch(r"\$(\d+)=([-+]?[\d.]+)", text)
-        if found is None or int(found[1]) not in self.settings:
+        parts = re.fullmatch(r"\$(\d+)=([-+]?[\d.]+)", text)
+        if parts is None or int(parts[1]) not in self.settings:
             raise _LineRefused(3)
-        self.settings[int(found[1])] = float(found[2])
+        self.settings[int(parts[1])] = float(parts[2])
 
     def _read_words(self, text: str) -> dict[str, float]:
         """Return axis words and F of a block, absolute, in mm. G-codes that it does not use here are refused."""

@@ -64,8 +64,8 @@ class ScpiStage(LineController):
         self._mask = 0
 
     def reset_volatile(self) -> None:
-        pressed = {name: each.pressed for name, each in self._registers.items()}
-        self._registers = {name: _AxisRegisters(pressed=pressed[name]) for name in self.axes}
+        pressed_registers = {name: register.pressed for name, register in self._registers.items()}
+        self._registers = {name: _AxisRegisters(pressed=pressed_registers[name]) for name in self.axes}
         self._errors.clear()
         self._mask = 0
 
@@ -91,10 +91,10 @@ class ScpiStage(LineController):
             reply(";".join(answers) + "\n")
 
     def _execute(self, command: str) -> str | None:
-        found = _COMMAND.fullmatch(command)
-        if found is None:
+        parts = _COMMAND.fullmatch(command)
+        if parts is None:
             raise _CommandError('-102,"Syntax error"')
-        word, axis, query, value = found[1], found[2], bool(found[3]), found[4]
+        word, axis, query, value = parts[1], parts[2], bool(parts[3]), parts[4]
         if query:
             return self._answer(word)
         if axis:
@@ -173,10 +173,12 @@ class ScpiStage(LineController):
         axis.start_move(round(position * scale), registers.velocity * scale, registers.acceleration * scale)
 
     def _trigger(self) -> None:
-        armed = {name: each.target for name, each in self._registers.items() if each.target is not None}
-        if not armed:
+        armed_targets = {
+            name: register.target for name, register in self._registers.items() if register.target is not None
+        }
+        if not armed_targets:
             raise _CommandError('-211,"Trigger ignored"')
-        for name, target in armed.items():
+        for name, target in armed_targets.items():
             self._registers[name].target = None
             self._start(name, target)
 

@@ -51,13 +51,13 @@ class ObjectEntry:
 @lru_cache(maxsize=128)
 def _read_entries(node: int) -> Mapping[Key, ObjectEntry]:
     dictionary: ObjectDictionary = import_od(str(EDS), node)
-    found: dict[Key, ObjectEntry] = {}
+    entries: dict[Key, ObjectEntry] = {}
     for index in cast(Iterable[int], dictionary):
         thing = dictionary[index]
         variables = [thing] if isinstance(thing, ODVariable) else cast(Iterable[ODVariable], thing.values())
         for variable in variables:
-            found[index, variable.subindex] = _build_entry(variable)
-    return found
+            entries[index, variable.subindex] = _build_entry(variable)
+    return entries
 
 
 def _build_entry(variable: ODVariable) -> ObjectEntry:
@@ -115,10 +115,10 @@ class DriveDictionary:
         """Return the description of an object. Raises `SdoAbort`."""
         if index not in self._indices:
             raise SdoAbort(aborts.NO_OBJECT)
-        found = self.entries.get((index, sub))
-        if found is None:
+        entry = self.entries.get((index, sub))
+        if entry is None:
             raise SdoAbort(aborts.NO_SUBINDEX)
-        return found
+        return entry
 
     def upload_value(self, index: int, sub: int) -> bytes:
         """Return the encoded value for a client. Raises `SdoAbort`."""

@@ -85,15 +85,15 @@ class ServoDrive:
         self._probes = TouchProbes(dictionary, options, lambda: round(self.servo.actual_position), events.changed)
         self._homing = HomingMode(dictionary, self.servo, options)
         self._homing.failed = lambda: events.emergency(HOMING_ERROR_CODE, _GENERIC | _PROFILE)
-        interpolated = InterpolatedPosition(dictionary, self.servo, cyclic=False, missed=options.sync_missed)
+        interpolated_position = InterpolatedPosition(dictionary, self.servo, cyclic=False, missed=options.sync_missed)
         cyclic = InterpolatedPosition(dictionary, self.servo, cyclic=True, missed=options.sync_missed)
-        interpolated.sync_lost = cyclic.sync_lost = lambda: self.enter_fault(SYNC_LOST_CODE, _COMMUNICATION)
+        interpolated_position.sync_lost = cyclic.sync_lost = lambda: self.enter_fault(SYNC_LOST_CODE, _COMMUNICATION)
         self._modes: dict[int, OperationMode] = {
             0: OperationMode(dictionary, self.servo),
             PROFILE_POSITION: ProfilePosition(dictionary, self.servo),
             PROFILE_VELOCITY: ProfileVelocity(dictionary, self.servo),
             HOMING: self._homing,
-            INTERPOLATED: interpolated,
+            INTERPOLATED: interpolated_position,
             CYCLIC: cyclic,
         }
         for mode in self._modes.values():
@@ -228,16 +228,16 @@ class ServoDrive:
             self._modes[self._mode].handle_motion_end()
 
     def _state_changed(self, before: PowerState) -> None:
-        after, mode = self.states.state, self._modes[self._mode]
+        state_after, mode = self.states.state, self._modes[self._mode]
         self._after_stop = None
         if self._quick_stop_end is not None:
             self._quick_stop_end.cancel()
             self._quick_stop_end = None
         if before is PowerState.ENABLED:
             mode.leave_mode()
-        if after not in POWERED:
+        if state_after not in POWERED:
             self.servo.switch_off()
-        if after is PowerState.ENABLED:
+        if state_after is PowerState.ENABLED:
             self.servo.internal_limit = False
             mode.enter_mode()
         self._changed()
@@ -295,9 +295,9 @@ class ServoDrive:
         self.servo.terminals.drive_outputs(0, 0xFFFF_FFFF)
 
     def set_input(self, number: int, *, level: bool) -> None:
-        before = self.servo.terminals.input_level(number)
+        level_before = self.servo.terminals.input_level(number)
         self.servo.terminals.set_input(number, level=level)
-        if before != level:
+        if level_before != level:
             self._probes.handle_input(number, level=level)
         if not self._has_voltage():
             self.states.lose_voltage()

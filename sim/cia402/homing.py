@@ -122,8 +122,8 @@ class HomingMode(OperationMode):
         if leg.release and not self._is_pressed(leg.release):
             self._handle_passed(servo.mechanical_position)
             return
-        ahead = [place for place in leg.places if leg.sign * (place - servo.mechanical_position) > 0]
-        servo.wanted = [PositionMark(place, leg.sign, lambda p=place: self._handle_passed(p)) for place in ahead]
+        places_ahead = [place for place in leg.places if leg.sign * (place - servo.mechanical_position) > 0]
+        servo.wanted = [PositionMark(place, leg.sign, lambda p=place: self._handle_passed(p)) for place in places_ahead]
         speed = leg.sign * servo.read_velocity(0x6099, leg.speed)
         servo.follow_plan(to_speed(servo.demand_speed, speed, self._ramp_rate(), self._ramp_rate()))
 

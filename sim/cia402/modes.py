@@ -99,23 +99,23 @@ class ProfilePosition(OperationMode):
         get, servo = self.dictionary.get_value, self.servo
         target = float(get(0x607A))
         if relative:
-            before = self._next or self._now
+            point_before = self._next or self._now
             code = get(0x60F2) & 3
             target += (
                 servo.actual_position
                 if code == 2
                 else servo.demand_position
-                if code == 1 or before is None
-                else before.target
+                if code == 1 or point_before is None
+                else point_before.target
             )
-        inside = servo.clip_target(target)
-        if inside != target:
+        target_inside = servo.clip_target(target)
+        if target_inside != target:
             servo.internal_limit = True
         velocity = servo.read_velocity(0x6081)
         if get(0x607F) != UNLIMITED:
             velocity = min(velocity, servo.read_velocity(0x607F))
         up, down = servo.read_acceleration(0x6083), servo.read_acceleration(0x6084)
-        return _PositionSetPoint(inside, velocity, up, down)
+        return _PositionSetPoint(target_inside, velocity, up, down)
 
     def _begin_set_point(self, point: _PositionSetPoint) -> None:
         self._now = point
@@ -227,9 +227,9 @@ class InterpolatedPosition(OperationMode):
         target = float(
             self.dictionary.get_value(*self._key) + (self.dictionary.get_value(0x60B0) if self._cyclic else 0)
         )
-        inside = servo.clip_target(target)
-        servo.internal_limit = inside != target
-        servo.run_at_tick(lambda: self._follow_target(inside))
+        target_inside = servo.clip_target(target)
+        servo.internal_limit = target_inside != target
+        servo.run_at_tick(lambda: self._follow_target(target_inside))
         self._cancel_watchdog()
         self._watchdog = servo.time.call_after(self._missed * servo.period_ns(), self._handle_missing_sync)
 

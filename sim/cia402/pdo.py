@@ -171,10 +171,10 @@ class PdoSet:
         """Apply the parameters."""
         get = self._dictionary.get_value
         word = get(pdo.parameter, 1)
-        mapped = [get(pdo.mapping, sub) for sub in range(1, get(pdo.mapping, 0) + 1)]
+        mapped_range = [get(pdo.mapping, sub) for sub in range(1, get(pdo.mapping, 0) + 1)]
         pdo.id, pdo.on, pdo.remote = word & _ID, not word & _OFF, not word & _NO_REMOTE
         pdo.type = get(pdo.parameter, 2)
-        pdo.objects = tuple(((each >> 16, each >> 8 & 0xFF), (each & 0xFF) // 8) for each in mapped)
+        pdo.objects = tuple(((each >> 16, each >> 8 & 0xFF), (each & 0xFF) // 8) for each in mapped_range)
         if isinstance(pdo, _ReceivePdo):
             pdo.held = None
         elif isinstance(pdo, _TransmitPdo):
@@ -234,10 +234,10 @@ class PdoSet:
 
     def sync_incoming(self) -> None:
         """SYNC: move the held data into the objects."""
-        held = [(pdo, pdo.held) for pdo in self._incoming if pdo.held is not None]
-        for pdo, _ in held:
+        held_pdos = [(pdo, pdo.held) for pdo in self._incoming if pdo.held is not None]
+        for pdo, _ in held_pdos:
             pdo.held = None
-        self._apply_received(held)
+        self._apply_received(held_pdos)
 
     def _apply_received(self, received: "list[tuple[_ReceivePdo, bytes]]") -> None:
         """Apply received PDOs. The control loop processes all of them at once: the controlword acts on the other

@@ -24,8 +24,8 @@ class PermanentObjects:
         """Handle a write to 0x1010: keep the present values."""
         if signature != _SAVE:
             raise SdoAbort(aborts.NOT_STORED)
-        kept = self._dictionary.writable_values()
-        self.kept = {key: value for key, value in kept.items() if key[0] not in _NOT_KEPT}
+        kept_values = self._dictionary.writable_values()
+        self.kept = {key: value for key, value in kept_values.items() if key[0] not in _NOT_KEPT}
 
     def load_objects(self, signature: int) -> None:
         """Handle a write to 0x1011: from the next start on, the values as delivered."""

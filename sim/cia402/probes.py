@@ -44,10 +44,10 @@ class TouchProbes:
         """Capture the position at an edge of an input, if a probe waits for it."""
         edge = _POSITIVE if level else _NEGATIVE
         word, status = self._dictionary.get_value(FUNCTION), self._dictionary.get_value(STATUS)
-        for probe, wired in enumerate(self._inputs):
+        for probe, wired_input in enumerate(self._inputs):
             asked, stored = word >> 8 * probe & _PROBE, _STORED[edge] << 8 * probe
             taken = bool(status & stored) and not asked & _CONTINUOUS
-            if wired == number and asked & _ON and asked & edge and not taken:
+            if wired_input == number and asked & _ON and asked & edge and not taken:
                 self._dictionary.put_value(_POSITIONS[probe][edge], 0, self._read_position())
                 self._dictionary.put_value(STATUS, 0, status | stored)
                 self._changed()
@@ -56,13 +56,13 @@ class TouchProbes:
         """Object 60B8h. Zero impulse and 60D0h are no sources of this drive, nor is an input that it does not have."""
         status = self._dictionary.get_value(STATUS)
         for probe in range(len(_POSITIONS)):
-            asked = word >> 8 * probe & _PROBE
-            if asked & _ON and (asked & _SOURCE or probe >= len(self._inputs)):
+            asked_word = word >> 8 * probe & _PROBE
+            if asked_word & _ON and (asked_word & _SOURCE or probe >= len(self._inputs)):
                 raise SdoAbort(aborts.RANGE)
         for probe in range(len(_POSITIONS)):
-            asked = word >> 8 * probe & _PROBE
-            kept = sum(stored for edge, stored in _STORED.items() if asked & edge) if asked & _ON else 0
-            on = _ON if asked & _ON else 0
+            asked_word = word >> 8 * probe & _PROBE
+            kept = sum(stored for edge, stored in _STORED.items() if asked_word & edge) if asked_word & _ON else 0
+            on = _ON if asked_word & _ON else 0
             status = status & ~(_PROBE << 8 * probe) | (status & kept << 8 * probe) | on << 8 * probe
         self._dictionary.put_value(STATUS, 0, status)
         self._changed()

@@ -23,10 +23,10 @@ class MotionPlan:
         if time_s >= self.duration_s:
             return self.distance, 0.0
         piece = self.segments[0]
-        for each in self.segments[1:]:
-            if each.t > time_s:
+        for segment in self.segments[1:]:
+            if segment.t > time_s:
                 break
-            piece = each
+            piece = segment
         return piece.x_at(time_s), piece.v_at(time_s)
 
 
@@ -80,21 +80,21 @@ def to_target(speed: float, distance: float, max_speed: float, up: float, down: 
     cannot stop in time."""
     plan = _PlanBuilder(speed)
     stopping = speed * abs(speed) / (2 * down)
-    left = distance - stopping
-    if speed and left * speed < 0 and abs(left) > TINY:
+    distance_left = distance - stopping
+    if speed and distance_left * speed < 0 and abs(distance_left) > TINY:
         plan.add_ramp(0.0, down)
     if speed and abs(plan.v) > max_speed:
         plan.add_ramp(math.copysign(max_speed, plan.v), down)
-    left = distance - plan.x
-    if abs(left) <= TINY and plan.v == 0.0:
+    distance_left = distance - plan.x
+    if abs(distance_left) <= TINY and plan.v == 0.0:
         return plan.finish_at_rest(distance)
-    sign = math.copysign(1.0, left)
-    peak = math.sqrt(max(0.0, (2 * abs(left) * up * down + down * plan.v * plan.v) / (up + down)))
+    sign = math.copysign(1.0, distance_left)
+    peak = math.sqrt(max(0.0, (2 * abs(distance_left) * up * down + down * plan.v * plan.v) / (up + down)))
     peak = min(max_speed, max(peak, abs(plan.v)))
     plan.add_ramp(sign * peak, up)
     braking = peak * peak / (2 * down)
-    rest = sign * (distance - plan.x) - braking
-    plan.add_segment(rest / peak)
+    rest_sign = sign * (distance - plan.x) - braking
+    plan.add_segment(rest_sign / peak)
     plan.add_ramp(0.0, down)
     return plan.finish_at_rest(distance)
 

@@ -83,8 +83,8 @@ class SdoServer:
                 else:
                     self._run_command(data, index, sub)
             except SdoAbort as error:
-                here = self._transfer
-                where = (here.index, here.sub) if here is not None else (index, sub)
+                transfer_here = self._transfer
+                where = (transfer_here.index, transfer_here.sub) if transfer_here is not None else (index, sub)
                 self._send_abort(*where, error.code)
         self._watch(self._transfer is not None)
 

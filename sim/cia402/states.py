@@ -78,8 +78,8 @@ class PowerStates:
     def enter_state(self, state: PowerState) -> None:
         self._leaving = None
         if state is not self.state:
-            before, self.state = self.state, state
-            self._changed(before)
+            state_before, self.state = self.state, state
+            self._changed(state_before)
 
     def handle_controlword(self, word: int) -> None:
         """Process a controlword."""
@@ -91,9 +91,9 @@ class PowerStates:
             return
         if wanted in ("shutdown", "switch on", "enable operation") and not self._voltage():
             return
-        after = _WITHOUT_MOTION.get((state, wanted))
-        if after is not None:
-            self.enter_state(after)
+        motion_after = _WITHOUT_MOTION.get((state, wanted))
+        if motion_after is not None:
+            self.enter_state(motion_after)
         elif state is PowerState.ENABLED:
             self._leave_enabled(wanted)
         elif state is PowerState.QUICK_STOP and wanted == "enable operation" and self._stays_stopped:

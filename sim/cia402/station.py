@@ -135,11 +135,13 @@ class DriveNode:
         elif command == _RESET_COMMUNICATION:
             self.drive.connection_lost()
             self._end_activity(BOOTING)
-            kept = {key: value for key, value in self._permanent.kept.items() if key[0] in _COMMUNICATION_OBJECTS}
+            kept_values = {
+                key: value for key, value in self._permanent.kept.items() if key[0] in _COMMUNICATION_OBJECTS
+            }
             application = {
                 k: v for k, v in self.dictionary.writable_values().items() if k[0] not in _COMMUNICATION_OBJECTS
             }
-            self.dictionary.reset_values(kept | application)
+            self.dictionary.reset_values(kept_values | application)
             self._timers.call_later("boot", NS_PER_MS, self._send_boot_up)
 
     # From the bus
@@ -198,8 +200,8 @@ class DriveNode:
     def _set_filter(self) -> None:
         """Set the acceptance filter of the CAN controller: frames for other nodes do not reach the firmware."""
         own = {0, self._sync_id(), 0x600 + self.node, 0x700 + self.node}
-        watched = {0x700 + (self.dictionary.get_value(0x1016, sub) >> 16 & 0x7F) for sub in (1, 2)}
-        self.can.accepts = frozenset(own | watched | self.pdos.receive_identifiers())
+        watched_values = {0x700 + (self.dictionary.get_value(0x1016, sub) >> 16 & 0x7F) for sub in (1, 2)}
+        self.can.accepts = frozenset(own | watched_values | self.pdos.receive_identifiers())
 
     def _store_filtered(self, index: int, sub: int, value: int) -> None:
         self.dictionary.put_value(index, sub, value)

@@ -60,12 +60,12 @@ class DriveTerminals:
     def position_marks(self, limit: Callable[[int], None]) -> list[PositionMark]:
         """Return the positions that a motion may pass: the limit switches, which call `limit` with -1 or 1, and the
         home switch."""
-        found = [PositionMark(edge, sign, self._changed) for edge in self.home_edges() for sign in (-1, 1)]
+        marks = [PositionMark(edge, sign, self._changed) for edge in self.home_edges() for sign in (-1, 1)]
         if self._options.travel is not None and self.forced is None:
             low, high = self._options.travel
-            found += [PositionMark(low, -1, lambda: limit(-1)), PositionMark(high, 1, lambda: limit(1))]
-            found += [PositionMark(low, 1, self._changed), PositionMark(high, -1, self._changed)]
-        return found
+            marks += [PositionMark(low, -1, lambda: limit(-1)), PositionMark(high, 1, lambda: limit(1))]
+            marks += [PositionMark(low, 1, self._changed), PositionMark(high, -1, self._changed)]
+        return marks
 
     def input_word(self, position: float) -> int:
         """Object 0x60FD."""
@@ -80,12 +80,12 @@ class DriveTerminals:
     def drive_outputs(self, wanted: int, mask: int) -> None:
         """Object 0x60FE: set the outputs in the mask to the wanted levels; the others keep theirs."""
         mask = mask >> _FIRST_BIT & (1 << POINTS) - 1
-        after = self._outputs & ~mask | wanted >> _FIRST_BIT & mask
-        before, self._outputs = self._outputs, after
+        outputs_after = self._outputs & ~mask | wanted >> _FIRST_BIT & mask
+        before, self._outputs = self._outputs, outputs_after
         for place in range(POINTS):
-            if (before ^ after) >> place & 1:
+            if (before ^ outputs_after) >> place & 1:
                 for listener in self._listeners:
-                    listener(place + 1, bool(after >> place & 1))
+                    listener(place + 1, bool(outputs_after >> place & 1))
 
     def output_level(self, number: int) -> bool:
         if not 1 <= number <= POINTS:

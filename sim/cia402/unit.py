@@ -121,10 +121,10 @@ def build_drive(
 def build_bus(clock: Clock, branches: Sequence[DeviceSpec]) -> tuple[CanSegment, list[SimulatedDrive]]:
     """Build drives on one bus. Its bit rate is the most frequent one among them. `ValueError` for a wrong option."""
     options = [read_options(branch.options) for branch in branches]
-    (bitrate, _), *_ = Counter(each.bitrate for each in options).most_common()
+    (bitrate, _), *_ = Counter(option.bitrate for option in options).most_common()
     segment = CanSegment(MemoryCanBus(clock, bitrate, seed=branches[0].seed))
     return segment, [
-        _build_on_segment(clock, segment, branch, each) for branch, each in zip(branches, options, strict=True)
+        _build_on_segment(clock, segment, branch, option) for branch, option in zip(branches, options, strict=True)
     ]
 
 

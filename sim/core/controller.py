@@ -250,12 +250,14 @@ def build_line(model: Simulator, clock: Clock, devices: Mapping[str, DeviceSpec]
     if any(branch.address is not None for branch in branches):
         if not isinstance(model, SharingSimulator):
             raise ValueError(f"controllers of the model {model.model} cannot share a line; give each its own link")
-        far, built = model.build_shared(clock, branches)
-        return SimulatedLine(far, dict(zip(devices, built, strict=True)))
+        far, built_controllers = model.build_shared(clock, branches)
+        return SimulatedLine(far, dict(zip(devices, built_controllers, strict=True)))
     (name,) = devices
-    (one,) = branches
-    alone = model.build_controller(clock, one.options, oscillator=one.oscillator, timing=one.timing, seed=one.seed)
-    return SimulatedLine(alone, {name: alone})
+    (spec,) = branches
+    alone_controller = model.build_controller(
+        clock, spec.options, oscillator=spec.oscillator, timing=spec.timing, seed=spec.seed
+    )
+    return SimulatedLine(alone_controller, {name: alone_controller})
 
 
 class VectorBench(Protocol):

@@ -108,10 +108,10 @@ class LineController(ABC):
     def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> LinePort:
         if port not in self.port_names:
             raise PortRefused(f"no port {port!r}; ports: {', '.join(self.port_names)}")
-        opened = LinePort(self, send, closed)
-        self._ports.append(opened)
-        self._partial[opened] = b""
-        return opened
+        opened_port = LinePort(self, send, closed)
+        self._ports.append(opened_port)
+        self._partial[opened_port] = b""
+        return opened_port
 
     def handle_close(self, port: LinePort) -> None:
         if port in self._ports:
@@ -142,8 +142,8 @@ class LineController(ABC):
         kept = self.take_immediate(data, reply)  # which may empty the buffers
         self._partial[port] += kept
         while port in self._partial and self.is_on and self.may_parse():
-            line, found, rest = self._partial[port].partition(self.firmware.terminator)
-            if not found:
+            line, found_data, rest = self._partial[port].partition(self.firmware.terminator)
+            if not found_data:
                 self._partial[port] = line[-self.firmware.longest_line :]
                 return
             self._partial[port] = rest
@@ -160,7 +160,7 @@ class LineController(ABC):
 
     def waiting_bytes(self) -> int:
         """Number of bytes in the receive buffers."""
-        return sum(len(each) for each in self._partial.values())
+        return sum(len(data) for data in self._partial.values())
 
     def discard_received(self) -> None:
         """Empty the receive buffers."""

@@ -67,6 +67,6 @@ def _segments_in_direction(
 ) -> Iterator[tuple[RampSegment, float]]:
     """Yield the segments in direction `sign` that end later than `after`, each with its end."""
     ends = [segment.t for segment in segments[1:]] + [duration]
-    for segment, until in zip(segments, ends, strict=True):
-        if until > after and segment.moves_in_direction(sign):
-            yield segment, until
+    for segment, end in zip(segments, ends, strict=True):
+        if end > after and segment.moves_in_direction(sign):
+            yield segment, end

@@ -64,20 +64,20 @@ class TrapezoidAxis:
 
     def start_move(self, target: float, velocity: float, acceleration: float) -> None:
         """Move from rest to `target`; the speed is lower where the distance is too short for it."""
-        here = self.position
-        distance = abs(target - here)
+        position_here = self.position
+        distance = abs(target - position_here)
         if distance == 0:
             return
-        sign = 1 if target > here else -1
+        sign = 1 if target > position_here else -1
         peak = min(velocity, sqrt(distance * acceleration))
         ramp_s = peak / acceleration
         cruise_s = distance / peak - ramp_s
         top = sign * peak
-        after = here + sign * peak * ramp_s / 2
+        sign_after = position_here + sign * peak * ramp_s / 2
         self._legs = [
-            RampSegment(0.0, here, 0.0, sign * acceleration),
-            RampSegment(ramp_s, after, top, 0.0),
-            RampSegment(ramp_s + cruise_s, after + top * cruise_s, top, -sign * acceleration),
+            RampSegment(0.0, position_here, 0.0, sign * acceleration),
+            RampSegment(ramp_s, sign_after, top, 0.0),
+            RampSegment(ramp_s + cruise_s, sign_after + top * cruise_s, top, -sign * acceleration),
         ]
         self._begin(target, 2 * ramp_s + cruise_s, acceleration)
 
@@ -127,4 +127,4 @@ class TrapezoidAxis:
         return (self._time.now_ns() - self._start_ns) / NS_PER_S
 
     def _leg_at(self, time_s: float) -> RampSegment:
-        return next((each for each in reversed(self._legs) if each.t <= time_s), self._legs[0])
+        return next((leg for leg in reversed(self._legs) if leg.t <= time_s), self._legs[0])

@@ -187,7 +187,7 @@ class _VectorRun:
         for step in self.vector.get("setup", []):
             self.run_step(step)
         self.clock.run_until_ns(self.clock.now_ns())
-        before = {axis: self.controller.position(axis) for axis in self.controller.axis_names}
+        positions_before = {axis: self.controller.position(axis) for axis in self.controller.axis_names}
         motions_before = len(self.controller.commanded_motions)
         sent_ns = self.clock.now_ns()
         text = str(self.vector.get("send", ""))
@@ -200,7 +200,7 @@ class _VectorRun:
             self._expect_step(step)
         if {"rest_position", "displacement", "duration_s"} & expect.keys():
             self.wait_for_rest()
-            self._compare_rest(text, expect, before, motions_before)
+            self._compare_rest(text, expect, positions_before, motions_before)
         for number, level in expect.get("outputs", {}).items():
             actual = self.controller.output_level(int(number))
             if actual != level:
@@ -253,8 +253,8 @@ class _VectorRun:
         for axis, value in expect.get("rest_position", {}).items():
             self._check_within(text, f"rest position {axis}", value, self.controller.position(axis), tolerance)
         for axis, value in expect.get("displacement", {}).items():
-            moved = self.controller.position(axis) - before[axis]
-            self._check_within(text, f"displacement {axis}", value, moved, tolerance)
+            moved_position = self.controller.position(axis) - before[axis]
+            self._check_within(text, f"displacement {axis}", value, moved_position, tolerance)
         if "duration_s" in expect:
             motions = self.controller.commanded_motions[motions_before:]
             ends = [motion.end_ns for motion in motions if motion.end_ns is not None]

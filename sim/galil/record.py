@@ -50,10 +50,10 @@ def make_commands(layout: RecordLayout) -> dict[str, CommandDefinition]:
     def compile_record(text: str) -> Runner:
         if any(letter not in f"{_AXES}{_MACHINE_AXES}STI" for letter in text):
             raise CommandError(4)
-        wanted = {_AXES[_MACHINE_AXES.find(letter)] if letter in _MACHINE_AXES else letter for letter in text}
+        wanted_axis = {_AXES[_MACHINE_AXES.find(letter)] if letter in _MACHINE_AXES else letter for letter in text}
 
         def run_command(c: CommandContext) -> Outcome:
-            data = _pack_record(c, layout, wanted or {*"IST", *_AXES[: len(c.machine.letters)]})
+            data = _pack_record(c, layout, wanted_axis or {*"IST", *_AXES[: len(c.machine.letters)]})
             if c.port is None:
                 c.machine.ports.send_message(data.decode("latin-1"))
                 return None
@@ -75,11 +75,11 @@ def _pack_record(c: CommandContext, layout: RecordLayout, wanted: set[str]) -> b
     if {"S", "T"} & wanted:
         # Segments of coordinated moves, which are at rest here.
         blocks += bytes(layout.planes // 2 * len({"S", "T"} & wanted))
-    now = machine.current_sample()
+    sample_now = machine.current_sample()
     for index, letter in enumerate(_AXES[: len(machine.letters)]):
         if letter in wanted:
             axes |= 1 << index
-            values = axis_values(c, machine.find_axis(_MACHINE_AXES[index]), now)
+            values = axis_values(c, machine.find_axis(_MACHINE_AXES[index]), sample_now)
             block = struct.pack(f"<HBBiiiii{layout.torque}", *values)
             blocks += block + bytes(layout.axis - len(block))
     return bytes((first, axes)) + struct.pack("<H", len(blocks) + 4) + blocks

@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     links = parse_arguments(arguments)
     set_realtime_priority(RealtimePriority.BUS)
     try:
-        is_exact = all(_needs_exact_time(each.model) and not isinstance(each.listen, PtyAddress) for each in links)
+        is_exact = all(_needs_exact_time(link.model) and not isinstance(link.listen, PtyAddress) for link in links)
         with asyncio.Runner(loop_factory=_exact_loop if is_exact else None) as runner:
             runner.run(_run_links(links))
     except CannotStart as error:
@@ -98,8 +98,8 @@ async def _run_links(links: Sequence[argparse.Namespace]) -> None:
         lines = await _standard_input()
         followers = [await _open_link(chosen, clock, cleanup) for chosen in links]
         prepare_live_process()
-        for chosen, (server, *_) in zip(links, followers, strict=True):
-            sys.stdout.write(json.dumps({"name": chosen.name, **server.ready_fields}) + "\n")
+        for chosen_link, (server, *_) in zip(links, followers, strict=True):
+            sys.stdout.write(json.dumps({"name": chosen_link.name, **server.ready_fields}) + "\n")
         sys.stdout.flush()
         await _follow_changes(lines, *followers[0])
 
@@ -109,12 +109,12 @@ async def _open_link(
 ) -> tuple[Server, SimulatedController, str]:
     """Open one link. Return its server, and the first controller on it with its name. Raises `CannotStart` with that
     name."""
-    requested = requested_devices(chosen)
+    requested_fields = requested_devices(chosen)
     try:
-        line = _build_devices(chosen.model, requested, clock)
+        line = _build_devices(chosen.model, requested_fields, clock)
         server = await _serve_endpoint(chosen, line.endpoint, clock)
         cleanup.callback(server.close)
-        for unit in requested:
+        for unit in requested_fields:
             controller = line.devices[unit.name]
             if unit.truth is not None:
                 GroundTruthLog(controller, clock, cleanup.enter_context(_open_append(unit.truth)))
@@ -125,7 +125,7 @@ async def _open_link(
                 cleanup.callback(listening.cancel)
     except CannotStart as error:
         raise CannotStart(f"{chosen.name}: {error}") from None
-    return server, line.devices[requested[0].name], requested[0].name
+    return server, line.devices[requested_fields[0].name], requested_fields[0].name
 
 
 async def _standard_input() -> asyncio.StreamReader:

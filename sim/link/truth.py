@@ -35,7 +35,7 @@ class GroundTruthLog:
             self._running.remove(motion)
             self._slowing.append(motion)
             self._write_event("slowing", motion)
-        for motion in [each for each in (*self._running, *self._slowing) if _has_passed(each.end_ns, now_ns)]:
+        for motion in [slowing for slowing in (*self._running, *self._slowing) if _has_passed(slowing.end_ns, now_ns)]:
             (self._slowing if motion in self._slowing else self._running).remove(motion)
             self._write_event("end", motion)
         self._clock.call_at_ns(now_ns + POLL_PERIOD_NS, self._poll_motions)

@@ -75,11 +75,11 @@ def _execute_twen(unit: ControlProgram, client: CommandClient, rest: str) -> Non
 def _execute_update(unit: ControlProgram, client: CommandClient, rest: str) -> None:
     del client
     configuration = parse_integer(rest, 0, 1) if rest else 0
-    saved = [axis.settings.copy_settings() for axis in unit.machine.axes]
+    saved_settings = [axis.settings.copy_settings() for axis in unit.machine.axes]
     if configuration:
-        unit.disk.alternative = saved
+        unit.disk.alternative = saved_settings
     else:
-        unit.disk.default = saved
+        unit.disk.default = saved_settings
         unit.disk.append_unit = unit.append_unit
 
 
@@ -91,10 +91,10 @@ def _execute_chconf(unit: ControlProgram, client: CommandClient, rest: str) -> N
     text = text_after_colon(rest) if rest else ""
     alternative = parse_integer(text, 0, 1) if text else 0
     axes = unit.machine.select_axes(number)
-    saved = unit.disk.alternative if alternative else unit.disk.default
-    if saved is None:
+    saved_settings = unit.disk.alternative if alternative else unit.disk.default
+    if saved_settings is None:
         raise InputRefused("no alternative configuration")
-    unit.apply_settings(saved, ALTERNATIVE, axes)
+    unit.apply_settings(saved_settings, ALTERNATIVE, axes)
 
 
 def _alias_names(name: str) -> tuple[str, ...]:

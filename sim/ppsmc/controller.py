@@ -67,14 +67,15 @@ class PpsmcController:
             raise PortRefused("the controller is off or restarting")
         if (
             not serial
-            and sum(other.is_open and not other.is_serial for other in self._ports) >= self._options.max_clients
+            and sum(other_port.is_open and not other_port.is_serial for other_port in self._ports)
+            >= self._options.max_clients
         ):
             raise PortRefused(f"{self._options.max_clients} clients are connected already; close one first")
-        opened = ClientConnection(self, send, closed, serial=serial, limit=self._options.line_limit)
-        self._ports.append(opened)
+        opened_connection = ClientConnection(self, send, closed, serial=serial, limit=self._options.line_limit)
+        self._ports.append(opened_connection)
         if not serial and self._options.greeting:
-            opened.send_reply(self.unit.firmware_version)
-        return opened
+            opened_connection.send_reply(self.unit.firmware_version)
+        return opened_connection
 
     @property
     def is_listening(self) -> bool:
@@ -97,9 +98,9 @@ class PpsmcController:
         execute_line(unit, port, line.text, whole=line.whole)
         if unit.buffers_due:
             unit.buffers_due = False
-            for other in self._ports:
-                if other is not port:
-                    other.discard_waiting()
+            for other_port in self._ports:
+                if other_port is not port:
+                    other_port.discard_waiting()
         if unit.restart_due is not None:
             restart, unit.restart_due = unit.restart_due, None
             self._begin_restart(restart)
@@ -169,10 +170,10 @@ class PpsmcController:
 
     def push_axis(self, axis: str, counts: int) -> None:
         """Push an axis at rest, by motor steps: its encoder detects it, its step counter does not."""
-        pushed = self.find_axis(axis)
-        if pushed.run is not None:
+        pushed_axis = self.find_axis(axis)
+        if pushed_axis.run is not None:
             raise ValueError(f"axis {axis}: its motor keeps torque; push it at rest only")
-        pushed.origin -= counts
+        pushed_axis.origin -= counts
 
     def output_level(self, number: int) -> bool:
         return bool(self.machine.output_byte >> _bit_mask(number) & 1)
@@ -183,19 +184,19 @@ class PpsmcController:
     # Ground truth
 
     def position(self, axis: str) -> float:
-        found = self.find_axis(axis)
+        found_axis = self.find_axis(axis)
         drive = self.machine.drive
-        return drive.to_coordinate(found, drive.exact_state(found)[0])
+        return drive.to_coordinate(found_axis, drive.exact_state(found_axis)[0])
 
     def physical_position(self, axis: str) -> float:
-        found = self.find_axis(axis)
+        found_axis = self.find_axis(axis)
         drive = self.machine.drive
-        return drive.to_coordinate(found, drive.exact_state(found)[0] - found.origin)
+        return drive.to_coordinate(found_axis, drive.exact_state(found_axis)[0] - found_axis.origin)
 
     def velocity(self, axis: str) -> float:
-        found = self.find_axis(axis)
+        found_axis = self.find_axis(axis)
         drive = self.machine.drive
-        return drive.to_coordinate(found, drive.exact_state(found)[1]) * self.time.clock_rate()
+        return drive.to_coordinate(found_axis, drive.exact_state(found_axis)[1]) * self.time.clock_rate()
 
     def is_moving(self, axis: str) -> bool:
         run = self.find_axis(axis).run

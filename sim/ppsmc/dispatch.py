@@ -14,15 +14,15 @@ from sim.ppsmc.unit import CommandClient, ControlProgram
 def _execute_information(unit: ControlProgram, client: CommandClient, rest: str) -> None:
     """`?`, `?:cmdlist` and `?:<command>` (L3851-L3883)."""
     if rest:
-        known = _known_commands(unit)
+        known_commands = _known_commands(unit)
         if not rest.startswith(":"):
             raise InputRefused(f"unknown command '?{rest}'")
         requested = rest[1:].strip().lower()
         if requested == "cmdlist":
-            for name in sorted({*known, *PROGRAM_NAMES}):
+            for name in sorted({*known_commands, *PROGRAM_NAMES}):
                 client.send_reply(name)
-        elif requested in known:
-            client.send_reply(f"{requested}: {known[requested].help}")
+        elif requested in known_commands:
+            client.send_reply(f"{requested}: {known_commands[requested].help}")
         elif requested in PROGRAM_NAMES:
             client.send_reply(f"{requested}: program command")
         else:

@@ -57,13 +57,13 @@ class PulseGenerator:
         reason = MotionEnd.STOPPED if run.stopping else MotionEnd.DONE
         due, bound = run.path.duration, None
         for sign in (1, -1):
-            for until, end in (
+            for until_switch, end in (
                 (UntilSwitch(limit_switch(sign), on=True), MotionEnd.LIMIT),
                 (run.until, MotionEnd.SWITCH),
             ):
-                found = None if until is None else self._find_switch(run, until, sign, seconds)
-                if found is not None and found[0] < due:
-                    (due, bound), reason = found, end
+                switch = None if until_switch is None else self._find_switch(run, until_switch, sign, seconds)
+                if switch is not None and switch[0] < due:
+                    (due, bound), reason = switch, end
         if math.isinf(due):
             return
         at_ns = run.start_ns + math.ceil(due * NS_PER_S - 1e-3)

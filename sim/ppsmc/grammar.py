@@ -20,8 +20,8 @@ def split_name(line: str) -> tuple[str, str]:
     """Split a command line into its name (lower case, with a leading `?` or `*`) and the rest."""
     match = _NAME.fullmatch(line)
     assert match is not None
-    rest = _COLON.sub(":", match[3].strip(), count=1)
-    return (match[1] or "") + match[2].lower(), rest
+    rest_sub = _COLON.sub(":", match[3].strip(), count=1)
+    return (match[1] or "") + match[2].lower(), rest_sub
 
 
 def parse_decimal(text: str) -> Fraction:

@@ -24,15 +24,15 @@ class ClientLineReader:
 
     def read_lines(self, data: bytes) -> list[ClientLine]:
         """Return the lines that `data` completes."""
-        found: list[ClientLine] = []
+        lines: list[ClientLine] = []
         *complete, rest = data.replace(b"\n", b"").split(_CR)
         for piece in complete:
             self._append_piece(piece)
             text = self._pending.decode("latin-1")
             self._pending.clear()
-            found.append(ClientLine(text, len(text) <= self.limit))
+            lines.append(ClientLine(text, len(text) <= self.limit))
         self._append_piece(rest)
-        return found
+        return lines
 
     def discard_partial(self) -> None:
         """Discard a partial line."""

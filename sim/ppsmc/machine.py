@@ -48,10 +48,10 @@ class StepperHardware:
 
     @output_byte.setter
     def output_byte(self, value: int) -> None:
-        changed = self._outputs ^ value
+        changed_outputs = self._outputs ^ value
         self._outputs = value
         for bit in range(8):
-            if changed >> bit & 1:
+            if changed_outputs >> bit & 1:
                 for listener in self.listeners:
                     listener(bit, bool(value >> bit & 1))
 

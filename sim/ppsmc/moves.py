@@ -41,9 +41,9 @@ def positioning_steps(
     settings = axis.settings
     if not settings.ecl or axis.encoder is None:
         return
-    wanted = axis.steps_to_distance(target)
+    wanted_steps = axis.steps_to_distance(target)
     for attempt in range(1, settings.mpr + 1):
-        deviation = wanted - machine.measured_position(axis)
+        deviation = wanted_steps - machine.measured_position(axis)
         if abs(deviation) <= settings.edev:
             axis.oscillation_error = False
             return

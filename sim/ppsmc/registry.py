@@ -38,9 +38,9 @@ Commands = dict[str, CommandEntry]
 
 def by_all_names(*tables: Commands) -> Commands:
     """Merge several tables of commands, including their aliases."""
-    found: Commands = {}
+    commands: Commands = {}
     for table in tables:
         for name, command in table.items():
             for one in (name, *command.names):
-                found[one] = command
-    return found
+                commands[one] = command
+    return commands

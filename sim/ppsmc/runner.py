@@ -152,7 +152,7 @@ class ProgramRunner:
             self.filter = line.filter
         if line.screen is not None:
             self.screen = line.screen
-        positions = [one for one in line.positions if self._only in (None, one.axis)]
+        positions = [position for position in line.positions if self._only in (None, position.axis)]
         if positions:
             yield lambda over: self._start_positions(positions, over)
         if line.counting is True:
@@ -234,16 +234,16 @@ class ProgramRunner:
             if not left:
                 over()
 
-        for one in positions:
-            axis = machine.find_axis(one.axis)
-            steps = axis.count_steps(one.distance)
-            target = steps if one.absolute else axis.steps + steps
-            ramps = one.run_hz is not None
+        for position in positions:
+            axis = machine.find_axis(position.axis)
+            steps = axis.count_steps(position.distance)
+            target = steps if position.absolute else axis.steps + steps
+            ramps = position.run_hz is not None
             profile = SpeedProfile(
-                one.start_hz,
-                one.run_hz if one.run_hz is not None else one.start_hz,
-                (one.acceleration or 1.0) * 1000.0,
-                (one.deceleration or 1.0) * 1000.0,
+                position.start_hz,
+                position.run_hz if position.run_hz is not None else position.start_hz,
+                (position.acceleration or 1.0) * 1000.0,
+                (position.deceleration or 1.0) * 1000.0,
             )
             try:
                 machine.check_target(target)

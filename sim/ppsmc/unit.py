@@ -133,7 +133,7 @@ class ControlProgram:
 
     def forget_client(self, client: CommandClient) -> None:
         """Continue motions without the client that began them."""
-        self._movers = {axis: other for axis, other in self._movers.items() if other is not client}
+        self._movers = {axis: other_mover for axis, other_mover in self._movers.items() if other_mover is not client}
 
     # Configuration
 
@@ -142,11 +142,11 @@ class ControlProgram:
     ) -> None:
         """Apply values (`names`, or all) of saved settings to `axes`."""
         for axis in axes:
-            saved = settings[axis.number - 1]
+            saved_setting = settings[axis.number - 1]
             if names is None:
-                axis.settings = saved.copy_settings()
+                axis.settings = saved_setting.copy_settings()
             else:
-                axis.settings.take_values(saved, names)
+                axis.settings.take_values(saved_setting, names)
 
     # Time of day
 

@@ -75,7 +75,7 @@ class DoubleBuffer:
 
     def start_operations(self, axes: Sequence[StageAxis], reply: Reply) -> bool:
         """G: execute the buffered operations of the addressed axes. False when there are none (decision 21)."""
-        chosen: list[StageAxis] = []
+        chosen_axes: list[StageAxis] = []
         for axis in axes:
             buffers = self.buffers[axis]
             if self._options.repeat_executed and buffers.execution is not None and buffers.pre is None:
@@ -83,16 +83,16 @@ class DoubleBuffer:
             entry = self._next_entry(axis)
             if entry is None:
                 continue
-            lettered = entry.plane if isinstance(entry, ArcMove) else entry.axes
+            lettered_axes = entry.plane if isinstance(entry, ArcMove) else entry.axes
             members = entry.axes
-            if all(member in axes for member in lettered) and all(m.excited and not m.is_busy for m in members):
-                chosen.extend(member for member in members if member not in chosen)
-        for axis in chosen:
+            if all(member in axes for member in lettered_axes) and all(m.excited and not m.is_busy for m in members):
+                chosen_axes.extend(member for member in members if member not in chosen_axes)
+        for axis in chosen_axes:
             axis.phase, axis.reply = AxisPhase.AWAITING, reply
         now_ns = self._time.now_ns()
-        for axis in chosen:
+        for axis in chosen_axes:
             self._try_start(axis, now_ns)
-        return bool(chosen)
+        return bool(chosen_axes)
 
     def _next_entry(self, axis: StageAxis) -> Entry | None:
         """Return the operation that would run next: the execution buffer first, then the prebuffer (decision 19)."""
@@ -112,8 +112,8 @@ class DoubleBuffer:
             axis.phase = AxisPhase.IDLE
             return
         for member in entry.axes:
-            taken = member.is_busy and not (member.phase is AxisPhase.AWAITING and member.timer is None)
-            if taken or self._next_entry(member) is not entry:
+            taken_busy = member.is_busy and not (member.phase is AxisPhase.AWAITING and member.timer is None)
+            if taken_busy or self._next_entry(member) is not entry:
                 return
         for member in entry.axes:
             self._migrate_entry(member)

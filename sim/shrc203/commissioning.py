@@ -35,7 +35,9 @@ def _pulse_lengths(config: Controller, expected: Mapping[str, Any]) -> Mapping[s
         nm = expected.get("nm_per_pulse") or _pulse_nm(axis)
         # One pulse is BASE RATE x 10 / DIVIDE nm.
         fitting = [
-            each for each in sorted(DIVISIONS) if nm and _is_whole(nm * each / 10) and nm * each / 10 <= _MOST_BASE_RATE
+            division
+            for division in sorted(DIVISIONS)
+            if nm and _is_whole(nm * division / 10) and nm * division / 10 <= _MOST_BASE_RATE
         ]
         if nm and fitting:
             divide = fitting[0] if not rates else divide

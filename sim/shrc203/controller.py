@@ -106,9 +106,11 @@ class Shrc203Controller:
         del closed
         if port != _PORT:
             raise PortRefused(f"no port {port!r}; there is {_PORT!r}")
-        opened = SerialSession(self, send, SerialLineReader(self._options.line_limit, self._options.cr_only_input))
-        self._ports.append(opened)
-        return opened
+        opened_session = SerialSession(
+            self, send, SerialLineReader(self._options.line_limit, self._options.cr_only_input)
+        )
+        self._ports.append(opened_session)
+        return opened_session
 
     def handle_close(self, port: SerialSession) -> None:
         if port in self._ports:
@@ -165,8 +167,8 @@ class Shrc203Controller:
         self._replying = False
         port.emit_line(text)
         following, self._after_reply = self._after_reply, []
-        for other, late in following:
-            other.emit_line(late)
+        for other_session, late in following:
+            other_session.emit_line(late)
         if self.unit.restart_due:
             self._restart_firmware()
 
@@ -221,10 +223,10 @@ class Shrc203Controller:
         refuse_analog(number)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
-        pressed = self._find_axis(axis)
-        pressed.limits = None if which == "none" else which
-        pressed.check_limits()
-        self._rearm_axis(pressed)
+        pressed_axis = self._find_axis(axis)
+        pressed_axis.limits = None if which == "none" else which
+        pressed_axis.check_limits()
+        self._rearm_axis(pressed_axis)
 
     def set_stalled(self, axis: str, *, stalled: bool) -> None:
         stuck = self._find_axis(axis)
@@ -244,11 +246,11 @@ class Shrc203Controller:
 
     def push_axis(self, axis: str, counts: int) -> None:
         """Push a stage whose excitation is off."""
-        pushed = self._find_axis(axis)
-        if self._on and pushed.excited:
+        pushed_axis = self._find_axis(axis)
+        if self._on and pushed_axis.excited:
             raise ValueError(f"axis {axis}: its motor keeps torque; switch the excitation off first")
-        pushed.push_stage(counts)
-        pushed.check_limits()
+        pushed_axis.push_stage(counts)
+        pushed_axis.check_limits()
 
     def _rearm_axis(self, axis: StageAxis) -> None:
         if axis.run is not None and axis.phase is AxisPhase.MOVING:
@@ -268,22 +270,22 @@ class Shrc203Controller:
 
     def position(self, axis: str) -> float:
         """The command counter that Q: reports, not rounded to pulses."""
-        found = self._find_axis(axis)
-        return self.unit.drive.exact_state(found, self._time.now_ns())[0] + found.offset
+        found_axis = self._find_axis(axis)
+        return self.unit.drive.exact_state(found_axis, self._time.now_ns())[0] + found_axis.offset
 
     def physical_position(self, axis: str) -> float:
         return self.unit.drive.exact_state(self._find_axis(axis), self._time.now_ns())[0]
 
     def velocity(self, axis: str) -> float:
-        found = self._find_axis(axis)
-        return self.unit.drive.exact_state(found, self._time.now_ns())[1] * self._time.clock_rate()
+        found_axis = self._find_axis(axis)
+        return self.unit.drive.exact_state(found_axis, self._time.now_ns())[1] * self._time.clock_rate()
 
     def is_moving(self, axis: str) -> bool:
-        found = self._find_axis(axis)
-        run = found.run
-        if run is None or found.phase is not AxisPhase.MOVING:
+        found_axis = self._find_axis(axis)
+        run = found_axis.run
+        if run is None or found_axis.phase is not AxisPhase.MOVING:
             return False
-        return any(track.axis is found and track.motion is not None for track in run.tracks)
+        return any(track.axis is found_axis and track.motion is not None for track in run.tracks)
 
     def at_rest(self) -> bool:
         """Return whether nothing moves, stands by, or is being decoded, and no program runs."""

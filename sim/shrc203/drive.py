@@ -215,11 +215,11 @@ class PathGenerator:
         self._settle_run(run, event.at_ns)
 
     def _settle_run(self, run: PathRun, at_ns: int) -> None:
-        closed = [track.axis for track in run.tracks if track.axis.closed_loop]
-        if run.cause is EndCause.END and any(axis.stalled_at not in (None, axis.position) for axis in closed):
+        closed_axis = [track.axis for track in run.tracks if track.axis.closed_loop]
+        if run.cause is EndCause.END and any(axis.stalled_at not in (None, axis.position) for axis in closed_axis):
             run.held = True
             return
-        wait_ns = round(self._options.settle_ms * NS_PER_MS) if closed else 0
+        wait_ns = round(self._options.settle_ms * NS_PER_MS) if closed_axis else 0
         if run.cause is EndCause.END:
             wait_ns += self.wait_tenths * _TENTH_NS
         if wait_ns:

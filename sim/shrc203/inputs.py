@@ -56,7 +56,9 @@ class InputScanner:
 
     def _run_scan(self, at_ns: int) -> None:
         self._timer = None
-        seen = [(waiter, released) for waiter, (pattern, released) in self._waits.items() if pattern == self.value]
+        seen = [
+            (waiter, released_wait) for waiter, (pattern, released_wait) in self._waits.items() if pattern == self.value
+        ]
         for owner, _ in seen:
             del self._waits[owner]
         for _, released in seen:

@@ -12,11 +12,13 @@ def start_travel(drive: PathGenerator, axis: StageAxis, distance: int, order: Ru
     soft_sign = 0
     if axis.soft_limits is not None and distance:
         low, high = axis.soft_limits
-        here = axis.position + axis.offset
-        allowed = min(distance, max(high - here, 0)) if distance > 0 else max(distance, min(low - here, 0))
-        if allowed != distance:
+        position_here = axis.position + axis.offset
+        allowed_distance = (
+            min(distance, max(high - position_here, 0)) if distance > 0 else max(distance, min(low - position_here, 0))
+        )
+        if allowed_distance != distance:
             soft_sign = 1 if distance > 0 else -1
-            distance = allowed
+            distance = allowed_distance
     return drive.start_run([(axis, trapezoid_path(distance, order.triple))], order, soft_sign)
 
 

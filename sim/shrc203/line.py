@@ -38,7 +38,7 @@ class SerialLineReader:
     def read_lines(self, data: bytes) -> list[ReceivedLine]:
         """Return the lines that `data` completes. Empty ones are dropped."""
         end = _CR if self.cr_only else _LF
-        found: list[ReceivedLine] = []
+        lines: list[ReceivedLine] = []
         *complete, rest = data.split(bytes((end,)))
         for piece in complete:
             self._append_piece(piece)
@@ -47,9 +47,9 @@ class SerialLineReader:
             line = line.removeprefix(b"\n") if self.cr_only else line.removesuffix(b"\r")
             if line:
                 clean = not any(byte == _NUL or byte >= _FIRST_NON_ASCII for byte in line)
-                found.append(ReceivedLine(line.decode("latin-1"), clean, len(line) <= self.limit))
+                lines.append(ReceivedLine(line.decode("latin-1"), clean, len(line) <= self.limit))
         self._append_piece(rest)
-        return found
+        return lines
 
     def discard_partial(self) -> None:
         """Discard a partial line."""

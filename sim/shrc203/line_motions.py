@@ -172,12 +172,12 @@ class LineMotions:
     def continuous_legs(self, axis: StageAxis, lines: Sequence[ProgramLine]) -> list[ContinuousLeg]:
         """Return the legs of CM and CA lines, one after another."""
         legs: list[ContinuousLeg] = []
-        here = axis.position + axis.offset
+        position_here = axis.position + axis.offset
         for line in lines:
             value = line.fields[f"ap{axis.index + 1}"]
-            target = here + value if line.pattern == "CM" else value
+            target = position_here + value if line.pattern == "CM" else value
             if abs(target) > MAX_PULSES:
                 raise ProgramStop(ProgramState.ERROR)
-            legs.append(ContinuousLeg(target - here, self.speed_triple(axis, line.fields["s"])))
-            here = target
+            legs.append(ContinuousLeg(target - position_here, self.speed_triple(axis, line.fields["s"])))
+            position_here = target
         return legs

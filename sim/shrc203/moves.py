@@ -243,11 +243,11 @@ def _set_standby(unit: StageSystem, text: str, kind: type[TimedStandby] | type[I
         values *= len(axes)
     if len(values) != len(axes):
         raise CommandRefused
-    released: list[StageAxis] = []
+    released_axes: list[StageAxis] = []
     entries: list[Entry] = []
     for axis, value in zip(axes, values, strict=True):
         if value == "C" or (kind is TimedStandby and value.strip("0") == "" and value):
-            released.append(axis)
+            released_axes.append(axis)
         elif kind is TimedStandby:
             entries.append(TimedStandby(axis, parse_integer(value, 0, 2550)))
         else:
@@ -256,7 +256,7 @@ def _set_standby(unit: StageSystem, text: str, kind: type[TimedStandby] | type[I
     if options.standby_needs_running and not all(unit.chain.is_deferred(entry.axes) for entry in entries):
         raise CommandRefused
     answer = _write_buffers(unit, axes, entries, pre=True)
-    for axis in released:
+    for axis in released_axes:
         unit.chain.cancel_standby(axis, kind)
     return answer if options.standby_reply_deferred else "OK"
 
@@ -310,7 +310,7 @@ def stop_motion(unit: StageSystem, text: str, reply: Reply) -> str:
 
 def _arrival_callback(unit: StageSystem, reply: Reply | None) -> Ready:
     """Announce the arrival of the axis, for the commands that promise it (decision 17 after a stop)."""
-    announced = (
+    announced_ends = (
         (EndCause.END, EndCause.STOPPED, EndCause.LIMIT, EndCause.SOFT_LIMIT)
         if unit.options.completion_after_stop
         else (EndCause.END,)
@@ -318,7 +318,7 @@ def _arrival_callback(unit: StageSystem, reply: Reply | None) -> Ready:
 
     def announce_arrival(run: PathRun, ready_ns: int, cause: EndCause) -> None:
         del ready_ns
-        if cause in announced and reply is not None:
+        if cause in announced_ends and reply is not None:
             reply(run.tracks[0].axis.name)
 
     return announce_arrival

@@ -21,16 +21,16 @@ def find_origin(drive: PathGenerator, axis: StageAxis, at_ns: int, ready: Ready)
     """Start the mechanical origin return of one axis; at its end the coordinate there is 0 (L2684)."""
     triple = axis.origin_triple
     creep = SpeedTriple(triple.s, triple.s, triple.r)
-    away = axis.origin - axis.position
-    sign = 1 if away > 0 else -1
+    away_origin = axis.origin - axis.position
+    sign = 1 if away_origin > 0 else -1
     past = math.ceil((triple.s + triple.f) * triple.r / 2000)
     back = max(1, math.ceil(triple.s * _CREEP_S))
     if axis.travel is not None:
         # The stage must reverse before it reaches a limit switch.
         room = axis.travel[1] - axis.origin if sign > 0 else axis.origin - axis.travel[0]
-        behind = axis.origin - axis.travel[0] if sign > 0 else axis.travel[1] - axis.origin
-        past, back = min(past, max(0, room - 1)), min(back, max(0, behind - 1))
-    path = joined_path([away + sign * past, -sign * (past + back), sign * back], [triple, triple, creep])
+        origin_behind = axis.origin - axis.travel[0] if sign > 0 else axis.travel[1] - axis.origin
+        past, back = min(past, max(0, room - 1)), min(back, max(0, origin_behind - 1))
+    path = joined_path([away_origin + sign * past, -sign * (past + back), sign * back], [triple, triple, creep])
 
     def set_origin(run: PathRun, ready_ns: int, cause: EndCause) -> None:
         if cause is EndCause.END:
@@ -48,9 +48,9 @@ def go_to_zero(drive: PathGenerator, axis: StageAxis, triple: SpeedTriple, at_ns
 
 def set_zero(axis: StageAxis) -> None:
     """R: set the present coordinate to 0 (L2883)."""
-    here = axis.position + axis.offset
-    axis.zeroed += here
-    axis.offset -= here
+    position_here = axis.position + axis.offset
+    axis.zeroed += position_here
+    axis.offset -= position_here
     axis.errors.discard("S6")
 
 

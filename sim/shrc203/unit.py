@@ -106,9 +106,9 @@ class StageSystem:
             axis.divide = switches.division_number(index)
             axis.axis_name = switches.axis_content(A_NAME, index)
             axis.stage_unit = STAGE_UNITS[int(switches.axis_content(A_UNIT, index))]
-            found = self.options.config[index]
+            config = self.options.config[index]
             on = switches.axis_content(A_CONFIG, index) == "1"
-            axis.config = (found if found != "off" else CONFIGS[-1]) if on else "off"
+            axis.config = (config if config != "off" else CONFIGS[-1]) if on else "off"
             axis.triple = switches.power_up_speed(index)
             axis.origin_triple = switches.origin_speed(index)
             axis.closed_loop = self.options.scales and switches.closed_loop(index)

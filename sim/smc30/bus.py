@@ -119,9 +119,9 @@ def build_bus(clock: Clock, devices: Sequence[DeviceSpec]) -> tuple[Smc30Control
             if number and line.get(name) != value:
                 raise ValueError(f"{name}: the devices of one line must agree, found {line.get(name)!r} and {value!r}")
             line[name] = value
-        chosen = own.model_copy(update={"address": branch.address or 0})
+        chosen_options = own.model_copy(update={"address": branch.address or 0})
         generator = random.Random(f"{branch.seed}.{number}")
-        places.append(DeviceSetup(chosen, branch.oscillator, branch.timing, generator, _AXIS, []))
+        places.append(DeviceSetup(chosen_options, branch.oscillator, branch.timing, generator, _AXIS, []))
     bus = Smc30Controller(clock, read_options(line), places)
     return bus, [BusDevice(bus, station) for station in bus.bus_stations]
 

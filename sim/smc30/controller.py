@@ -86,18 +86,18 @@ class BusStation:
         """Receive bytes from the line; without power they are ignored."""
         if not self.unit.on:
             return
-        for received in self._reader.read_strings(
+        for received_string in self._reader.read_strings(
             self._supply.cut_received(data, self._clock.now_ns(), self._bus.character_ns)
         ):
             delay_ns = self._timing.decode_ns
             if self._timing.spread_ns:
                 delay_ns += self._generator.randint(0, self._timing.spread_ns)
             if not delay_ns and not self._pending:
-                self.unit.handle_string(received)
+                self.unit.handle_string(received_string)
             else:
                 self._busy_until_ns = max(self._clock.now_ns(), self._busy_until_ns) + delay_ns
                 timer = self._clock.call_at_ns(self._busy_until_ns, self._handle_decoded)
-                self._pending.append(_PendingString(received, timer))
+                self._pending.append(_PendingString(received_string, timer))
 
     def _handle_decoded(self) -> None:
         self.unit.handle_string(self._pending.popleft().received)

@@ -82,10 +82,10 @@ class OperandValues:
 
     def assigned_value(self, statement: AssignRegister) -> int:
         """Return the right side of an assignment."""
-        left = self.read_operand(statement.left)
+        operand_left = self.read_operand(statement.left)
         if statement.operator is None or statement.right is None:
-            return left
-        return self._to_word(_apply_operator(statement.operator, left, self.read_operand(statement.right)))
+            return operand_left
+        return self._to_word(_apply_operator(statement.operator, operand_left, self.read_operand(statement.right)))
 
     def is_true(self, statement: IfComparison) -> bool:
         """Return whether a comparison is true; its operands are at most 32767 (L3003)."""

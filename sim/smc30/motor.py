@@ -100,8 +100,8 @@ class MotorCommands:
         if isinstance(statement, SearchHome):
             return lambda done: self._start_homing(statement.sign, done)
         order = self._build_order(statement)
-        armed, self.armed = self.armed, None
-        return lambda done: self._begin_order(order, armed, done)
+        armed_move, self.armed = self.armed, None
+        return lambda done: self._begin_order(order, armed_move, done)
 
     def _build_order(self, statement: MoveSteps | MoveAnalogue | RunOn) -> _MotorOrder:
         parameters = self._motor_parameters
@@ -196,11 +196,11 @@ class MotorCommands:
             return
         if isinstance(stop, FallingInput):
             high = self._inputs.user_level(stop.input)
-            fulfilled = self._stop_was_high and not high
+            fulfilled_high = self._stop_was_high and not high
             self._stop_was_high = high
         else:
-            fulfilled = self._inputs.is_fulfilled(stop)
-        if fulfilled:
+            fulfilled_high = self._inputs.is_fulfilled(stop)
+        if fulfilled_high:
             self._stop = None
             self._drive.ramp_down()
 

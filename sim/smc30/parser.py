@@ -101,10 +101,10 @@ def _build_move_register(match: re.Match[str]) -> Statement:
 def _build_move_analogue(match: re.Match[str]) -> Statement:
     absolute = bool(match[1])
     low = 0 if absolute else 1
-    scaled = ScaledInput(
+    scaled_input = ScaledInput(
         _parse_analogue_number(match[3]), parse_bounded(match[4], low, 65_000), parse_bounded(match[5], low, 65_000)
     )
-    return MoveAnalogue(_parse_sign(match[2]), absolute, scaled)
+    return MoveAnalogue(_parse_sign(match[2]), absolute, scaled_input)
 
 
 def _build_run_on(match: re.Match[str]) -> Statement:

@@ -48,10 +48,10 @@ class StepProfile:
             if candidate.steps > steps:
                 break
             piece = candidate
-        left = steps - piece.steps
+        steps_left = steps - piece.steps
         # 2 left / (rate + rate then) is the root that stays exact for small slopes.
-        then = math.sqrt(max(0.0, piece.rate**2 + 2 * piece.slope * left))
-        return piece.begin_s + 2 * left / (piece.rate + then)
+        then = math.sqrt(max(0.0, piece.rate**2 + 2 * piece.slope * steps_left))
+        return piece.begin_s + 2 * steps_left / (piece.rate + then)
 
 
 def constant_profile(steps: float, rate: float) -> StepProfile:
@@ -89,8 +89,8 @@ def stop_profile(steps: float, rate: float, start: float, slope: float, max_step
     if rate <= start or slope <= 0:
         return None
     distance = min(float(math.ceil(steps + (rate**2 - start**2) / (2 * slope) - 1e-6)), max_steps)
-    left = distance - steps
-    if left <= 1e-9:
+    distance_left = distance - steps
+    if distance_left <= 1e-9:
         return None
-    gentle = (rate**2 - start**2) / (2 * left)
-    return StepProfile((_ProfilePiece(0.0, steps, rate, -gentle),), 2 * left / (rate + start), distance)
+    gentle = (rate**2 - start**2) / (2 * distance_left)
+    return StepProfile((_ProfilePiece(0.0, steps, rate, -gentle),), 2 * distance_left / (rate + start), distance)

@@ -127,13 +127,13 @@ class SmcSimulator:
     ) -> YaskawaController:
         """Build a powered-up controller. Options are the fields of the options' model; `ValueError` names a wrong
         one."""
-        chosen = self._options.model_validate(dict(options))
-        model = self._find_model(chosen)
+        chosen_options = self._options.model_validate(dict(options))
+        model = self._find_model(chosen_options)
         timebase = ServoTimebase(clock, oscillator or Oscillator())
-        machine = ControllerCore(timebase, model, chosen, timing or FirmwareTiming(), seed)
-        usual = (chosen.link, *(port for port in model.ports if port != chosen.link))
-        machine.ports.first_handle = chosen.handle or ""
-        machine.ports.strict_packets = chosen.strict_packets
+        machine = ControllerCore(timebase, model, chosen_options, timing or FirmwareTiming(), seed)
+        usual = (chosen_options.link, *(port for port in model.ports if port != chosen_options.link))
+        machine.ports.first_handle = chosen_options.handle or ""
+        machine.ports.strict_packets = chosen_options.strict_packets
         machine.run_ready()
         return YaskawaController(machine, usual)
 

@@ -58,7 +58,7 @@ def live_fleet(request: pytest.FixtureRequest) -> "Generator[Callable[..., LiveT
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
     """Check the fleets of a test when it has passed; end those that it has left running, and say so."""
-    before = _list_running()
+    fleets_before = _list_running()
     try:
         result = yield
         for fleet in _fleets_of(item):
@@ -67,12 +67,12 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
         _add_logs(item)
         raise
     finally:
-        left = [each for each in _list_running() if each not in before and each not in _fleets_of(item)]
-        for fleet in left:
+        fleets_left = [each for each in _list_running() if each not in fleets_before and each not in _fleets_of(item)]
+        for fleet in fleets_left:
             fleet.close()
-    if left:
+    if fleets_left:
         pytest.fail(
-            f"the test has left {', '.join(map(repr, left))} running, which is ended now; "
+            f"the test has left {', '.join(map(repr, fleets_left))} running, which is ended now; "
             "use it as a context (`with …`), or the fixture",
             pytrace=False,
         )

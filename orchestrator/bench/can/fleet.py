@@ -40,7 +40,7 @@ def make_can_row(what: str, values: list[float], unit: str, target: float | None
     """Make a row of figures; asked: target for the 99th percentile."""
     if target is None:
         return make_figure(what, values, unit)
-    return make_figure(what, values, unit, f"p99<={target:g}", lambda found: found.p99 <= target)
+    return make_figure(what, values, unit, f"p99<={target:g}", lambda figure: figure.p99 <= target)
 
 
 @dataclass(slots=True)

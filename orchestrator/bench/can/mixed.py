@@ -1,5 +1,5 @@
 """CiA 402 drives and SMC-4000 in one jerk-limited step: the drives of one CAN bus start by its SYNC, the others by
-their clocks. By a complete coordinator in virtual time, checked against the simulators' ground truth.
+their clocks. By a complete coordinator in runs time, checked against the simulators' ground truth.
 """
 
 from math import ceil
@@ -31,12 +31,14 @@ def bench_mixed(rounds: int, seed: int = 11) -> list[BenchFigure]:
     missed = 0
     for number in range(ceil(rounds / STEPS_PER_FLEET)):
         steps = min(STEPS_PER_FLEET, rounds - number * STEPS_PER_FLEET)
-        found = run_virtual(lambda clock, s=seed + number, n=steps: _run_fleet(clock, s, n))
-        skews_ms += [skew_ms for skew_ms, _ in found]
-        missed += sum(not held for _, held in found)
+        runs = run_virtual(lambda clock, s=seed + number, n=steps: _run_fleet(clock, s, n))
+        skews_ms += [skew_ms for skew_ms, _ in runs]
+        missed += sum(not held for _, held in runs)
     what = f"start skew, {CONTROLLERS_PER_MAKE} by SYNC and {CONTROLLERS_PER_MAKE} SMC-4000 by clock"
-    outside = BenchFigure("of these starts outside their verdict", rounds, 0, 0, missed, "steps", "none", missed == 0)
-    return [make_can_row(what, skews_ms, "ms", round(TARGET_SKEW_MS, 3)), outside]
+    figure_outside = BenchFigure(
+        "of these starts outside their verdict", rounds, 0, 0, missed, "steps", "none", missed == 0
+    )
+    return [make_can_row(what, skews_ms, "ms", round(TARGET_SKEW_MS, 3)), figure_outside]
 
 
 def make_mixed_fleet(seed: int) -> Fleet:
@@ -77,16 +79,16 @@ async def _run_fleet(clock: VirtualClock, seed: int, steps: int) -> list[tuple[f
     names = list(fleet.fleet.controllers)
     await _run_job(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
     await sleep_ns(clock, HISTORY_S * NS_PER_S)
-    found: list[tuple[float, bool]] = []
+    found_fleet: list[tuple[float, bool]] = []
     for number in range(steps):
         await sleep_ns(clock, draw.randrange(PAUSE_NS))
-        before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
+        controllers_before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
         to = dict.fromkeys((f"{name}.x" for name in names), 0.0 if number % 2 else 60.0)
         report = await _run_job(fleet, [{"do": "move", "to": to, "speed": 0.5}])
-        starts = [unit.commanded_motions[before[name]].start_ns for name, unit in fleet.controllers.items()]
+        starts = [unit.commanded_motions[controllers_before[name]].start_ns for name, unit in fleet.controllers.items()]
         skew_ns, said = max(starts) - min(starts), report.start_skew
-        found.append((skew_ns * 1e-6, said is not None and said.at_least_ns <= skew_ns <= said.at_most_ns))
-    return found
+        found_fleet.append((skew_ns * 1e-6, said is not None and said.at_least_ns <= skew_ns <= said.at_most_ns))
+    return found_fleet
 
 
 async def _run_job(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> StepReport:

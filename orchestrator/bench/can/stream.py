@@ -60,29 +60,31 @@ def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[BenchFigure]
     """Measure `rounds` moves with each method, with new drives every `MOVES_PER_BUS` of them; and long moves for
     `hours`."""
     by_script: list[_StreamRound] = []
-    found: list[_StreamRound] = []
+    found_rounds: list[_StreamRound] = []
     for number in range(ceil(rounds / MOVES_PER_BUS)):
         moves = min(MOVES_PER_BUS, rounds - number * MOVES_PER_BUS)
         by_script += run_virtual(lambda clock, s=seed + number, n=moves: _run_scripts(clock, s, n))
-        found += run_virtual(lambda clock, s=seed + number, n=moves: _run_streams(clock, s, n))
+        found_rounds += run_virtual(lambda clock, s=seed + number, n=moves: _run_streams(clock, s, n))
     periods, underruns = run_virtual(lambda clock: _stream_for_hours(clock, seed, hours))
-    none = BenchFigure(
+    none_figure = BenchFigure(
         f"underruns in {hours:g} h of streams", periods, 0, 0, underruns, "moves", "none", underruns == 0
     )
     return [
         make_can_row("path skew, positions by a script's timer", [each.skew_ms for each in by_script], "ms"),
-        make_can_row("path skew, streamed", [each.skew_ms for each in found], "ms", ASKED_SKEW_MS),
+        make_can_row("path skew, streamed", [each.skew_ms for each in found_rounds], "ms", ASKED_SKEW_MS),
         make_can_row("furthest from the plan, by a script's timer", [each.off_ms for each in by_script], "ms"),
-        make_can_row("furthest from the plan, streamed", [each.off_ms for each in found], "ms"),
-        make_can_row("bus load, all eight follow at 100 Hz", [100 * each.load for each in found], "%", ASKED_LOAD),
-        none,
+        make_can_row("furthest from the plan, streamed", [each.off_ms for each in found_rounds], "ms"),
+        make_can_row(
+            "bus load, all eight follow at 100 Hz", [100 * each.load for each in found_rounds], "%", ASKED_LOAD
+        ),
+        none_figure,
     ]
 
 
 async def _run_streams(clock: VirtualClock, seed: int, moves: int) -> list[_StreamRound]:
     world = make_can_bench(clock, seed, {"jerk": JERK})
     await world.wait_until_ready()
-    found: list[_StreamRound] = []
+    streams: list[_StreamRound] = []
     for _ in range(moves):
         profiles = _make_plan(world)
         t0_ns = await _start_moves(world, profiles)
@@ -92,9 +94,9 @@ async def _run_streams(clock: VirtualClock, seed: int, moves: int) -> list[_Stre
         if not await _wait_for_ends(world):
             raise RuntimeError("a move of the benchmark did not complete")
         load = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - t0_ns)
-        found.append(_StreamRound(*await watching, load))
+        streams.append(_StreamRound(*await watching, load))
     await world.close_drivers()
-    return found
+    return streams
 
 
 async def _run_scripts(clock: VirtualClock, seed: int, moves: int) -> list[_StreamRound]:
@@ -105,7 +107,7 @@ async def _run_scripts(clock: VirtualClock, seed: int, moves: int) -> list[_Stre
     for node in NODES:
         await write_object(can, node, (0x6060, 0), _CYCLIC, 1)
     await sleep_ns(clock, 100 * NS_PER_MS)
-    found: list[_StreamRound] = []
+    scripts: list[_StreamRound] = []
     for _ in range(moves):
         profiles = _make_plan(world)
         ats = {node: profile.make_evaluator() for node, profile in profiles.items()}
@@ -121,10 +123,10 @@ async def _run_scripts(clock: VirtualClock, seed: int, moves: int) -> list[_Stre
             await sleep_until_ns(clock, t0_ns + periods * PERIOD_NS + world.draw.randint(*SCRIPT_LATE_NS))
             periods += 1
         load = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - t0_ns)
-        found.append(_StreamRound(*await watching, load))
+        scripts.append(_StreamRound(*await watching, load))
     await can.close()
     await world.close_drivers()
-    return found
+    return scripts
 
 
 async def _stream_for_hours(clock: VirtualClock, seed: int, hours: float) -> tuple[int, int]:
@@ -158,13 +160,13 @@ def _make_plan(world: CanBusBench) -> dict[int, Profile]:
 
 async def _start_moves(world: CanBusBench, profiles: Mapping[int, Profile]) -> int:
     """Arm and release the moves; return T0."""
-    lowered = {
+    lowered_profiles = {
         node: driver.lower_profiles({"a": profiles[node]}, StartOptions(), None)
         for node, driver in zip(NODES, world.drivers, strict=True)
     }
-    lead_ns = max(each.costs.arm_ns + each.costs.disarm_ns for each in lowered.values())
+    lead_ns = max(each.costs.arm_ns + each.costs.disarm_ns for each in lowered_profiles.values())
     t0_ns = world.clock.now_ns() + lead_ns + world.draw.randrange(10 * NS_PER_MS)
-    pairs = list(zip(world.drivers, lowered.values(), strict=True))
+    pairs = list(zip(world.drivers, lowered_profiles.values(), strict=True))
     await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
     await asyncio.gather(*(driver.verify_armed() for driver in world.drivers))
     await asyncio.gather(*(driver.go() for driver in world.drivers))
@@ -175,7 +177,7 @@ async def _wait_for_ends(world: CanBusBench) -> bool:
     """Wait for the ends; return whether all drivers report a start and a completed move."""
     await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers))
     outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers))
-    return all(each.state == "done" for each in outcomes)
+    return all(outcome.state == "done" for outcome in outcomes)
 
 
 async def _measure_deviation(world: CanBusBench, profiles: Mapping[int, Profile], t0_ns: int) -> tuple[float, float]:

@@ -95,11 +95,11 @@ async def _measure_load(folder: Path, seconds: float) -> list[PageFigure]:
             script_ms = (await browser.read_script_s() - script_s) * 1e3 / max(1, taken)
             await publisher.communicate()
             requests, sockets = browser.first_requests or 0, browser.sockets
-        if any(each.done() for each in readers):
+        if any(task.done() for task in readers):
             raise NothingHappened("a socket was disconnected")
     finally:
-        for each in readers:
-            each.cancel()
+        for reader in readers:
+            reader.cancel()
         for process in (gateway, router):
             process.terminate()
             await process.wait()
@@ -171,8 +171,8 @@ async def _measure_updates() -> list[PageFigure]:
 async def _measure_jogs(fleet: Fleet, folder: Path, rounds: int) -> list[PageFigure]:
     web = WebOptions(port=find_free_port())
     async with run_measured_fleet(fleet, folder, web=web) as (live, tutti):
-        here: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
-        await run_steps(tutti, [*here, {"do": "move", "to": {AXIS: MIDDLE}}])
+        steps_here: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
+        await run_steps(tutti, [*steps_here, {"do": "move", "to": {AXIS: MIDDLE}}])
         truth = TruthLog(live.state / "truth" / "gantry.jsonl")
         async with open_browser() as browser:
             let_go_ns = [await _let_go(browser, live, truth, number) for number in range(rounds)]
@@ -239,11 +239,11 @@ async def _kill_browser(live: LiveFleet, truth: TruthLog, number: int) -> int:
 
 def _find_family(pid: int) -> list[int]:
     """A process and all its descendants."""
-    found = [pid]
-    for each in found:
+    family = [pid]
+    for each in family:
         for task in Path(f"/proc/{each}/task").glob("*/children"):
-            found += map(int, task.read_text(encoding="utf-8").split())
-    return found
+            family += map(int, task.read_text(encoding="utf-8").split())
+    return family
 
 
 async def _measure_end_jogs(live: LiveFleet) -> float:

@@ -155,7 +155,10 @@ def _measure_errors(seen: Array) -> Array:
 
 async def _watch_truth(fleet: VirtualFleet, seen: list[list[float]], draw: Random) -> None:
     """Record the true positions of all axes, mm, while any of them moves."""
-    units = [(each, fleet.fleet.controllers[name].axes["x"].motors[0]) for name, each in fleet.controllers.items()]
+    units = [
+        (controller, fleet.fleet.controllers[name].axes["x"].motors[0])
+        for name, controller in fleet.controllers.items()
+    ]
     while True:
         await sleep_ns(fleet.clock, LOOK_NS + draw.randrange(NS_PER_MS))
         if any(unit.is_moving(motor) for unit, motor in units):
@@ -169,9 +172,9 @@ async def _run_job(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobRepor
         report = await client.wait_for_job(await client.submit(job), poll_s=0.5)
     finally:
         await client.close()
-    refused = next((step.refused for step in report.steps if step.refused is not None), None)
-    if refused is not None:
-        raise Refusal(refused.code, refused.text, refused.remedy)
+    refusal = next((step.refused for step in report.steps if step.refused is not None), None)
+    if refusal is not None:
+        raise Refusal(refusal.code, refusal.text, refusal.remedy)
     if report.state != "done":
         raise Refusal("failed", report.reason)
     return report

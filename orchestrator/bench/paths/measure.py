@@ -76,7 +76,7 @@ class PathsOptions(NamedTuple):
 
 def bench_paths(options: PathsOptions, on_row: Callable[[str], None] = lambda _: None) -> list[PathFigure]:
     """Run the chosen rows."""
-    found: list[PathFigure] = []
+    found_paths: list[PathFigure] = []
     counts = QUICK if options.quick else FULL
     minute_p99 = None
     for case in (MINUTE, LONG, MAKES):
@@ -95,7 +95,7 @@ def bench_paths(options: PathsOptions, on_row: Callable[[str], None] = lambda _:
         figures = make_circle_figures(case, runs, minute_p99 if is_long else None)
         if case.controllers == TWO and not is_long:
             minute_p99 = figures[0].value
-        found += figures
+        found_paths += figures
     others = {
         LIMITS_ROW: _measure_limits,
         TIME_ROW: _measure_times,
@@ -105,21 +105,23 @@ def bench_paths(options: PathsOptions, on_row: Callable[[str], None] = lambda _:
     for name, measure in others.items():
         if re.search(options.only, name):
             on_row(name)
-            found += measure(counts, options)
-    return found
+            found_paths += measure(counts, options)
+    return found_paths
 
 
 def make_circle_figures(
     case: CircleCase, runs: Sequence[CircleRun], minute_p99: float | None = None
 ) -> list[PathFigure]:
     """The figures of a row of circles. minute_p99: of the row that a long one is compared with."""
-    refused = [run.refused for run in runs if run.refused]
+    refused_runs = [run.refused for run in runs if run.refused]
     ran = [run for run in runs if not run.refused and len(run.errors)]
-    found: list[PathFigure] = []
-    if refused:
-        found.append(PathFigure(case.name, "paths refused", len(refused), "", "0", met=False, note=refused[0]))
+    figures: list[PathFigure] = []
+    if refused_runs:
+        figures.append(
+            PathFigure(case.name, "paths refused", len(refused_runs), "", "0", met=False, note=refused_runs[0])
+        )
     if not ran:
-        return found
+        return figures
     errors = np.concatenate([run.errors for run in ran])
     p99 = UM * float(np.percentile(errors, 99))
     above = sum(float(run.errors.max()) > run.bound for run in ran)
@@ -147,7 +149,7 @@ def make_circle_figures(
         rows.append(
             PathFigure(case.name, "bound proven afterwards", round(value, 1), "um", "≤ 2 × p99", value <= 2 * p99)
         )
-    return rows + found
+    return rows + figures
 
 
 def _make_sum_figure(case: CircleCase, ran: Sequence[CircleRun]) -> PathFigure:
@@ -216,11 +218,14 @@ def _measure_triggers(counts: PathCounts, options: PathsOptions) -> list[PathFig
 def make_trigger_figures(runs: Sequence[PulsesRun]) -> list[PathFigure]:
     """The figures of pulses on the way of moves and along paths."""
     row = TRIGGERS_ROW
-    refused = [run.refused for run in runs if run.refused]
+    refused_runs = [run.refused for run in runs if run.refused]
     edges, missed = sum(run.edges for run in runs), sum(run.missed for run in runs)
-    found = [PathFigure(row, "fleets refused", len(refused), "", "0", met=False, note=refused[0]) for _ in refused[:1]]
+    figures = [
+        PathFigure(row, "fleets refused", len(refused_runs), "", "0", met=False, note=refused_runs[0])
+        for _ in refused_runs[:1]
+    ]
     by_evidence, by_promise = sum(run.outside_seen for run in runs), sum(run.outside_promise for run in runs)
-    found += [
+    figures += [
         PathFigure(row, f"of {edges} pulses, without a row or evidence", missed, "", "0", missed == 0),
         PathFigure(row, "outside their interval by evidence", by_evidence, "", "0", by_evidence == 0),
         PathFigure(row, "outside their promise", by_promise, "", "0", by_promise == 0),
@@ -231,7 +236,7 @@ def make_trigger_figures(runs: Sequence[PulsesRun]) -> list[PathFigure]:
     }
     for way, widest_ns in widest.items():
         value = widest_ns / NS_PER_MS
-        found.append(
+        figures.append(
             PathFigure(row, f"interval {way}, largest", round(value, 2), "ms", f"≤ {MOST_MS}", value <= MOST_MS)
         )
-    return found
+    return figures

@@ -121,9 +121,9 @@ class _PulsedSteps:
 
 
 def _require_done(report: JobReport) -> None:
-    refused = next((step.refused for step in report.steps if step.refused is not None), None)
-    if refused is not None:
-        raise Refusal(refused.code, refused.text, refused.remedy)
+    refusal = next((step.refused for step in report.steps if step.refused is not None), None)
+    if refusal is not None:
+        raise Refusal(refusal.code, refusal.text, refusal.remedy)
     if report.state != "done":
         raise Refusal("failed", report.reason)
 

@@ -66,7 +66,7 @@ async def bench_record(folder: Path, seconds: float, cuts: int, show_progress: C
         answers = await watcher.find_answers()
         cpu_s = await _end_recorder(recorder)
         recorded, dropped = _count_recorded(place)
-        size = sum(each.stat().st_size for each in place.glob("*.mcap"))
+        size = sum(path.stat().st_size for path in place.glob("*.mcap"))
         others = await watcher.close()
         show_progress(f"{cuts} cut copies of a recording of {CUT_S:g} s")
         lost_chunks = await _cut_and_repair(endpoint, folder, cuts)
@@ -181,8 +181,8 @@ def _list_chunks(path: Path) -> list[tuple[int, int]]:
     """Of each closed chunk, where it ends and how many messages it has."""
     with path.open("rb") as file:
         groups = read_frames(file, path.stat().st_size)
-        counted = [(each.ends_at, each.message_count) for each in groups if isinstance(each, FrameGroup)]
-    return [each for each in counted if each[1]]
+        counted_ends = [(group.ends_at, group.message_count) for group in groups if isinstance(group, FrameGroup)]
+    return [each for each in counted_ends if each[1]]
 
 
 async def _cut_and_repair(endpoint: str, folder: Path, cuts: int) -> int:
@@ -200,8 +200,8 @@ async def _cut_and_repair(endpoint: str, folder: Path, cuts: int) -> int:
         copy.write_bytes(whole[:cut])
         result = repair_recording(copy)
         kept = sum(messages for ends_at, messages in chunks if ends_at <= cut)
-        after = summarize_recording(copy)
-        lost += result.messages < kept or not after.is_complete or after.messages != result.messages
+        recording_after = summarize_recording(copy)
+        lost += result.messages < kept or not recording_after.is_complete or recording_after.messages != result.messages
     return lost
 
 
@@ -225,13 +225,13 @@ async def _kill_and_repair(endpoint: str, folder: Path) -> int:
 
 def describe_failures(figures: RecordFigures) -> list[str]:
     """What a measurement shows to be wrong, in words."""
-    found: list[str] = []
+    failures: list[str] = []
     if not figures.counted:
-        found.append(
+        failures.append(
             f"{figures.published - figures.recorded - figures.dropped} messages are neither recorded nor counted"
         )
     if figures.others:
-        found.append(f"put on the bus beside the publisher: {json.dumps(figures.others)}")
+        failures.append(f"put on the bus beside the publisher: {json.dumps(figures.others)}")
     if figures.answers:
-        found.append("a process answers queries")
-    return found
+        failures.append("a process answers queries")
+    return failures

@@ -114,7 +114,7 @@ def run_lowering(_: ShowProgress, make: str, moves: int) -> Fields:
 def run_shrc_chain(_: ShowProgress, moves: int, seeds: int) -> Fields:
     from orchestrator.bench.chain import bench_chain
 
-    return {"rows": [each._asdict() | {"met": each.met} for each in bench_chain(moves, seeds)]}
+    return {"rows": [figures._asdict() | {"met": figures.met} for figures in bench_chain(moves, seeds)]}
 
 
 def run_clock(_: ShowProgress, trials: int, seed: int) -> Fields:

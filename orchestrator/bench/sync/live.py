@@ -60,8 +60,11 @@ async def _run_fleet(name: str, steps: int, state: Path, on_line: Callable[[str]
             raise NothingHappened(f"{name}: the job is {report.state}: {report.reason}")
         async with tutti.subscribe_samples(tutti.keys.leader) as heartbeats:
             origin_ns = LeaderHeartbeat.read_message((await heartbeats.get()).payload).origin_host_ns
-        held = check_verdicts(fleet, report, live.state / "truth", origin_ns)
+        held_checks = check_verdicts(fleet, report, live.state / "truth", origin_ns)
         on_line(f"{name}: {(raw_ns() - began_ns) / 1e9:.0f} s")
         return LiveSync(
-            name, make_spread([each.skew_ns for each in held]), sum(not each.held for each in held), noise.make_spread()
+            name,
+            make_spread([check.skew_ns for check in held_checks]),
+            sum(not check.held for check in held_checks),
+            noise.make_spread(),
         )

@@ -231,7 +231,12 @@ def bench_sync(
             worlds = list(_make_fleet_trials(row, max(2, round(trials * case.trials)), seed, history_s))
             add_row(
                 *_make_figures(
-                    case, [trial for found in map_in_processes(_run_fleet_trials, worlds, processes) for trial in found]
+                    case,
+                    [
+                        trial
+                        for found_trials in map_in_processes(_run_fleet_trials, worlds, processes)
+                        for trial in found_trials
+                    ],
                 )
             )
     return rows, starts
@@ -267,8 +272,8 @@ class FleetTrials(NamedTuple):
 def _make_fleet_trials(row: int, trials: int, seed: int, history_s: int) -> Iterator[FleetTrials]:
     # The polls before take as long as forty steps.
     a_world = CASES[row].steps_a_world or max(STEPS_PER_FLEET, trials // MIN_FLEETS)
-    for number, begun in enumerate(range(0, trials, a_world)):
-        yield FleetTrials(row, seed * 1000 + number, min(a_world, trials - begun), history_s)
+    for number, first_trial in enumerate(range(0, trials, a_world)):
+        yield FleetTrials(row, seed * 1000 + number, min(a_world, trials - first_trial), history_s)
 
 
 def _run_fleet_trials(world: FleetTrials) -> list[SyncTrial]:
@@ -276,23 +281,23 @@ def _run_fleet_trials(world: FleetTrials) -> list[SyncTrial]:
 
 
 def _make_figures(case: SyncCase, found: list[SyncTrial]) -> tuple[SyncFigures, list[float]]:
-    starts = [each.start_ns / 1e6 for each in found]
+    starts = [trial.start_ns / 1e6 for trial in found]
     figures = SyncFigures(
         fleet=case.fleet,
         way=case.name,
         trials=len(found),
         **dict(zip(("start_p50", "start_p99", "start_max"), _compute_spread(starts), strict=True)),
         bound_p99=None if case.bound is None else round(case.bound(), 3),
-        end_p99=_percentile([each.end_ns / 1e6 for each in found], 0.99),
-        path_p99=_percentile([each.path_ns / 1e6 for each in found], 0.99),
-        budget=_percentile([each.budget_ns / 1e6 for each in found], 0.5),
-        width=_percentile([each.width_ns / 1e6 for each in found], 0.99),
-        misses=sum(each.missed for each in found),
-        late=sum(each.late for each in found),
-        worst=max({each.worst for each in found}, key=lambda name: sum(each.worst == name for each in found)),
+        end_p99=_percentile([trial.end_ns / 1e6 for trial in found], 0.99),
+        path_p99=_percentile([trial.path_ns / 1e6 for trial in found], 0.99),
+        budget=_percentile([trial.budget_ns / 1e6 for trial in found], 0.5),
+        width=_percentile([trial.width_ns / 1e6 for trial in found], 0.99),
+        misses=sum(trial.missed for trial in found),
+        late=sum(trial.late for trial in found),
+        worst=max({trial.worst for trial in found}, key=lambda name: sum(trial.worst == name for trial in found)),
         asked=case.asked,
     )
-    irreducible = _percentile([each.irreducible_ns / 1e6 for each in found], 0.5)
+    irreducible = _percentile([trial.irreducible_ns / 1e6 for trial in found], 0.5)
     figures = figures._replace(width_most=round(max(3 * figures.start_p99, 2 * irreducible), 3))
     # What the delays of a network leave open is no fault of the evidence.
     most_ms = {**case.most_ms, **({"width": figures.width_most} if case.to_ms is None else {})}
@@ -310,7 +315,7 @@ async def _run_trials(clock: VirtualClock, world: FleetTrials) -> list[SyncTrial
     names = list(fleet.fleet.controllers)
     await _run_job(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
     await sleep_ns(clock, world.history_s * NS_PER_S)
-    found: list[SyncTrial] = []
+    trials: list[SyncTrial] = []
     for k in range(world.steps):
         await sleep_ns(clock, draw.randrange(PAUSE_NS))
         targets = {
@@ -319,21 +324,23 @@ async def _run_trials(clock: VirtualClock, world: FleetTrials) -> list[SyncTrial
             for limits in [fleet.fleet.controllers[name].axes["x"].limits]
         }
         move = {"do": "move", "to": targets, "speed": 0.5, **case.step}
-        found.append(await _run_trial(fleet, move, round(case.cruise_s / PATH_SAMPLES * NS_PER_S), draw))
-    return found
+        trials.append(await _run_trial(fleet, move, round(case.cruise_s / PATH_SAMPLES * NS_PER_S), draw))
+    return trials
 
 
 def _set_apart(fleet: VirtualFleet, to_ms: float, back_ms: float, draw: Random) -> None:
     """Put each adapter host on a computer of its own."""
-    to, back = (NetworkPath(round(each * NS_PER_MS), round(each * NS_PER_MS / 10)) for each in (to_ms, back_ms))
+    to, way_back = (
+        NetworkPath(round(mean_ms * NS_PER_MS), round(mean_ms * NS_PER_MS / 10)) for mean_ms in (to_ms, back_ms)
+    )
     for host in fleet.fleet.hosts:
         offset_ns, ppm = draw.randrange(1, 2000) * NS_PER_S, draw.uniform(-DRIFT_PPM, DRIFT_PPM)
         fleet.computers[host] = ComputerClock(fleet.clock, host, offset_ns, ppm)
-        fleet.net.network.set_path(host, to=to, back=back)
+        fleet.net.network.set_path(host, to=to, back=way_back)
 
 
 async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: Random) -> SyncTrial:
-    before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
+    controllers_before = {name: len(controller.commanded_motions) for name, controller in fleet.controllers.items()}
     seen: list[tuple[int, dict[str, float]]] = []
     watching = asyncio.get_running_loop().create_task(_watch_path(fleet, look_ns, draw, seen))
     report = await _run_job(fleet, [move])
@@ -343,19 +350,19 @@ async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, dr
     recording = await client.load_recording(report.job_id, 0)
     await client.close()
     assert recording is not None
-    made = [each.commanded_motions[before[name]] for name, each in fleet.controllers.items()]
+    motions = [controller.commanded_motions[controllers_before[name]] for name, controller in fleet.controllers.items()]
     origin_ns = next(iter(fleet.coordinators.values()))[1].leadership.scale.origin_host_ns
-    start_ns = max(motion.start_ns for motion in made) - min(motion.start_ns for motion in made)
-    ends = [motion.end_ns for motion in made if motion.end_ns is not None]
+    start_ns = max(motion.start_ns for motion in motions) - min(motion.start_ns for motion in motions)
+    ends = [motion.end_ns for motion in motions if motion.end_ns is not None]
     skew, budget = step.narrowest_skew, step.budget
     assert skew is not None and budget is not None
-    moved = dict(zip(fleet.controllers, made, strict=True))
+    moved_motions = dict(zip(fleet.controllers, motions, strict=True))
     late = any(
         step.members[name].start_class == "host" and fleet.wires[name].delayed_start(motion.start_ns)
-        for name, motion in moved.items()
+        for name, motion in moved_motions.items()
     )
     missed = not late and not skew.at_least_ns <= start_ns <= skew.at_most_ns
-    for name, motion in moved.items():
+    for name, motion in moved_motions.items():
         for evidence in step.members[name].evidence.values():
             for said in (evidence.start,) if late else (evidence.start, evidence.start_for_verdict):
                 missed = missed or not said.earliest_ns <= motion.start_ns - origin_ns <= said.latest_ns
@@ -389,7 +396,7 @@ async def _watch_path(
     motors = {name: config.axes["x"].motors[0] for name, config in fleet.fleet.controllers.items()}
     while True:
         await sleep_ns(fleet.clock, every_ns // 2 + draw.randrange(every_ns))
-        where = {f"{name}.x": each.position(motors[name]) for name, each in fleet.controllers.items()}
+        where = {f"{name}.x": controller.position(motors[name]) for name, controller in fleet.controllers.items()}
         seen.append((fleet.clock.now_ns(), where))
 
 
@@ -404,10 +411,10 @@ def _measure_path_skew(recording: StepRecording, origin_ns: int, seen: list[tupl
         for axis, each in recording.axes.items():
             if not 0.0 < since_s < each.profile.duration_s:
                 continue
-            planned = at[axis](since_s)
-            if abs(planned.velocity) >= PEAK_SHARE * each.profile.peak_velocity:
-                off = where[axis] - each.profile.start_counts - planned.position
-                late.append(off / planned.velocity * 1e9)
+            planned_state = at[axis](since_s)
+            if abs(planned_state.velocity) >= PEAK_SHARE * each.profile.peak_velocity:
+                off = where[axis] - each.profile.start_counts - planned_state.position
+                late.append(off / planned_state.velocity * 1e9)
         if len(late) > 1:
             worst_ns = max(worst_ns, max(late) - min(late))
     return worst_ns
@@ -439,5 +446,5 @@ def _compute_spread(values: list[float]) -> tuple[float, float, float]:
 
 def _percentile(values: list[float], share: float) -> float:
     """Percentile by nearest rank."""
-    ordered = sorted(values)
-    return round(ordered[min(len(ordered) - 1, int(share * len(ordered)))], 3)
+    ordered_values = sorted(values)
+    return round(ordered_values[min(len(ordered_values) - 1, int(share * len(ordered_values)))], 3)

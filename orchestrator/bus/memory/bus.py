@@ -282,7 +282,7 @@ class MemoryNet:
 
     def drop_declarations(self, bus: "MemoryBus") -> None:
         """Remove the subscriptions and served keys of a process."""
-        self._subscriptions = [each for each in self._subscriptions if each.bus is not bus]
+        self._subscriptions = [subscription for subscription in self._subscriptions if subscription.bus is not bus]
         self._routes.clear()
         self.requests.remove_servers(bus)
 
@@ -376,9 +376,9 @@ class MemoryBus(RequestingBus):
 
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
         self._check_open()
-        served = ServedExpression(self.net.requests, self, check_expression(expression), handler)
-        self.net.requests.add_server(served)
-        return served
+        served_expression = ServedExpression(self.net.requests, self, check_expression(expression), handler)
+        self.net.requests.add_server(served_expression)
+        return served_expression
 
     async def _collect_replies(self, outcome: RequestOutcome, payload: bytes, timeout_s: float) -> None:
         self._check_open()

@@ -38,15 +38,15 @@ class _PendingRequest:
         self._open = servers
 
     def open_at(self, bus: BusProcess) -> bool:
-        return any(served.bus is bus for served in self._open)
+        return any(served_expression.bus is bus for served_expression in self._open)
 
     def remove_process(self, bus: BusProcess) -> None:
         """The process can no longer answer."""
-        self._set_servers([served for served in self._open if served.bus is not bus])
+        self._set_servers([served_expression for served_expression in self._open if served_expression.bus is not bus])
 
     def remove_server(self, served: ServedExpression) -> None:
         """The server has answered, or will not."""
-        self._set_servers([other for other in self._open if other is not served])
+        self._set_servers([other_expression for other_expression in self._open if other_expression is not served])
 
     def _set_servers(self, still_open: list[ServedExpression]) -> None:
         self._open = still_open
@@ -76,8 +76,8 @@ class RequestBoard:
 
     def remove_servers(self, bus: BusProcess) -> None:
         """A process has left or died: it gets no new requests."""
-        for served in [served for served in self._served if served.bus is bus]:
-            self.remove_server(served)
+        for served_expression in [served for served in self._served if served.bus is bus]:
+            self.remove_server(served_expression)
 
     def fail_requests(self, bus: BusProcess) -> None:
         """It was detected that a process will not answer its requests."""
@@ -93,18 +93,20 @@ class RequestBoard:
             return
         serving = self._serving.get(outcome.key)
         if serving is None:
-            serving = [each for each in self._served if expressions_intersect(each.expression, outcome.key)]
+            serving = [
+                expression for expression in self._served if expressions_intersect(expression.expression, outcome.key)
+            ]
             self._serving[outcome.key] = serving
-        asked = [each for each in serving if not each.bus.given_up]
-        question = _PendingRequest(sender, payload, outcome, asked)
+        asked_expressions = [expression for expression in serving if not expression.bus.given_up]
+        question = _PendingRequest(sender, payload, outcome, asked_expressions)
         self._questions[outcome] = question
         outcome.settled.add_done_callback(lambda _: self._questions.pop(outcome, None))
-        if not asked:
+        if not asked_expressions:
             self._net.schedule_call(self._net.arrival_ns(sender, sender), outcome.end_replies)
-        for served in asked:
-            if not self._net.is_cut(sender, served.bus):
-                at_ns = self._net.arrival_ns(sender, served.bus)
-                self._net.schedule_call(at_ns, partial(self._receive_request, served, question))
+        for served_expression in asked_expressions:
+            if not self._net.is_cut(sender, served_expression.bus):
+                at_ns = self._net.arrival_ns(sender, served_expression.bus)
+                self._net.schedule_call(at_ns, partial(self._receive_request, served_expression, question))
 
     def _receive_request(self, served: ServedExpression, question: _PendingRequest) -> None:
         if question.outcome.is_over or self._net.is_cut(question.asker, served.bus):
@@ -129,12 +131,14 @@ class RequestBoard:
         task.add_done_callback(self._handling.pop, context=context)
 
     async def _run_handler(self, served: ServedExpression, question: _PendingRequest) -> None:
-        asked = question.outcome.key
-        key = served.expression if is_wild(asked) else asked
+        asked_key = question.outcome.key
+        key = served.expression if is_wild(asked_key) else asked_key
         try:
             payload = await served.handler(BusSample(key, question.payload))
         except RequestRefused as refusal:
-            answer = None if is_wild(asked) else partial(question.outcome.add_refusal, served.bus.server, str(refusal))
+            answer = (
+                None if is_wild(asked_key) else partial(question.outcome.add_refusal, served.bus.server, str(refusal))
+            )
             self._queue_reply(served, question, answer)
         except Exception as error:
             text = f"{type(error).__name__} while answering {key}: {error}"
@@ -145,8 +149,8 @@ class RequestBoard:
 
     def cancel_answers(self, bus: BusProcess) -> None:
         """A process leaves: pending answers are cancelled."""
-        for task, served in list(self._handling.items()):
-            if served.bus is bus:
+        for task, served_expression in list(self._handling.items()):
+            if served_expression.bus is bus:
                 task.cancel()
 
     def _queue_reply(

@@ -349,7 +349,7 @@ class ZenohBus(RequestingBus):
         for task in list(self._answering):
             task.cancel()
         self._inbox.close()
-        left = await run_in_thread("bus-close", self._flush_senders)
+        thread_left = await run_in_thread("bus-close", self._flush_senders)
         gone = threading.Semaphore(0)
 
         def close_session(session: zenoh.Session) -> None:
@@ -374,17 +374,19 @@ class ZenohBus(RequestingBus):
                         _LOG.warning("closing the bus at %s: %s", self._endpoint, failure)
         except TimeoutError:
             _LOG.warning("the router at %s does not answer; disconnected without it", self._endpoint)
-            left = True
-        if left:
+            thread_left = True
+        if thread_left:
             atexit.register(close_all)
 
     def _flush_senders(self) -> bool:
         """Send what is left. Returns whether some of it could not be sent in time and may still be in progress."""
         until_s = time.monotonic() + CLOSE_TIMEOUT_S
-        left = [sender.stop(max(0.0, until_s - time.monotonic())) for sender in (self._sure_sender, self._lossy_sender)]
-        if sum(left):
-            _LOG.warning("%d samples were not taken by the bus at %s", sum(left), self._endpoint)
-        return any(left)
+        stops_left = [
+            sender.stop(max(0.0, until_s - time.monotonic())) for sender in (self._sure_sender, self._lossy_sender)
+        ]
+        if sum(stops_left):
+            _LOG.warning("%d samples were not taken by the bus at %s", sum(stops_left), self._endpoint)
+        return any(stops_left)
 
     async def _run_declaration(self, declare: Callable[[], T]) -> T:
         self._check_open()

@@ -22,27 +22,29 @@ ROUTER_REPEAT_S = 5.0  # a coordinator that starts behind the router has it soon
 def find_own_alarms(endpoint: str, now: datetime) -> list[AlarmRequest]:
     """What is to be raised now. endpoint: of the bus that the process uses."""
     openness = describe_openness(endpoint)
-    found = [_make_open_bus(openness)] if openness else []
+    alarms = [_make_open_bus(openness)] if openness else []
     folder = find_identity()
     if folder is None or "tls/" not in endpoint:
-        return found
+        return alarms
     try:
         identity = read_identity(folder)
     except BadIdentity as error:
         # What runs goes on; it is its next start that would fail.
         action = "copy the whole folder again"
-        found.append(AlarmRequest(kind="certificate", subject=folder.name, text=str(error), action=action, active=True))
-        return found
+        alarms.append(
+            AlarmRequest(kind="certificate", subject=folder.name, text=str(error), action=action, active=True)
+        )
+        return alarms
     priority = find_priority(identity.expires, now)
     if priority is not None:
         name = identity.common_name
         text = f"the certificate of {name} {describe_expiry(identity.expires, now)}"
         text += f" ({identity.expires:%Y-%m-%d %H:%M} UTC)"
         action = f"`tutti keys renew {name.rpartition('.')[0]}`, copy its folder, restart it when the fleet is at rest"
-        found.append(
+        alarms.append(
             AlarmRequest(kind="certificate", subject=name, text=text, action=action, priority=priority, active=True)
         )
-    return found
+    return alarms
 
 
 async def report_open_router(endpoint: str, listen: str, fleet: str, name: str) -> None:
@@ -85,7 +87,7 @@ async def report_own_alarms(bus: Bus, keys: FleetKeys, source: tuple[str, str], 
 async def _report(bus: Bus, key: str, endpoint: str) -> None:
     while True:
         # A file is read, and a handshake made: not in the loop that stops axes.
-        found: Sequence[AlarmRequest] = await asyncio.to_thread(find_own_alarms, endpoint, datetime.now(UTC))
-        for each in found:
-            bus.put(key, each.to_json(), Priority.EVENT)
+        requests: Sequence[AlarmRequest] = await asyncio.to_thread(find_own_alarms, endpoint, datetime.now(UTC))
+        for request in requests:
+            bus.put(key, request.to_json(), Priority.EVENT)
         await asyncio.sleep(REPEAT_S)

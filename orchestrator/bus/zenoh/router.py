@@ -33,9 +33,9 @@ def run_router(endpoint: str, parent_pid: int, latch: tuple[str, Path] | None = 
 
 
 async def _route(endpoint: str, latch: tuple[str, Path] | None) -> None:
-    ended = asyncio.Event()
+    ended_event = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        asyncio.get_running_loop().add_signal_handler(number, ended_event.set)
     with open_router(endpoint):
         sys.stdout.write("ready\n")
         sys.stdout.flush()
@@ -43,7 +43,7 @@ async def _route(endpoint: str, latch: tuple[str, Path] | None) -> None:
         if latch is not None:
             keeping = [asyncio.create_task(keep_latch(endpoint, latch[0], "router", latch[1]))]
             keeping[0].add_done_callback(report_latch_end)
-        await ended.wait()
+        await ended_event.wait()
         for task in keeping:
             task.cancel()
         await asyncio.gather(*keeping, return_exceptions=True)
@@ -60,8 +60,8 @@ def prepare_router_process() -> None:
     nothing."""
     set_realtime_priority(RealtimePriority.BUS)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = MAX_FILES if most == resource.RLIM_INFINITY else min(most, MAX_FILES)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
+    wanted_files = MAX_FILES if most == resource.RLIM_INFINITY else min(most, MAX_FILES)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (wanted_files, most))
 
 
 if __name__ == "__main__":

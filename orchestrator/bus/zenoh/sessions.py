@@ -154,8 +154,12 @@ class ZenohRouter:
 def make_router_settings(endpoint: str, security: Mapping[str, object], links: str = "") -> dict[str, object]:
     """All settings of a router in Zenoh's terms. security: those of TLS and of the access control. links: endpoints of
     other routers of the fleet, which are connected to whenever they are there."""
-    others = split_endpoints(links) if links else []
-    ends = {"listen/endpoints": split_endpoints(endpoint), "connect/endpoints": others, "connect/retry": _RETRY_CONFIG}
+    others_endpoints = split_endpoints(links) if links else []
+    ends = {
+        "listen/endpoints": split_endpoints(endpoint),
+        "connect/endpoints": others_endpoints,
+        "connect/retry": _RETRY_CONFIG,
+    }
     return {**_make_common_settings("router"), **ends, **_ROUTER_LIMITS, **security}
 
 

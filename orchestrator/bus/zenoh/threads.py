@@ -103,9 +103,9 @@ class SenderThread:
             self._changed.notify()
         self._thread.join(timeout_s)
         with self._changed:
-            left = len(self._lanes) + self._busy
+            busy_left = len(self._lanes) + self._busy
             self._lanes.discard_calls()
-            return left
+            return busy_left
 
     def wait_for_call(self, timeout_s: float) -> None:
         """Wait for the end of a call that is in progress."""

@@ -73,20 +73,20 @@ def check(make_or_package: str, *, everything: bool, as_json: bool) -> None:
             results[make].append(result)
             if not as_json:
                 _print_result(result)
-    broken = [each for found in results.values() for each in found if each.state == "broken"]
+    broken_findings = [each for found_results in results.values() for each in found_results if each.state == "broken"]
     if as_json:
         plain = {
-            make: [{"part": e.part, "check": e.name, "state": e.state, "text": e.text} for e in found]
-            for make, found in results.items()
+            make: [{"part": e.part, "check": e.name, "state": e.state, "text": e.text} for e in found_results]
+            for make, found_results in results.items()
         }
-        print_json({"makes": plain, "broken": len(broken)})
+        print_json({"makes": plain, "broken": len(broken_findings)})
     else:
-        for make, found in results.items():
-            counts = {state: sum(each.state == state for each in found) for state in MARKS}
+        for make, found_result in results.items():
+            counts = {state: sum(each.state == state for each in found_result) for state in MARKS}
             _print_plain(
                 f"{make}: {counts['holds']} hold, {counts['broken']} do not, {counts['not-applicable']} do not apply"
             )
-    if broken:
+    if broken_findings:
         raise SystemExit(FAILED)
 
 
@@ -105,13 +105,15 @@ def ls(*, as_json: bool) -> None:
         print_json({"api_version": API_VERSION, "plug_ins": [_to_plain(each) for each in listings]})
     else:
         table = make_plain_table(["make", "kind", "package", "from"])
-        for each in listings:
-            table.add_row(each.name, each.group.removeprefix("tutti.").removesuffix("s"), each.package, each.target)
+        for listing in listings:
+            table.add_row(
+                listing.name, listing.group.removeprefix("tutti.").removesuffix("s"), listing.package, listing.target
+            )
         console.print(table)
         _print_plain(f"version {API_VERSION} of the contract")
-        for each in listings:
-            if each.problem:
-                _print_plain(f"{each.name}: {each.problem}")
+        for listing in listings:
+            if listing.problem:
+                _print_plain(f"{listing.name}: {listing.problem}")
     if any(each.problem for each in listings):
         raise SystemExit(FAILED)
 
@@ -152,8 +154,8 @@ def probe(endpoint: str, query: str, end: str, wait_s: float, *, as_json: bool) 
         print_json({"sent": data.decode("latin-1"), "received": shown})
     else:
         _print_plain(f"{'0.000 ms':>14}  sent      {data!r}")
-        for each in parts:
-            _print_plain(f"{format_after(each.after_ns):>14}  received  {each.data!r}")
+        for part in parts:
+            _print_plain(f"{format_after(part.after_ns):>14}  received  {part.data!r}")
     if not parts:
         if not as_json:
             text = f"no reply within {wait_s:g} s"
@@ -173,7 +175,7 @@ def _find_makes(name: str) -> list[str]:
         entries = distribution(name).entry_points
     except (PackageNotFoundError, ValueError):
         return [name]
-    makes = [each.name for each in entries if each.group == "tutti.adapters"]
+    makes = [entry.name for entry in entries if entry.group == "tutti.adapters"]
     if not makes:
         exit_with_error(f"the package {name} provides no adapter", BAD_INPUT, "see its entry points `tutti.adapters`")
     return makes

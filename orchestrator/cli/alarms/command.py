@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def _complete_alarms(context: click.Context, _: click.Parameter, begun: str) -> list[CompletionItem]:
     from orchestrator.cli.base.completion import ask_fleet
 
-    found = ask_fleet(context, lambda tutti: tutti.list_alarms()) or []
-    return [CompletionItem(each.id, help=each.text) for each in found if each.id.startswith(begun)]
+    fleet = ask_fleet(context, lambda tutti: tutti.list_alarms()) or []
+    return [CompletionItem(record.id, help=record.text) for record in fleet if record.id.startswith(begun)]
 
 
 _ID = click.argument("alarm_id", metavar="ID", shell_complete=_complete_alarms)
@@ -43,11 +43,11 @@ def list_alarms(history: int, connect: str, fleet: str | None, *, everything: bo
     from orchestrator.cli.base.alarms import make_alarm_table
 
     async def show_alarms(tutti: "Tutti") -> None:
-        found = await (tutti.list_alarm_history(history) if history else tutti.list_alarms(normal=everything))
+        records = await (tutti.list_alarm_history(history) if history else tutti.list_alarms(normal=everything))
         if as_json:
-            print_json([each.to_plain() for each in found])
-        elif found:
-            console.print(make_alarm_table(found, actions=not history))
+            print_json([record.to_plain() for record in records])
+        elif records:
+            console.print(make_alarm_table(records, actions=not history))
         else:
             console.print("no alarms", highlight=False)
 
@@ -67,9 +67,9 @@ def acknowledge(
         exit_with_error("name alarms, or give --all", BAD_INPUT)
 
     async def acknowledge_alarms(tutti: "Tutti") -> None:
-        found = await tutti.acknowledge_alarms(*alarm_ids)
-        words = "\n".join(f"{each.id}: {each.state}" for each in found) or "nothing had to be acknowledged"
-        print_result([each.to_plain() for each in found], words, as_json=as_json)
+        alarms = await tutti.acknowledge_alarms(*alarm_ids)
+        words = "\n".join(f"{record.id}: {record.state}" for record in alarms) or "nothing had to be acknowledged"
+        print_result([record.to_plain() for record in alarms], words, as_json=as_json)
 
     with_fleet(connect, fleet, acknowledge_alarms)
 
@@ -85,9 +85,9 @@ def shelve(alarm_id: str, seconds: float, why: str, connect: str, fleet: str | N
     from orchestrator.monitor.times import format_time
 
     async def shelve_alarm(tutti: "Tutti") -> None:
-        found = await tutti.shelve_alarm(alarm_id, seconds, why)
-        words = f"{found.id} is shelved until {format_time(found.shelved_until_utc or '')}"
-        print_result(found.to_plain(), words, as_json=as_json)
+        record = await tutti.shelve_alarm(alarm_id, seconds, why)
+        words = f"{record.id} is shelved until {format_time(record.shelved_until_utc or '')}"
+        print_result(record.to_plain(), words, as_json=as_json)
 
     with_fleet(connect, fleet, shelve_alarm)
 
@@ -100,7 +100,7 @@ def unshelve(alarm_id: str, connect: str, fleet: str | None, *, as_json: bool) -
     """Bring the alarm ID back before its time."""
 
     async def unshelve_alarm(tutti: "Tutti") -> None:
-        found = await tutti.unshelve_alarm(alarm_id)
-        print_result(found.to_plain(), f"{found.id}: {found.state}", as_json=as_json)
+        record = await tutti.unshelve_alarm(alarm_id)
+        print_result(record.to_plain(), f"{record.id}: {record.state}", as_json=as_json)
 
     with_fleet(connect, fleet, unshelve_alarm)

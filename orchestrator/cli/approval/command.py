@@ -29,12 +29,12 @@ def plan(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     its axes are. Nothing changes."""
 
     async def show_plan(tutti: "Tutti") -> None:
-        found = await tutti.find_job(job)
-        planned = await tutti.plan_job(found.id)
+        entry = await tutti.find_job(job)
+        planned_job = await tutti.plan_job(entry.id)
         if as_json:
-            print_json(planned.to_plain())
+            print_json(planned_job.to_plain())
         else:
-            await _print_plan(tutti, found, planned)
+            await _print_plan(tutti, entry, planned_job)
 
     with_fleet(connect, fleet, show_plan)
 
@@ -59,21 +59,21 @@ def approve(job: str, seen: str | None, connect: str, fleet: str | None, *, yes:
         )
 
     async def approve_job(tutti: "Tutti") -> None:
-        found = await tutti.find_job(job)
-        planned = await tutti.plan_job(found.id)
-        assert planned.plan is not None
+        entry = await tutti.find_job(job)
+        planned_job = await tutti.plan_job(entry.id)
+        assert planned_job.plan is not None
         if digits is not None:
-            wanted = _find_wanted(digits[1], planned.plan, found.id)
+            wanted = _find_wanted(digits[1], planned_job.plan, entry.id)
         else:
-            wanted = planned.plan.hash
+            wanted = planned_job.plan.hash
             if not as_json:
-                await _print_plan(tutti, found, planned)
+                await _print_plan(tutti, entry, planned_job)
             if not yes and not click.confirm("approve this plan?"):
                 console.print("nothing is approved")
                 return
-        await tutti.approve_job(found.id, wanted)
-        words = f"{name_jobs(found)} is approved: {wanted}"
-        print_result({"job_id": found.id, "plan": wanted}, words, as_json=as_json)
+        await tutti.approve_job(entry.id, wanted)
+        words = f"{name_jobs(entry)} is approved: {wanted}"
+        print_result({"job_id": entry.id, "plan": wanted}, words, as_json=as_json)
 
     with_fleet(connect, fleet, approve_job)
 
@@ -93,9 +93,9 @@ async def _print_plan(tutti: "Tutti", entry: "QueueEntry", planned: "JobPlanned"
     from orchestrator.monitor.times import localize_times
 
     assert planned.plan is not None
-    shown = (await tutti.show_job(entry.id)).job
+    shown_job = (await tutti.show_job(entry.id)).job
     lines = [f"{name_jobs(entry)} of {entry.actor}: {localize_times(entry.reason)}"]
-    steps = list(StepOrder(shown.steps).iterate_written()) if shown is not None else []
+    steps = list(StepOrder(shown_job.steps).iterate_written()) if shown_job is not None else []
     lines += [f"  {index} {step.describe()}" for index, step in steps[:MAX_SHOWN_STEPS]]
     lines += [f"  and {len(steps) - MAX_SHOWN_STEPS} more steps"] if len(steps) > MAX_SHOWN_STEPS else []
     lines += ["plan:", *(f"  {name}: {text}" for name, text in planned.plan.parts.items())]

@@ -34,7 +34,7 @@ class ArmedOptions(NamedTuple):
 
 async def run_armed(options: ArmedOptions, new_event: Callable[[], tuple[str, str]], find_latched: FindLatched) -> None:
     """Keep the button armed until SIGINT or SIGTERM. Raises `TriggerLost` when nothing can press it any more."""
-    loop, end, lost, opened = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event(), list[ZenohBus]()
+    loop, end, lost_event, opened_buses = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event(), list[ZenohBus]()
     set_realtime_priority(RealtimePriority.BUS)
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
@@ -50,8 +50,8 @@ async def run_armed(options: ArmedOptions, new_event: Callable[[], tuple[str, st
     async def connect() -> Bus:
         while True:
             try:
-                opened.append(await open_bus(options.connect, CONNECT_S))
-                return opened[0]
+                opened_buses.append(await open_bus(options.connect, CONNECT_S))
+                return opened_buses[0]
             except RouterUnreachable:
                 await asyncio.sleep(CONNECT_S)
 
@@ -59,19 +59,19 @@ async def run_armed(options: ArmedOptions, new_event: Callable[[], tuple[str, st
     with contextlib.ExitStack() as restore:
         words = ""
         try:
-            words = f"{restore.enter_context(watch_standard_input(button.press, lost))} here"
+            words = f"{restore.enter_context(watch_standard_input(button.press, lost_event))} here"
         except TriggerLost:
             if not options.port:
                 raise
         report("safety", SAFETY)
         if words:
             report("input", f"{words} presses the button; Ctrl-C disarms it")
-        trigger = watch_port(options.port, button.press, report) if options.port else _fail_when_lost(lost)
+        trigger = watch_port(options.port, button.press, report) if options.port else _fail_when_lost(lost_event)
         tasks = [loop.create_task(each) for each in (button.run(connect), trigger, _wait_for(end))]
         try:
             await _wait_for_first(tasks)
         finally:
-            for bus in opened:
+            for bus in opened_buses:
                 await bus.close()
     report("disarmed", "disarmed")
 
@@ -87,9 +87,9 @@ async def _fail_when_lost(lost: asyncio.Event) -> None:
 
 async def _wait_for_first(tasks: "list[asyncio.Task[None]]") -> None:
     """Wait for the first of the tasks to end, raise its error, and cancel the others."""
-    done, others = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    for task in others:
+    done_tasks, others_tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in others_tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-    for task in done:
+    for task in done_tasks:
         task.result()

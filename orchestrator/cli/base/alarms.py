@@ -17,16 +17,16 @@ PRIORITIES = {"high": "bold red", "medium": "yellow", "low": "cyan"}
 def make_alarm_table(alarms: Sequence[AlarmRecord], *, actions: bool) -> RenderableType:
     """Build a table with one row per alarm, and its text below. actions: with what to do while its cause holds."""
     table = make_plain_table(["priority", "state", "raised", "alarm"])
-    for each in alarms:
-        unseen = each.state != "acknowledged" and each.is_open
-        priority = Text(each.priority, PRIORITIES[each.priority] if each.is_open else "dim")
-        state = Text(each.state, "bold" if unseen else "")
-        style = "" if each.is_open else "dim"
-        table.add_row(priority, state, format_time(each.raised_utc), each.id, style=style)
-        times = f" ({each.count} times)" if each.count > 1 else ""
-        action = f" → {each.action}" if actions and each.is_active and each.action else ""
-        absence = describe_absence(each)
-        table.add_note(f"{each.text}{times}{action}" + (f"\n{absence}" if absence else ""))
+    for alarm in alarms:
+        unseen = alarm.state != "acknowledged" and alarm.is_open
+        priority = Text(alarm.priority, PRIORITIES[alarm.priority] if alarm.is_open else "dim")
+        state = Text(alarm.state, "bold" if unseen else "")
+        style = "" if alarm.is_open else "dim"
+        table.add_row(priority, state, format_time(alarm.raised_utc), alarm.id, style=style)
+        times = f" ({alarm.count} times)" if alarm.count > 1 else ""
+        action = f" → {alarm.action}" if actions and alarm.is_active and alarm.action else ""
+        absence = describe_absence(alarm)
+        table.add_note(f"{alarm.text}{times}{action}" + (f"\n{absence}" if absence else ""))
     return table
 
 
@@ -40,12 +40,12 @@ def describe_absence(alarm: AlarmRecord) -> str:
 
 def print_open_alarms(alarms: Sequence[AlarmRecord]) -> None:
     """Print one line about the alarms that wait for a user, if there are any."""
-    waiting = [each for each in alarms if each.is_open]
-    if not waiting:
+    waiting_alarms = [alarm for alarm in alarms if alarm.is_open]
+    if not waiting_alarms:
         return
-    counts = Counter(each.priority for each in waiting)
-    shown = ", ".join(f"{counts[each]} {each}" for each in PRIORITIES if counts[each])
-    new = sum(each.state != "acknowledged" for each in waiting)
-    worst = next(each for each in PRIORITIES if counts[each])
+    counts = Counter(record.priority for record in waiting_alarms)
+    shown = ", ".join(f"{counts[priority]} {priority}" for priority in PRIORITIES if counts[priority])
+    new = sum(record.state != "acknowledged" for record in waiting_alarms)
+    worst = next(priority for priority in PRIORITIES if counts[priority])
     text = f"alarms: {shown}; {new} not acknowledged → `tutti alarm ls`"
     console.print(text, style=PRIORITIES[worst], highlight=False, markup=False)

@@ -20,10 +20,10 @@ class DurationType(click.ParamType[float]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if isinstance(value, float):
             return value
-        found = DURATION.match(str(value))
-        if not found:
+        match = DURATION.match(str(value))
+        if not match:
             self.fail(f"{value!r}: write a number and s, min, h, d or w, e.g. 90d", param, ctx)
-        seconds, most = _to_seconds(found), DURATION.match(self._at_most)
+        seconds, most = _to_seconds(match), DURATION.match(self._at_most)
         assert most is not None
         if seconds > _to_seconds(most):
             self.fail(f"{value} is too long: at most {self._at_most}", param, ctx)

@@ -195,4 +195,4 @@ def _exit_with_validation_error(error: Any) -> NoReturn:
 
 
 def _names_below(kind: type) -> set[str]:
-    return {kind.__name__}.union(*(_names_below(each) for each in kind.__subclasses__()))
+    return {kind.__name__}.union(*(_names_below(subclass) for subclass in kind.__subclasses__()))

@@ -13,7 +13,7 @@ _EXTRAS = {
 
 def find_missing(extra: str) -> tuple[str, str] | None:
     """What an extra needs and is not installed, and the remedy; None if nothing is missing."""
-    missing = [name for name in _EXTRAS[extra] if find_spec(name) is None]
-    if not missing:
+    missing_modules = [name for name in _EXTRAS[extra] if find_spec(name) is None]
+    if not missing_modules:
         return None
-    return f"not installed: {', '.join(missing)}", f"install it: pip install 'tutti[{extra}]'"
+    return f"not installed: {', '.join(missing_modules)}", f"install it: pip install 'tutti[{extra}]'"

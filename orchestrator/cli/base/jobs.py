@@ -47,15 +47,15 @@ def jobs_argument(*, required: bool) -> Callable[[F], F]:
 
 def name_jobs(*jobs: "QueuedJob") -> str:
     """Jobs in words: their names, each with its id."""
-    return ", ".join(f"job {each.name!r} {each.id}" for each in jobs)
+    return ", ".join(f"job {job.name!r} {job.id}" for job in jobs)
 
 
 async def load_report(tutti: "Tutti", reference: str) -> "JobReport":
     """The report of a finished job; one that has not ended ends the command. Raises `Refusal`."""
     entry = await tutti.find_job(reference)
-    found = (await tutti.show_job(entry.id)).report
-    if found is None:
+    report = (await tutti.show_job(entry.id)).report
+    if report is None:
         exit_with_error(
             f"{name_jobs(entry)} has not ended", FAILED, f"see `tutti job show {entry.id}`", code="not-ended"
         )
-    return found
+    return report

@@ -9,14 +9,21 @@ if TYPE_CHECKING:
 
 def describe_positions(states: "Mapping[str, ControllerState]", axes: Collection[str] | None = None) -> str:
     """`gantry.x 120.000 mm, gantry.y 0.000 mm`: of `axes`, or of all; without those of controllers that are offline."""
-    return ", ".join(f"{name} {now.position:.3f} {now.unit}" for name, now in _select_axes(states, axes))
+    return ", ".join(
+        f"{name} {state_now.position:.3f} {state_now.unit}" for name, state_now in _select_axes(states, axes)
+    )
 
 
 def list_positions(states: "Mapping[str, ControllerState]", axes: Collection[str]) -> dict[str, dict[str, Any]]:
     """The same for programs."""
     return {
-        name: {"position": now.position, "unit": now.unit, "enabled": now.enabled, "referenced": now.referenced}
-        for name, now in _select_axes(states, axes)
+        name: {
+            "position": state_now.position,
+            "unit": state_now.unit,
+            "enabled": state_now.enabled,
+            "referenced": state_now.referenced,
+        }
+        for name, state_now in _select_axes(states, axes)
     }
 
 
@@ -24,6 +31,6 @@ def _select_axes(
     states: "Mapping[str, ControllerState]", axes: Collection[str] | None
 ) -> "Iterator[tuple[str, AxisState]]":
     for controller, state in states.items():
-        for axis, now in state.axes.items() if state.mode != "offline" else ():
+        for axis, state_now in state.axes.items() if state.mode != "offline" else ():
             if axes is None or f"{controller}.{axis}" in axes:
-                yield f"{controller}.{axis}", now
+                yield f"{controller}.{axis}", state_now

@@ -11,10 +11,10 @@ _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kMGT]?B)")
 
 def parse_size(text: str) -> int:
     """Return a size in bytes. Raises `ValueError`, which names the units."""
-    found = _SIZE.fullmatch(text.strip())
-    if found is None:
+    match = _SIZE.fullmatch(text.strip())
+    if match is None:
         raise ValueError(f"{text!r} is no size; write a number and one of {', '.join(_UNITS)}, e.g. 2GB")
-    return round(float(found[1]) * _UNITS[found[2]])
+    return round(float(match[1]) * _UNITS[match[2]])
 
 
 def format_size(count: int) -> str:

@@ -86,15 +86,15 @@ async def _find_configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict
     from orchestrator.model.fleet import Axis
 
     infos = await asyncio.gather(*(tutti.controller_info(controller) for controller in await tutti.status()))
-    known = {
+    known_infos = {
         f"{info.controller}.{name}": Axis.model_validate(axis) for info in infos for name, axis in info.axes.items()
     }
     if not wanted:
-        return known
-    chosen: dict[str, Axis] = {}
+        return known_infos
+    chosen_axes: dict[str, Axis] = {}
     for name in wanted:
-        found = {axis: config for axis, config in known.items() if name in (axis, axis.partition(".")[0])}
-        if not found:
-            exit_with_error(f"no axis or controller {name!r}; the axes are: {', '.join(known)}", BAD_INPUT)
-        chosen |= found
-    return chosen
+        configs = {axis: config for axis, config in known_infos.items() if name in (axis, axis.partition(".")[0])}
+        if not configs:
+            exit_with_error(f"no axis or controller {name!r}; the axes are: {', '.join(known_infos)}", BAD_INPUT)
+        chosen_axes |= configs
+    return chosen_axes

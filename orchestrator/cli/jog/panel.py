@@ -159,8 +159,8 @@ class JogPanel:
 
     def jog_speed(self, axis: str) -> float:
         """Return the largest permitted jog speed of the axis now, unit/s."""
-        now = self.axis_state(axis)
-        return self.axes[axis].jog_speed(referenced=now is not None and now.referenced)
+        state_now = self.axis_state(axis)
+        return self.axes[axis].jog_speed(referenced=state_now is not None and state_now.referenced)
 
     def key_speed(self) -> float:
         """The speed of a key press now, unit/s."""
@@ -312,8 +312,8 @@ class JogPanel:
             self._blocked, self.refusal, self.note = False, None, ""
             if self.work.running is not None:
                 return self._refuse_while_working()
-            ended = self._end_motion(now_ns)
-            return [*ended, *(self._handle_press(now_ns) if self.work.step_size is None else self._make_step())]
+            ended_motion = self._end_motion(now_ns)
+            return [*ended_motion, *(self._handle_press(now_ns) if self.work.step_size is None else self._make_step())]
         if grip is KeyChange.GO_ON:
             # A key that is held makes one step.
             return [] if self._blocked or self.work.step_size is not None else self._handle_press(now_ns)
@@ -329,9 +329,9 @@ class JogPanel:
             return self._begin_motion(now_ns)
         if self._acquiring:
             return []
-        back = self._release_axes()
+        back_axes = self._release_axes()
         self._acquiring = True
-        return [*back, AcquireAxis(self.chosen_axis)]
+        return [*back_axes, AcquireAxis(self.chosen_axis)]
 
     def _make_step(self) -> list[PanelAction]:
         """Start a step in the direction of the pressed key. Its job acquires the axis itself."""
@@ -345,12 +345,12 @@ class JogPanel:
         if self.work.running is not None:
             return self._refuse_while_working()
         self.refusal, self.note = None, ""
-        ended = self._stop_and_block(now_ns)
+        ended_stop = self._stop_and_block(now_ns)
         work = start()
         if work is None:
             self.note = f"press {key} again within 3 s"
-            return ended
-        return [*ended, *self._release_axes(), work]
+            return ended_stop
+        return [*ended_stop, *self._release_axes(), work]
 
     def _refuse_while_working(self) -> list[PanelAction]:
         assert self.work.running is not None
@@ -386,8 +386,8 @@ class JogPanel:
         """Stop, and ignore the held key until the next press."""
         self._held_key.release_key()
         self._blocked = True
-        cancelled = [] if self.work.running is None else [CancelWork()]
-        return [*self._end_motion(now_ns), *cancelled]
+        cancelled_works = [] if self.work.running is None else [CancelWork()]
+        return [*self._end_motion(now_ns), *cancelled_works]
 
     def _show_refusal(self, refusal: Refusal) -> None:
         """Show a refusal: nothing moves until the next key press."""

@@ -27,8 +27,8 @@ _ARROWS = {-1: "◀◀◀", 0: " ■ ", 1: "▶▶▶"}
 def render_panel(panel: JogPanel, now_ns: int, columns: int, rows: int) -> RenderableType:
     """Render the whole panel for a terminal of this size."""
     troubles = _list_troubles(panel, now_ns)
-    beside = OTHER_LINES + sum(-(-len(text) // columns) for text in troubles)
-    axes = _render_axes(panel, now_ns, columns, max(1, rows - beside))
+    other_lines = OTHER_LINES + sum(-(-len(text) // columns) for text in troubles)
+    axes = _render_axes(panel, now_ns, columns, max(1, rows - other_lines))
     return Group(
         _render_head(panel),
         "",
@@ -71,21 +71,21 @@ def _render_axes(panel: JogPanel, now_ns: int, columns: int, room: int) -> Table
 
 
 def _make_row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
-    now, axis = panel.axis_state(name), panel.axes[name]
+    state_now, axis = panel.axis_state(name), panel.axes[name]
     mark, by = "▸" if name == panel.chosen_axis else "", panel.describe_holder(name)
     held_by = Text(by, style="bold cyan" if by == "you" else "yellow")
-    if now is None or _is_stale(panel, name, now_ns):
-        gone = "offline" if now is None else "silent"
+    if state_now is None or _is_stale(panel, name, now_ns):
+        gone = "offline" if state_now is None else "silent"
         return [mark, name, "-", "-", Text(gone, style="red"), "", "", "", "", held_by]
-    low, high = _describe_room(axis, now)
+    low, high = _describe_room(axis, state_now)
     return [
         mark,
         name,
-        f"{now.position:,.3f} {now.unit}",
-        f"{now.velocity:,.2f} /s",
-        Text("on", style="green") if now.enabled else Text("off", style="yellow"),
-        Text("yes", style="green") if now.referenced else Text("no", style="yellow"),
-        Text(_LIMITS[now.limit], style="bold red"),
+        f"{state_now.position:,.3f} {state_now.unit}",
+        f"{state_now.velocity:,.2f} /s",
+        Text("on", style="green") if state_now.enabled else Text("off", style="yellow"),
+        Text("yes", style="green") if state_now.referenced else Text("no", style="yellow"),
+        Text(_LIMITS[state_now.limit], style="bold red"),
         low,
         high,
         held_by,
@@ -111,23 +111,23 @@ def _format_short(value: float) -> str:
 
 def _render_motion(panel: JogPanel) -> RenderableType:
     """Describe the speed of a key press, and the current motion."""
-    axis, now = panel.axes[panel.chosen_axis], panel.axis_state(panel.chosen_axis)
+    axis, state_now = panel.axes[panel.chosen_axis], panel.axis_state(panel.chosen_axis)
     most = panel.jog_speed(panel.chosen_axis)
-    why = "" if now is None or now.referenced else ", slow: unreferenced"
+    why = "" if state_now is None or state_now.referenced else ", slow: unreferenced"
     unit = axis.unit
-    doing = "at rest"
+    doing_words = "at rest"
     if panel.work.running is not None:
-        doing = panel.work.running.words
+        doing_words = panel.work.running.words
     elif panel.jog_direction:
-        doing = "jogging"
-    elif now is not None and now.moving:
-        doing = "moving"
+        doing_words = "jogging"
+    elif state_now is not None and state_now.moving:
+        doing_words = "moving"
     filled = round(panel.speed_fraction * 20)
     return Group(
         Text.assemble(
             f"{panel.chosen_axis}  ",
             (_ARROWS[panel.jog_direction], "bold cyan" if panel.jog_direction else "dim"),
-            f"  {doing}",
+            f"  {doing_words}",
         ),
         _describe_arrows(panel, unit),
         Text.assemble(

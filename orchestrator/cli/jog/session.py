@@ -222,12 +222,12 @@ class JogSession:
         )
 
     async def _estop_fleet(self) -> None:
-        latched = await self._tutti.estop("at the jog panel")
-        wrong = [controller for controller, done in latched.items() if not done]
-        if wrong or not latched:
+        latched_estop = await self._tutti.estop("at the jog panel")
+        wrong = [controller for controller, done in latched_estop.items() if not done]
+        if wrong or not latched_estop:
             self._panel.show_note(f"NOT LATCHED: {', '.join(wrong) or 'no controller answers'}; use the wired e-stop")
         else:
-            self._panel.show_note(f"e-stop latched: {', '.join(latched)}")
+            self._panel.show_note(f"e-stop latched: {', '.join(latched_estop)}")
 
     # Tasks
 

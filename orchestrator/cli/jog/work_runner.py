@@ -26,10 +26,10 @@ class WorkRunner:
 
     def start(self, work: RunWork) -> asyncio.Event:
         """Start a work; it waits for the returned event, which is to be set once its axis is released."""
-        released = asyncio.Event()
-        self._running = asyncio.get_running_loop().create_task(self._run_job(work, released))
+        released_event = asyncio.Event()
+        self._running = asyncio.get_running_loop().create_task(self._run_job(work, released_event))
         self._start_request(self._report_end(work, self._running))
-        return released
+        return released_event
 
     def cancel(self) -> None:
         """Stop the running work, if there is one."""

@@ -49,22 +49,22 @@ def check(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
 
     path = _find_journal(state, fleet)
     with _journal_errors():
-        found = check_journal(path)
+        found_journal = check_journal(path)
     if as_json:
-        damages = [each._asdict() for each in found.damages]
-        fields = {"schema": found.schema, "epoch": found.epoch, "jobs": found.jobs}
+        damages = [damage._asdict() for damage in found_journal.damages]
+        fields = {"schema": found_journal.schema, "epoch": found_journal.epoch, "jobs": found_journal.jobs}
         print_json({"journal": str(path), **fields, "damages": damages})
     else:
-        schema = f"schema {found.schema}"
-        if found.schema < VERSION:
+        schema = f"schema {found_journal.schema}"
+        if found_journal.schema < VERSION:
             schema += f", which becomes {VERSION} at the next start of the fleet"
-        jobs = ", ".join(f"{count} {name}" for name, count in found.jobs.items()) or "none"
-        epoch = "damaged" if found.epoch is None else found.epoch
+        jobs = ", ".join(f"{count} {name}" for name, count in found_journal.jobs.items()) or "none"
+        epoch = "damaged" if found_journal.epoch is None else found_journal.epoch
         lines = [f"{path}: {schema}; epoch {epoch}; jobs: {jobs}"]
-        lines += [f"damaged: {each.place}: {each.problem}\n  {each.remedy}" for each in found.damages]
-        lines += [] if found.damages else ["no damage found"]
+        lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in found_journal.damages]
+        lines += [] if found_journal.damages else ["no damage found"]
         _print_lines(lines)
-    if found.damages:
+    if found_journal.damages:
         raise SystemExit(FAILED)
 
 
@@ -84,7 +84,7 @@ def backup(state: Path | None, fleet: str | None, output: Path, *, force: bool, 
     _refuse_existing(output, force=force)
     with _journal_errors(), expected_errors():
         manifest = write_backup(folder, output, find_own_version(), _utc())
-    size = sum(each.size for each in manifest.members.values())
+    size = sum(member.size for member in manifest.members.values())
     value = {"file": str(output), "epoch": manifest.epoch, "members": sorted(manifest.members)}
     words = f"{output}: {len(manifest.members)} files of {folder}, {size / 1e6:.1f} MB, epoch {manifest.epoch}"
     print_result(value, words, as_json=as_json)
@@ -134,19 +134,19 @@ def import_(file: Path, state: Path | None, fleet: str | None, *, replace: bool,
     seen = with_fleet(connect, fleet, _find_epochs) if connect else {}
     with _journal_errors(), expected_errors():
         wishes = ImportWishes(actor_name(), _utc(), replace, tuple(seen.values()))
-        done = import_state(file, folder, wishes)
+        done_state = import_state(file, folder, wishes)
     if as_json:
-        damages = [each._asdict() for each in done.damages]
-        kept = None if done.replaced is None else str(done.replaced)
-        fields = {"epoch": done.epoch, "jobs": done.jobs, "replaced": kept, "left_out": done.left_out}
+        damages = [damage._asdict() for damage in done_state.damages]
+        kept = None if done_state.replaced is None else str(done_state.replaced)
+        fields = {"epoch": done_state.epoch, "jobs": done_state.jobs, "replaced": kept, "left_out": done_state.left_out}
         print_json({"state": str(folder), **fields, "controllers": seen, "damages": damages})
         return
-    jobs = ", ".join(f"{count} {name}" for name, count in done.jobs.items()) or "none"
-    lines = [f"{folder}: imported; epoch {done.epoch}; jobs: {jobs}"]
-    lines += [f"the journal of before is in {done.replaced}"] if done.replaced else []
-    lines += [f"left as it was in the folder: {', '.join(done.left_out)}"] if done.left_out else []
+    jobs = ", ".join(f"{count} {name}" for name, count in done_state.jobs.items()) or "none"
+    lines = [f"{folder}: imported; epoch {done_state.epoch}; jobs: {jobs}"]
+    lines += [f"the journal of before is in {done_state.replaced}"] if done_state.replaced else []
+    lines += [f"left as it was in the folder: {', '.join(done_state.left_out)}"] if done_state.left_out else []
     lines += [f"epochs of controllers: {', '.join(f'{name} {epoch}' for name, epoch in seen.items())}"] if seen else []
-    lines += [f"damaged: {each.place}: {each.problem}\n  {each.remedy}" for each in done.damages]
+    lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in done_state.damages]
     _print_lines([*lines, "the queue is stopped: look which jobs still have to run, then `tutti queue start`"])
 
 
@@ -164,14 +164,14 @@ def _find_journal(state: Path | None, fleet: str | None) -> Path:
         if not path.exists():
             exit_with_error(f"{path}: there is no journal", BAD_INPUT, "name the folder of `tutti up` with --state")
         return path
-    below = default_state("any").parent
-    found = sorted(below.glob(f"*/{JOURNAL}"))
-    if not found:
-        exit_with_error(f"{below}: there is no journal of a fleet", BAD_INPUT, "name its folder with --state")
-    if len(found) > 1:
-        names = ", ".join(path.parent.name for path in found)
+    state_folder = default_state("any").parent
+    journals = sorted(state_folder.glob(f"*/{JOURNAL}"))
+    if not journals:
+        exit_with_error(f"{state_folder}: there is no journal of a fleet", BAD_INPUT, "name its folder with --state")
+    if len(journals) > 1:
+        names = ", ".join(path.parent.name for path in journals)
         exit_with_error(f"several fleets have a journal: {names}", BAD_INPUT, "choose one with --fleet or --state")
-    return found[0]
+    return journals[0]
 
 
 def _refuse_existing(output: Path, *, force: bool) -> None:

@@ -189,9 +189,9 @@ def list_keys(folder: Path, *, as_json: bool) -> None:
         )
         return
     table = Table("name", "role", "expires", "state", "addresses", box=None)
-    for each in _sort(register):
-        shown = (str(each.key_name), each.role, f"{each.expires():%Y-%m-%d}", _state_of(each, now))
-        table.add_row(*shown, ", ".join(each.addresses))
+    for entry in _sort(register):
+        cells = (str(entry.key_name), entry.role, f"{entry.expires():%Y-%m-%d}", _state_of(entry, now))
+        table.add_row(*cells, ", ".join(entry.addresses))
     console.print(table)
 
 
@@ -216,9 +216,9 @@ def _add(
 
 
 def _print_entry(made: "KeyFolder", entry: "RegisterEntry", *, as_json: bool) -> None:
-    handed = made.identity(entry.key_name.subject)
-    value = {"name": str(entry.key_name), "identity": str(handed), "expires_utc": entry.expires_utc}
-    words = f"{entry.key_name}, until {entry.expires():%Y-%m-%d}; hand over the folder {handed}\n{RESTART}"
+    handed_identity = made.identity(entry.key_name.subject)
+    value = {"name": str(entry.key_name), "identity": str(handed_identity), "expires_utc": entry.expires_utc}
+    words = f"{entry.key_name}, until {entry.expires():%Y-%m-%d}; hand over the folder {handed_identity}\n{RESTART}"
     print_result(value, words, as_json=as_json)
 
 

@@ -110,14 +110,14 @@ async def _route(place: "RouterPlace") -> None:
                 served += 1
             await asyncio.sleep(PROBE_S)
 
-    beside = [asyncio.create_task(probe()), asyncio.create_task(manager.feed_watchdog(lambda: served))]
-    running = asyncio.ensure_future(RouterService(place, print_line).run(announce))
+    tasks_beside = [asyncio.create_task(probe()), asyncio.create_task(manager.feed_watchdog(lambda: served))]
+    running_task = asyncio.ensure_future(RouterService(place, print_line).run(announce))
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, running.cancel)
+        asyncio.get_running_loop().add_signal_handler(number, running_task.cancel)
     try:
-        await running
+        await running_task
     except asyncio.CancelledError:
         return
     finally:
-        for task in beside:
+        for task in tasks_beside:
             task.cancel()

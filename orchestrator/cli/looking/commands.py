@@ -32,13 +32,13 @@ def list_commands(
 
     async def show_commands(tutti: "Tutti") -> None:
         until = None if before is None else before.isoformat()
-        found = await tutti.list_commands(limit, before=until, by=by)
+        commands = await tutti.list_commands(limit, before=until, by=by)
         if as_json:
-            print_json([each.to_plain() for each in found])
+            print_json([each.to_plain() for each in commands])
             return
         table = make_plain_table(["time", "user", "command", "about", "refused"], ["user", "about"])
-        for each in found:
-            table.add_row(format_time(each.utc), each.actor, each.verb, each.subject, each.refused)
+        for record in commands:
+            table.add_row(format_time(record.utc), record.actor, record.verb, record.subject, record.refused)
         console.print(table)
 
     with_fleet(connect, fleet, show_commands)

@@ -73,19 +73,19 @@ def log(
 
     folder = choose_state(state, fleet, "log", "logs")
     since_ns = None if since is None else time.time_ns() - round(since * 1e9)
-    wanted = LogFilter(None if job is None else _resolve_job(folder, job), controller, level, since_ns)
+    wanted_filter = LogFilter(None if job is None else _resolve_job(folder, job), controller, level, since_ns)
     with closing(LogFolder(folder / "log")) as files:
-        found = _read(files.read_all)
-        shown = [each for each in found if wanted.accepts(each)]
-        shown = shown if last is None else shown[-last:]
-        layout = None if as_json else LineLayout(shown)
-        _print_lines(shown, layout)
-        _report_damage(found)
+        lines = _read(files.read_all)
+        shown_lines = [line for line in lines if wanted_filter.accepts(line)]
+        shown_lines = shown_lines if last is None else shown_lines[-last:]
+        layout = None if as_json else LineLayout(shown_lines)
+        _print_lines(shown_lines, layout)
+        _report_damage(lines)
         while follow:
             time.sleep(FOLLOW_S)
-            added = _read(files.read_added)
-            _print_lines([each for each in added if wanted.accepts(each)], layout)
-            _report_damage(added)
+            added_lines = _read(files.read_added)
+            _print_lines([line for line in added_lines if wanted_filter.accepts(line)], layout)
+            _report_damage(added_lines)
 
 
 def _read(read: "Callable[[], list[PlacedLine]]") -> "list[PlacedLine]":
@@ -106,15 +106,15 @@ def _resolve_job(folder: Path, reference: str) -> str:
     from orchestrator.model.errors import Refusal
     from orchestrator.runtime.state_folder import find_running_fleet
 
-    running = find_running_fleet(folder)
+    running_fleet = find_running_fleet(folder)
 
     async def find_job(connect: str, name: str) -> str:
         async with Tutti(connect, name, actor=actor_name()) as tutti:
             return (await tutti.find_job(reference)).id
 
-    if running is not None:
+    if running_fleet is not None:
         try:
-            return asyncio.run(find_job(running.connect, running.fleet))
+            return asyncio.run(find_job(running_fleet.connect, running_fleet.fleet))
         except (BusError, RouterUnreachable):
             pass
         except Refusal as error:
@@ -133,13 +133,15 @@ def _print_lines(lines: "Sequence[PlacedLine]", layout: "LineLayout | None") -> 
     for at in range(0, len(lines), PRINTED_AT_ONCE):
         part = lines[at : at + PRINTED_AT_ONCE]
         if layout is None:
-            console.out("\n".join(json.dumps(make_plain_line(each)) for each in part), highlight=False)
+            console.out("\n".join(json.dumps(make_plain_line(line)) for line in part), highlight=False)
         else:
             console.print(*map(layout.format_line, part), sep="\n", soft_wrap=True)
 
 
 def _report_damage(lines: "Sequence[PlacedLine]") -> None:
     """Say on standard error how many lines could not be read, of which files."""
-    damaged = [each.line.file for each in lines if each.line.damaged]
-    for name in dict.fromkeys(damaged):
-        errors.print(f"{damaged.count(name)} damaged lines in {name}, shown as they are", highlight=False, style="dim")
+    damaged_files = [line.line.file for line in lines if line.line.damaged]
+    for name in dict.fromkeys(damaged_files):
+        errors.print(
+            f"{damaged_files.count(name)} damaged lines in {name}, shown as they are", highlight=False, style="dim"
+        )

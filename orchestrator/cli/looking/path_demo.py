@@ -29,7 +29,7 @@ def run_path(out: Path | None, *, wanted: bool, as_json: bool) -> None:
     fleet, job = load_fleet(find_example("path.fleet.yaml")), load_job(find_example("path.job.yaml"))
     with expected_errors():
         demo = run_path_demo(fleet, job)
-    report = next(each.path for each in demo.report.steps if each.path is not None)
+    report = next(step.path for step in demo.report.steps if step.path is not None)
     assert report.bound is not None
     worst = float(demo.errors.max())
     summary = {
@@ -41,23 +41,23 @@ def run_path(out: Path | None, *, wanted: bool, as_json: bool) -> None:
             "p99": round(float(np.percentile(demo.errors, 99)), 6),
             "within_bound": worst <= report.bound.predicted,
         },
-        "samples": {axis: len(each.times_s) for axis, each in demo.samples.items()},
+        "samples": {axis: len(sample.times_s) for axis, sample in demo.samples.items()},
         "file": None if out is None else str(out),
     }
     if out is not None:
         times_s = np.linspace(0.0, demo.plan.duration_s, SAMPLES)
-        drawn = SampledPath(
+        drawn_path = SampledPath(
             demo.axes,
             times_s,
             demo.plan.evaluate(times_s).positions,
-            {axis: (each.times_s, each.positions) for axis, each in demo.samples.items()},
+            {axis: (sample.times_s, sample.positions) for axis, sample in demo.samples.items()},
             demo.times_s,
             demo.errors,
             report.bound,
         )
-        makes = ", ".join(dict.fromkeys(each.adapter for each in fleet.controllers.values()))
+        makes = ", ".join(dict.fromkeys(controller.adapter for controller in fleet.controllers.values()))
         title = f"{job.name}: {report.length:.0f} {demo.unit} in {report.duration_s:.1f} s, {makes}"
-        write_picture(plot_sampled_path(drawn, title), out)
+        write_picture(plot_sampled_path(drawn_path, title), out)
     if as_json:
         print_json(summary)
     else:

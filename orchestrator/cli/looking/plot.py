@@ -38,15 +38,15 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
     """
 
     async def plot_job(tutti: "Tutti") -> None:
-        shown = await tutti.show_job((await tutti.find_job(job)).id)
-        assert shown.entry is not None
-        figures = await _draw_figures(tutti, shown, shown.entry, step)
+        shown_job = await tutti.show_job((await tutti.find_job(job)).id)
+        assert shown_job.entry is not None
+        figures = await _draw_figures(tutti, shown_job, shown_job.entry, step)
         if not figures:
-            text = f"{name_jobs(shown.entry)} has no recording" + ("" if step is None else f" of step {step}")
+            text = f"{name_jobs(shown_job.entry)} has no recording" + ("" if step is None else f" of step {step}")
             exit_with_error(text, FAILED, "recordings are kept for the newest jobs only")
         files: dict[str, str] = {}
         for part, figure in figures.items():
-            path = out or Path(f"{shown.entry.id}.png")
+            path = out or Path(f"{shown_job.entry.id}.png")
             if part != WHOLE_JOB and (out is None or len(figures) > 1):
                 path = path.with_stem(f"{path.stem}-{part}")
             write_picture(figure, path)
@@ -67,8 +67,8 @@ async def _draw_figures(
     title = f"job {entry.id} {entry.name!r}"
     scans = await _load_scans(tutti, entry, step)
     # The first step of a scan is its first point too; the scan is meant.
-    wanted = [each for each in ([step] if step is not None else _list_moves(shown)) if each not in scans]
-    recordings = await _load_recordings(tutti, entry.id, wanted)
+    wanted_steps = [each for each in ([step] if step is not None else _list_moves(shown)) if each not in scans]
+    recordings = await _load_recordings(tutti, entry.id, wanted_steps)
     figures: dict[str, Figure] = {}
     if recordings:
         part = WHOLE_JOB if step is None else str(step)
@@ -80,20 +80,20 @@ async def _draw_figures(
 
 
 async def _load_recordings(tutti: "Tutti", job_id: str, steps: list[int]) -> "list[StepRecording]":
-    found = [await tutti.load_recording(job_id, index) for index in steps[:MAX_PLOTTED_STEPS]]
+    recordings = [await tutti.load_recording(job_id, index) for index in steps[:MAX_PLOTTED_STEPS]]
     if len(steps) > MAX_PLOTTED_STEPS:
         text = f"the first {MAX_PLOTTED_STEPS} of {len(steps)} motion steps are plotted; others with --step"
         errors.print(text, highlight=False, soft_wrap=True)
-    return [each for each in found if each is not None]
+    return [recording for recording in recordings if recording is not None]
 
 
 async def _load_scans(tutti: "Tutti", entry: "QueueEntry", step: int | None) -> "dict[int, list[PointRecord]]":
     """The points of each scan of a job, by its first step."""
     scans: dict[int, list[PointRecord]] = {}
-    async for each in tutti.iterate_points(entry.id, step):
-        known = scans.setdefault(each.step, [])
-        if len(known) < MAX_PLOTTED_POINTS:
-            known.append(each)
+    async for point in tutti.iterate_points(entry.id, step):
+        known_records = scans.setdefault(point.step, [])
+        if len(known_records) < MAX_PLOTTED_POINTS:
+            known_records.append(point)
     return scans
 
 

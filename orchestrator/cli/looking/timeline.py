@@ -34,27 +34,27 @@ def timeline(job: str, step: int | None, out: Path | None, connect: str, fleet: 
 
     async def show_timeline(tutti: "Tutti") -> None:
         report = await load_report(tutti, job)
-        found = _select_step(make_timeline(report), report, step)
+        found_step = _select_step(make_timeline(report), report, step)
         if out is not None:
-            files = _write_pictures(found, out)
+            files = _write_pictures(found_step, out)
             words = "\n".join(f"step {number}: {path}" for number, path in files.items())
             print_result(files, words, as_json=as_json)
         elif as_json:
-            print_json(found.to_plain())
+            print_json(found_step.to_plain())
         else:
-            console.print(make_timeline_tables(found), highlight=False)
+            console.print(make_timeline_tables(found_step), highlight=False)
 
     with_fleet(connect, fleet, show_timeline)
 
 
 def _select_step(timeline: "JobTimeline", report: "JobReport", step: int | None) -> "JobTimeline":
-    there = [each.step for each in timeline.steps]
-    if step is None and there:
+    steps_there = [each.step for each in timeline.steps]
+    if step is None and steps_there:
         return timeline
-    if step in there:
+    if step in steps_there:
         return timeline.model_copy(update={"steps": [each for each in timeline.steps if each.step == step]})
     text = f"job {report.name!r} {report.job_id} has no motion step{'' if step is None else f' {step}'} that was armed"
-    known = f"it has: {', '.join(map(str, there[:12]))}" if there else "see `tutti job report`"
+    known = f"it has: {', '.join(map(str, steps_there[:12]))}" if steps_there else "see `tutti job report`"
     exit_with_error(text, FAILED if step is None else BAD_INPUT, known)
 
 
@@ -62,9 +62,9 @@ def _write_pictures(timeline: "JobTimeline", out: Path) -> dict[str, str]:
     from orchestrator.monitor.timeline.picture import draw_step
 
     files: dict[str, str] = {}
-    for each in timeline.steps:
-        path = out if len(timeline.steps) == 1 else out.with_stem(f"{out.stem}-{each.step}")
-        title = f"job {timeline.job_id} {timeline.name!r}, step {each.step} {each.name}".rstrip()
-        write_picture(draw_step(each, title), path)
-        files[str(each.step)] = str(path)
+    for step in timeline.steps:
+        path = out if len(timeline.steps) == 1 else out.with_stem(f"{out.stem}-{step.step}")
+        title = f"job {timeline.job_id} {timeline.name!r}, step {step.step} {step.name}".rstrip()
+        write_picture(draw_step(step, title), path)
+        files[str(step.step)] = str(path)
     return files

@@ -73,7 +73,7 @@ def trace(
 
         reader = FrameList(reply, raw=raw)
         if not follow and as_json:
-            print_json({**reply.to_plain(), "frames": [each._asdict() for each in reader.read_frames(reply)]})
+            print_json({**reply.to_plain(), "frames": [frame._asdict() for frame in reader.read_frames(reply)]})
             return
         if not as_json:
             console.print(reader.describe_origin(), highlight=False)
@@ -89,11 +89,11 @@ def trace(
 def _print_frames(reader: "FrameList", reply: "TraceReply", *, as_json: bool) -> None:
     if reply.lost and not as_json:
         console.print(f"{reply.lost} entries are lost: more than the adapter keeps", style="yellow", highlight=False)
-    for each in reader.read_frames(reply):
+    for frame in reader.read_frames(reply):
         if as_json:
-            console.out(json.dumps(each._asdict()), highlight=False)
+            console.out(json.dumps(frame._asdict()), highlight=False)
         else:
-            console.print(_format_frame(each), soft_wrap=True)
+            console.print(_format_frame(frame), soft_wrap=True)
 
 
 def _format_frame(frame: "ShownFrame") -> "Text":

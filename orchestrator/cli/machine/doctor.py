@@ -41,19 +41,19 @@ def doctor(file: Path | None, hosts: tuple[str, ...], connect: str, state: Path 
     certificate, the router, versions, and whether other computers reach the bus without TLS; with FILE also the links
     of its controllers. Nothing is changed.
     """
-    found = _examine(file, hosts, connect, state)
+    findings = _examine(file, hosts, connect, state)
     if as_json:
         print_json(
             {
                 "findings": [
-                    {"check": each.check, "state": each.state, "text": each.text, "remedy": each.remedy}
-                    for each in found
+                    {"check": finding.check, "state": finding.state, "text": finding.text, "remedy": finding.remedy}
+                    for finding in findings
                 ]
             }
         )
     else:
-        _print_findings(found)
-    if any(each.state == "failed" for each in found):
+        _print_findings(findings)
+    if any(finding.state == "failed" for finding in findings):
         raise SystemExit(FAILED)
 
 
@@ -71,25 +71,27 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
 
         fleet = load_checked_fleet(file, tolerant=True)
     folder = state or default_state("any" if fleet is None else fleet.fleet)
-    found = [system.check_python(), system.check_versions(), system.check_realtime(), system.check_clock_source()]
-    found += [*system.check_usb_latency(), system.check_disk(folder)]
-    found += system.check_ports((("router", int(DEFAULT_ENDPOINT.rpartition(":")[2])), ("page", 8080)))
+    findings = [system.check_python(), system.check_versions(), system.check_realtime(), system.check_clock_source()]
+    findings += [*system.check_usb_latency(), system.check_disk(folder)]
+    findings += system.check_ports((("router", int(DEFAULT_ENDPOINT.rpartition(":")[2])), ("page", 8080)))
     if fleet is not None:
-        found += check_links(fleet, hosts or fleet.hosts)
+        findings += check_links(fleet, hosts or fleet.hosts)
     if connect:
         router = asyncio.run(check_router(connect))
-        found += (
+        findings += (
             [router]
             if router.state == "failed"
             else [router, *asyncio.run(check_parts(connect)), asyncio.run(check_openness(connect))]
         )
-    return found
+    return findings
 
 
 def _print_findings(found: "list[Finding]") -> None:
     from orchestrator.monitor.tables import make_plain_table
 
     table = make_plain_table(["", "check", "found"])
-    for each in found:
-        table.add_row(_SIGNS[each.state], each.check, each.text + (f"\n→ {each.remedy}" if each.remedy else ""))
+    for finding in found:
+        table.add_row(
+            _SIGNS[finding.state], finding.check, finding.text + (f"\n→ {finding.remedy}" if finding.remedy else "")
+        )
     console.print(table)

@@ -56,15 +56,15 @@ def host(
     async def run_host() -> None:
         folder = state or default_state(f"{fleet}@{name}")
         async with Tutti(connect, fleet, actor="host") as tutti:
-            found = await _find_fleet(tutti, connect, folder, print_line)
-            served = await _find_served(tutti, found, name)
-        if name not in found.hosts:
-            hosts = ", ".join(found.hosts)
+            found_fleet = await _find_fleet(tutti, connect, folder, print_line)
+            served = await _find_served(tutti, found_fleet, name)
+        if name not in found_fleet.hosts:
+            hosts = ", ".join(found_fleet.hosts)
             exit_with_error(
                 f"fleet {fleet} has no controller with `host: {name}`; its hosts: {hosts}", BAD_INPUT, code="no-host"
             )
         _require_absence(served, name)
-        live = LiveFleet(found, folder, print_line, connect, simulated=simulated, truth=truth)
+        live = LiveFleet(found_fleet, folder, print_line, connect, simulated=simulated, truth=truth)
         live.hosts = frozenset((name,))
         await _run_until_ended(live, name, as_json=as_json)
 
@@ -86,10 +86,10 @@ async def _find_fleet(tutti: "Tutti", connect: str, folder: Path, print_line: Ca
         except Refusal as refusal:
             if refusal.code != "no-coordinator":
                 raise
-        stored = folder / FLEET_FILE
-        if stored.exists():
+        stored_folder = folder / FLEET_FILE
+        if stored_folder.exists():
             try:
-                fleet = parse_file(read_file(stored), Fleet)
+                fleet = parse_file(read_file(stored_folder), Fleet)
             except FileError as error:
                 print_line(f"the stored fleet file cannot be used: {error}")
             else:
@@ -104,7 +104,7 @@ async def _find_fleet(tutti: "Tutti", connect: str, folder: Path, print_line: Ca
 async def _find_served(tutti: "Tutti", fleet: "Fleet", name: str) -> list[str]:
     """The controllers of this host that another process serves already."""
     mine = {each for each, config in fleet.controllers.items() if config.host == name}
-    return [each for each in await tutti.status(1.0) if each in mine]
+    return [status for status in await tutti.status(1.0) if status in mine]
 
 
 def _require_absence(served: list[str], name: str) -> None:
@@ -129,9 +129,9 @@ async def _run_until_ended(live: "LiveFleet", name: str, *, as_json: bool) -> No
     words = f"host {name} of fleet {live.fleet.fleet} drives {', '.join(mine)}; state in {live.state}; Ctrl-C ends it"
     print_result({**value, "connect": live.connect, "state": str(live.state)}, words, as_json=as_json)
     following = loop.create_task(_follow_file(live))
-    ended = loop.create_task(end.wait())
+    ended_task = loop.create_task(end.wait())
     assert live.failed is not None
-    await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
+    await asyncio.wait([ended_task, live.failed], return_when=asyncio.FIRST_COMPLETED)
     live.say("stopping")
     following.cancel()
     await live.close()
@@ -150,9 +150,9 @@ async def _follow_file(live: "LiveFleet") -> None:
             async with Tutti(live.connect, live.fleet.fleet, actor="host") as tutti:
                 while True:
                     await asyncio.sleep(FOLLOW_S)
-                    found = await tutti.load_fleet()
-                    if found.digest != live.fleet.digest:
-                        live.say(f"the fleet runs with another file: {found.digest} instead of {live.fleet.digest}")
-                        live.save_fleet(found)
+                    fleet = await tutti.load_fleet()
+                    if fleet.digest != live.fleet.digest:
+                        live.say(f"the fleet runs with another file: {fleet.digest} instead of {live.fleet.digest}")
+                        live.save_fleet(fleet)
         except (Refusal, RouterUnreachable):
             await asyncio.sleep(FOLLOW_S)

@@ -111,19 +111,19 @@ def install(
         web_host=web_host,
         web_port=web_port,
     )
-    written: list[Path] = []
+    written_paths: list[Path] = []
     for part in dict.fromkeys(parts):
-        written.append(_write_file(to / make_unit_name(part, place), make_unit(part, place)))
-    names = " ".join(each.name for each in written)
-    lines = [f"wrote {each}" for each in written]
+        written_paths.append(_write_file(to / make_unit_name(part, place), make_unit(part, place)))
+    names = " ".join(path.name for path in written_paths)
+    lines = [f"wrote {path}" for path in written_paths]
     if to == UNITS:
         lines += [
             "start them, now and with the computer:",
             f"  systemctl daemon-reload && systemctl enable --now {names}",
         ]
     else:
-        lines.append(f"check them: systemd-analyze verify {' '.join(map(str, written))}")
-    print_result({"units": [str(each) for each in written]}, "\n".join(lines), as_json=as_json)
+        lines.append(f"check them: systemd-analyze verify {' '.join(map(str, written_paths))}")
+    print_result({"units": [str(path) for path in written_paths]}, "\n".join(lines), as_json=as_json)
 
 
 @service.command(epilog="Example: sudo tutti service udev")

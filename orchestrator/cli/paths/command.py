@@ -54,24 +54,26 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     from orchestrator.plan.forecast.job import JobForecaster
     from orchestrator.runtime.checked import load_checked_fleet
 
-    loaded, job = load_checked_fleet(fleet), load_job(file)
-    number, wanted = _find_path(job, step)
-    forecaster = JobForecaster(loaded, _place_axes(loaded, parse_targets(at, "--at")))
-    planned = _run_forward(forecaster, loaded, job, number)
-    axes = {name: loaded.axis(name) for name in wanted.axes}
+    loaded_fleet, job = load_checked_fleet(fleet), load_job(file)
+    number, wanted_path = _find_path(job, step)
+    forecaster = JobForecaster(loaded_fleet, _place_axes(loaded_fleet, parse_targets(at, "--at")))
+    planned_forward = _run_forward(forecaster, loaded_fleet, job, number)
+    axes = {name: loaded_fleet.axis(name) for name in wanted_path.axes}
     offsets = {name: float(forecaster.axes[name].offset) for name in axes}
-    lines = describe_path(planned.report)
+    lines = describe_path(planned_forward.report)
     target = out or file.with_suffix(".png")
     title = f"{job.name!r}, step {number}: {lines[0].partition(';')[0]}"
-    frame = None if wanted.frame is None else loaded.frames[wanted.frame]
-    write_picture(plot_path(planned, PathAxes(axes, offsets, frame), title), target)
-    print_result({"file": str(target), "path": planned.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json)
+    frame = None if wanted_path.frame is None else loaded_fleet.frames[wanted_path.frame]
+    write_picture(plot_path(planned_forward, PathAxes(axes, offsets, frame), title), target)
+    print_result(
+        {"file": str(target), "path": planned_forward.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json
+    )
 
 
 def _find_path(job: "Job", step: int | None) -> "tuple[int, FollowPath]":
     from orchestrator.model.steps.path import FollowPath
 
-    paths = {number: each for number, each in enumerate(job.steps) if isinstance(each, FollowPath)}
+    paths = {number: path for number, path in enumerate(job.steps) if isinstance(path, FollowPath)}
     if not paths:
         exit_with_error(f"job {job.name!r} has no step `do: path`", BAD_INPUT, "paths inside repeats are not plotted")
     number = next(iter(paths)) if step is None else step
@@ -86,13 +88,13 @@ def _place_axes(fleet: "Fleet", values: Mapping[str, str | float]) -> "dict[str,
     from orchestrator.model.forecast import AxisForecast
     from orchestrator.model.units import parse_quantity
 
-    placed: dict[str, AxisForecast] = {}
+    placed_forecasts: dict[str, AxisForecast] = {}
     for name, value in values.items():
         unknown = fleet.names.explain_unknown(name, "axis")
         if unknown is not None:
             exit_with_error(unknown, BAD_INPUT, "correct --at")
-        placed[name] = AxisForecast(motor=parse_quantity(value, fleet.axis(name).unit), known=True)
-    return placed
+        placed_forecasts[name] = AxisForecast(motor=parse_quantity(value, fleet.axis(name).unit), known=True)
+    return placed_forecasts
 
 
 def _run_forward(forecaster: "JobForecaster", fleet: "Fleet", job: "Job", number: int) -> "PlannedPath":
@@ -106,8 +108,8 @@ def _run_forward(forecaster: "JobForecaster", fleet: "Fleet", job: "Job", number
     if forecaster.problems:
         problem = forecaster.problems[0]
         exit_with_error(f"step {problem.place[1]}: {problem.text}", BAD_INPUT, problem.remedy)
-    planned = None if forecaster.motion is None else forecaster.motion.path
-    if planned is None:
+    planned_path = None if forecaster.motion is None else forecaster.motion.path
+    if planned_path is None:
         why = "; ".join(forecast.conditions if forecast is not None else ())
         exit_with_error(f"step {number}: {why}", BAD_INPUT, "say where they are with --at AXIS=VALUE")
-    return planned
+    return planned_path

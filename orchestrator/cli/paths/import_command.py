@@ -73,7 +73,7 @@ def import_path(
     name = file.stem[:60]
     job, problems = validate_value(make_job(name, steps), Job)
     if job is None:
-        places_of = "; ".join(f"{'.'.join(map(str, each.place))} {each.text}" for each in problems[:5])
+        places_of = "; ".join(f"{'.'.join(map(str, problem.place))} {problem.text}" for problem in problems[:5])
         exit_with_error(f"{file}: the job would not be valid: {places_of}", BAD_INPUT)
     # JSON is YAML: each step in a line of its own can be compared and edited.
     lines = ",\n  ".join(json.dumps(step, ensure_ascii=False) for step in steps)
@@ -86,13 +86,13 @@ def import_path(
 
 
 def _read_pairs(words: tuple[str, ...], option: str) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for each in words:
-        name, sign, value = each.partition("=")
+    pairs: dict[str, str] = {}
+    for word in words:
+        name, sign, value = word.partition("=")
         if not sign or not name or not value:
-            exit_with_error(f"{option} {each}: write NAME=VALUE", BAD_INPUT, f"for example {option} X=gantry.x")
-        found[name] = value
-    return found
+            exit_with_error(f"{option} {word}: write NAME=VALUE", BAD_INPUT, f"for example {option} X=gantry.x")
+        pairs[name] = value
+    return pairs
 
 
 def _read_number(text: str, letter: str) -> float:

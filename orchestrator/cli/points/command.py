@@ -52,8 +52,8 @@ def points(
 async def _print_json(records: "AsyncIterator[PointRecord]") -> None:
     """One array, written as it comes: a scan may have millions of points."""
     before = "["
-    async for each in records:
-        click.echo(f"{before}\n{json.dumps(each.to_plain())}", nl=False)
+    async for record in records:
+        click.echo(f"{before}\n{json.dumps(record.to_plain())}", nl=False)
         before = ","
     click.echo("[]" if before == "[" else "\n]")
 
@@ -61,17 +61,17 @@ async def _print_json(records: "AsyncIterator[PointRecord]") -> None:
 async def _print_table(records: "AsyncIterator[PointRecord]", entry: "QueueEntry", limit: int) -> None:
     from orchestrator.monitor.scan_points import make_point_table
 
-    shown: list[PointRecord] = []
+    shown_records: list[PointRecord] = []
     more = False
-    async for each in records:
-        if len(shown) == limit:
+    async for record in records:
+        if len(shown_records) == limit:
             more = True
             break
-        shown.append(each)
-    if not shown:
+        shown_records.append(record)
+    if not shown_records:
         console.print(f"{name_jobs(entry)} has no recorded points", highlight=False, markup=False)
         return
-    console.print(make_point_table(shown))
+    console.print(make_point_table(shown_records))
     if more:
         console.print("more with --limit; all with --csv FILE or --json", highlight=False)
 
@@ -82,27 +82,27 @@ async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path) -> int:
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
-            async for each in records:
+            async for record in records:
                 if not number:
-                    axes = list(each.target)
+                    axes = list(record.target)
                     names = [*(f"{axis} target" for axis in axes), *(f"{axis} measured" for axis in axes)]
                     skews = ["start_skew_least_ns", "start_skew_most_ns"]
                     writer.writerow(["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"])
-                if list(each.target) != axes:
-                    text = f"the scan at step {each.step} has other axes than the one before"
+                if list(record.target) != axes:
+                    text = f"the scan at step {record.step} has other axes than the one before"
                     exit_with_error(text, BAD_INPUT, "choose one scan: --step")
-                skew = each.start_skew
+                skew = record.start_skew
                 writer.writerow(
                     [
-                        each.step,
-                        each.point,
-                        *each.target.values(),
-                        *(each.measured.get(axis) for axis in axes),
-                        each.state,
-                        each.verdict,
+                        record.step,
+                        record.point,
+                        *record.target.values(),
+                        *(record.measured.get(axis) for axis in axes),
+                        record.state,
+                        record.verdict,
                         *((None, None) if skew is None else (skew.at_least_ns, skew.at_most_ns)),
-                        each.t0_fleet_ns,
-                        each.took_s,
+                        record.t0_fleet_ns,
+                        record.took_s,
                     ]
                 )
                 number += 1

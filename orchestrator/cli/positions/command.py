@@ -57,9 +57,11 @@ def save(
     values = parse_targets(at, "--at")
 
     async def save_position(tutti: "Tutti") -> None:
-        saved = await tutti.save_position(name, *axes, at=values, description=description)
-        covers = "; it covers the position of the fleet file" if saved.covers_file else ""
-        print_result(saved.to_plain(), f"{name} is saved: {_describe_axes(saved)}{covers}", as_json=as_json)
+        saved_position = await tutti.save_position(name, *axes, at=values, description=description)
+        covers = "; it covers the position of the fleet file" if saved_position.covers_file else ""
+        print_result(
+            saved_position.to_plain(), f"{name} is saved: {_describe_axes(saved_position)}{covers}", as_json=as_json
+        )
 
     with_fleet(connect, fleet, save_position)
 
@@ -72,17 +74,17 @@ def list_positions(connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.monitor.tables import make_plain_table
 
     async def show_positions(tutti: "Tutti") -> None:
-        found = await tutti.list_positions()
+        positions = await tutti.list_positions()
         if as_json:
-            print_json([each.to_plain() for each in found])
+            print_json([each.to_plain() for each in positions])
             return
         table = make_plain_table(["position", "axes", "from", "description"], ["axes", "description"])
-        for each in found:
-            table.add_row(each.name, _describe_axes(each), _describe_source(each), each.description)
+        for entry in positions:
+            table.add_row(entry.name, _describe_axes(entry), _describe_source(entry), entry.description)
         console.print(table)
-        for each in found:
-            for problem in each.problems:
-                console.print(f"{each.name} cannot be used: {problem}", style="yellow", highlight=False, markup=False)
+        for entry in positions:
+            for problem in entry.problems:
+                console.print(f"{entry.name} cannot be used: {problem}", style="yellow", highlight=False, markup=False)
 
     with_fleet(connect, fleet, show_positions)
 
@@ -96,16 +98,16 @@ def show(name: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.cli.base.names import unknown_name
 
     async def show_position(tutti: "Tutti") -> None:
-        known = {each.name: each for each in await tutti.list_positions()}
-        if name not in known:
-            raise unknown_name("position", name, known, "see `tutti position ls`")
-        found = known[name]
+        known_positions = {each.name: each for each in await tutti.list_positions()}
+        if name not in known_positions:
+            raise unknown_name("position", name, known_positions, "see `tutti position ls`")
+        entry = known_positions[name]
         if as_json:
-            print_json(found.to_plain())
+            print_json(entry.to_plain())
             return
-        lines = [f"{name}: {_describe_source(found)}", *([found.description] if found.description else [])]
-        lines += [f"  {axis} {value}" for axis, value in found.axes.items()]
-        lines += [f"cannot be used: {problem}" for problem in found.problems]
+        lines = [f"{name}: {_describe_source(entry)}", *([entry.description] if entry.description else [])]
+        lines += [f"  {axis} {value}" for axis, value in entry.axes.items()]
+        lines += [f"cannot be used: {problem}" for problem in entry.problems]
         for line in lines:
             console.print(line, highlight=False, markup=False, soft_wrap=True)
 
@@ -140,9 +142,13 @@ def remove(name: str, connect: str, fleet: str | None, *, as_json: bool) -> None
     """Remove the saved position NAME; one of the fleet file with this name counts again."""
 
     async def remove_position(tutti: "Tutti") -> None:
-        uncovered = await tutti.remove_position(name)
-        again = "" if uncovered is None else f"; that of the fleet file counts again: {_describe_axes(uncovered)}"
-        value = {"removed": name, "uncovered": None if uncovered is None else uncovered.to_plain()}
+        uncovered_position = await tutti.remove_position(name)
+        again = (
+            ""
+            if uncovered_position is None
+            else f"; that of the fleet file counts again: {_describe_axes(uncovered_position)}"
+        )
+        value = {"removed": name, "uncovered": None if uncovered_position is None else uncovered_position.to_plain()}
         print_result(value, f"{name} is removed{again}", as_json=as_json)
 
     with_fleet(connect, fleet, remove_position)

@@ -89,15 +89,17 @@ def list_files(folder: Path | None, fleet: str | None, limit: int, *, as_json: b
     from orchestrator.monitor.recording.reader import list_recordings
 
     place = find_folder(folder, fleet)
-    found = list(reversed(list_recordings(place)))
+    recordings = list(reversed(list_recordings(place)))
     written = is_locked(place)
     if as_json:
-        print_json([_to_plain(each, written=written) for each in found[:limit]])
+        print_json([_to_plain(summary, written=written) for summary in recordings[:limit]])
         return
-    _print_table(found[:limit], written=written)
-    total = sum(each.size for each in found)
-    more = f", {limit} of them shown" if len(found) > limit else ""
-    console.print(f"{len(found)} recordings, {format_size(total)}, in {place}{more}", highlight=False, soft_wrap=True)
+    _print_table(recordings[:limit], written=written)
+    total = sum(summary.size for summary in recordings)
+    more = f", {limit} of them shown" if len(recordings) > limit else ""
+    console.print(
+        f"{len(recordings)} recordings, {format_size(total)}, in {place}{more}", highlight=False, soft_wrap=True
+    )
 
 
 @record.command(epilog="Example: tutti record repair lab/recordings/job-20261125T101500Z-scan-3f2a8c01.mcap")
@@ -169,17 +171,17 @@ def _print_table(found: "list[RecordingSummary]", *, written: bool) -> None:
     from orchestrator.monitor.times import format_time
 
     table = PlainTable(["begins", "s>", "job", "id", "messages>", "size>", "state", "file"], ["job", "file"])
-    for each in found:
-        begins, ends = each.begins_ns, each.ends_ns
+    for summary in found:
+        begins, ends = summary.begins_ns, summary.ends_ns
         taken = "" if begins is None or ends is None else f"{(ends - begins) / 1e9:.1f}"
         table.add_row(
             format_time(_format_ns(begins) or ""),
             taken,
-            each.job_name or "(fleet)",
-            each.job_id[:8],
-            "" if each.messages is None else str(each.messages),
-            format_size(each.size),
-            _describe_state(each, written=written),
-            each.path.name,
+            summary.job_name or "(fleet)",
+            summary.job_id[:8],
+            "" if summary.messages is None else str(summary.messages),
+            format_size(summary.size),
+            _describe_state(summary, written=written),
+            summary.path.name,
         )
     console.print(table)

@@ -60,14 +60,16 @@ def export(
     from orchestrator.monitor.recording.reader import Recording, RecordingUnreadable
 
     chosen = cast("TableFormat", table_format)
-    wanted = SUFFIXES[chosen]
-    if output.suffix != wanted:
-        exit_with_error(f"{output} does not end with {wanted}", BAD_INPUT, f"write it so: -o {output.stem}{wanted}")
+    wanted_suffix = SUFFIXES[chosen]
+    if output.suffix != wanted_suffix:
+        exit_with_error(
+            f"{output} does not end with {wanted_suffix}", BAD_INPUT, f"write it so: -o {output.stem}{wanted_suffix}"
+        )
     period_ns = _parse_period(period)
     summary = find_recording(recording, folder, fleet)
     try:
-        with Recording(summary.path) as opened:
-            tables, notes = _make_tables(opened, summary, period_ns)
+        with Recording(summary.path) as opened_recording:
+            tables, notes = _make_tables(opened_recording, summary, period_ns)
         files = write_tables(tables, output, chosen)
     except (RecordingUnreadable, ExportTooLarge) as error:
         exit_with_error(str(error), FAILED)
@@ -76,7 +78,7 @@ def export(
     rows = {table.name: table.row_count for table in tables}
     if as_json:
         print_json(
-            {"recording": str(summary.path), "files": [str(each) for each in files], "rows": rows, "notes": notes}
+            {"recording": str(summary.path), "files": [str(file) for file in files], "rows": rows, "notes": notes}
         )
         return
     for note in notes:
@@ -91,12 +93,12 @@ def _parse_period(period: str | None) -> int | None:
     if period is None:
         return None
     try:
-        found = parse_duration(period)
+        duration = parse_duration(period)
     except ValueError as error:
         exit_with_error(f"--period: {error}", BAD_INPUT)
-    if found <= 0:
+    if duration <= 0:
         exit_with_error(f"--period {period}: must be more than nothing", BAD_INPUT)
-    return found
+    return duration
 
 
 def _make_tables(

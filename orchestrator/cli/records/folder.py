@@ -45,19 +45,19 @@ def find_folder(folder: Path | None, fleet: str | None) -> Path:
             exit_with_error(f"{folder} is no folder", BAD_INPUT, "give the folder of the recordings")
         return folder
     root = default_state("any").parent
-    found = {path.parent.name: path for path in sorted(root.glob(f"*/{RECORDINGS}"))}
-    found |= {each.fleet: each.folder / RECORDINGS for each in find_running_fleets()}
+    paths = {path.parent.name: path for path in sorted(root.glob(f"*/{RECORDINGS}"))}
+    paths |= {each.fleet: each.folder / RECORDINGS for each in find_running_fleets()}
     if fleet is not None:
-        found = {name: path for name, path in found.items() if name == fleet}
-    if not found:
+        paths = {name: path for name, path in paths.items() if name == fleet}
+    if not paths:
         what = f"no recordings of fleet {fleet}" if fleet else "no recordings"
         exit_with_error(
             f"{what} below {root}", BAD_INPUT, "with `tutti up --state FOLDER` they are in --folder FOLDER/recordings"
         )
-    if len(found) > 1:
-        names = ", ".join(found)
+    if len(paths) > 1:
+        names = ", ".join(paths)
         exit_with_error(f"recordings of several fleets: {names}", BAD_INPUT, "choose one with --fleet or --folder")
-    return next(iter(found.values()))
+    return next(iter(paths.values()))
 
 
 def find_recording(reference: str, folder: Path | None, fleet: str | None) -> "RecordingSummary":
@@ -73,12 +73,12 @@ def find_recording(reference: str, folder: Path | None, fleet: str | None) -> "R
         except OSError as error:
             exit_with_error(f"{path}: {error.strerror}", BAD_INPUT)
     place = find_folder(folder, fleet)
-    jobs = [each for each in list_recordings(place) if each.job_id]
-    named = jobs[-1:] if reference == "last" else [each for each in jobs if each.job_id.startswith(reference)]
-    named = named or [each for each in jobs if each.job_name == reference][-1:]
-    if not named:
+    jobs = [recording for recording in list_recordings(place) if recording.job_id]
+    named_jobs = jobs[-1:] if reference == "last" else [job for job in jobs if job.job_id.startswith(reference)]
+    named_jobs = named_jobs or [job for job in jobs if job.job_name == reference][-1:]
+    if not named_jobs:
         exit_with_error(f"no recording of job {reference!r} in {place}", BAD_INPUT, "see `tutti record ls`")
-    if len(named) > 1:
-        found = ", ".join(each.job_id[:12] for each in named)
-        exit_with_error(f"{reference!r} stands for several jobs: {found}", BAD_INPUT, "write more of the id")
-    return named[0]
+    if len(named_jobs) > 1:
+        text = ", ".join(summary.job_id[:12] for summary in named_jobs)
+        exit_with_error(f"{reference!r} stands for several jobs: {text}", BAD_INPUT, "write more of the id")
+    return named_jobs[0]

@@ -42,17 +42,17 @@ def stats(
     day = (datetime.now(UTC) - WEEK if since is None else since.astimezone(UTC)).date().isoformat()
 
     async def show_statistics(tutti: "Tutti") -> None:
-        found = await tutti.read_statistics(day, by_day=by_day or as_csv)
+        statistics = await tutti.read_statistics(day, by_day=by_day or as_csv)
         if as_json:
-            print_json(found.to_plain())
+            print_json(statistics.to_plain())
         elif as_csv:
             writer = csv.writer(sys.stdout, lineterminator="\n")
             writer.writerow(("day", "kind", "subject", "figure", "value", "unit"))
-            writer.writerows(line for each in found.days for line in list_figures(each))
+            writer.writerows(line for each in statistics.days for line in list_figures(each))
         else:
-            for each in [*found.days, found.total]:
-                title = f"since {found.since}" if each.day is None else each.day
-                for part in make_tables(each, title):
+            for figures in [*statistics.days, statistics.total]:
+                title = f"since {statistics.since}" if figures.day is None else figures.day
+                for part in make_tables(figures, title):
                     console.print(part, highlight=False)
 
     with_fleet(connect, fleet, show_statistics)

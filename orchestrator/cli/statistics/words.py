@@ -20,22 +20,22 @@ def make_tables(figures: PeriodFigures, title: str) -> Iterator[RenderableType]:
         yield Text("nothing was counted", "dim")
     if figures.axes:
         axes = make_plain_table(["axis", "moves>", "reversals>", "distance>", "moving>"])
-        for each in figures.axes:
-            way = f"{each.distance:,.4g} {each.unit}" if each.distance < 1e4 else f"{each.distance:,.0f} {each.unit}"
-            axes.add_row(each.axis, f"{each.moves:,}", f"{each.reversals:,}", way, format_time_span(each.moving_s))
+        for axis in figures.axes:
+            way = f"{axis.distance:,.4g} {axis.unit}" if axis.distance < 1e4 else f"{axis.distance:,.0f} {axis.unit}"
+            axes.add_row(axis.axis, f"{axis.moves:,}", f"{axis.reversals:,}", way, format_time_span(axis.moving_s))
         yield from ("", axes)
     if figures.controllers:
         table = make_plain_table(["controller", "available>", "online>", "fault>", "offline>", "faults by code"])
-        for each in figures.controllers:
-            part = "-" if each.availability is None else f"{each.availability:.2%}"
-            times = [format_time_span(value) for value in (each.online_s, each.fault_s, each.offline_s)]
-            table.add_row(each.controller, part, *times, describe_counts(each.faults))
+        for axis in figures.controllers:
+            part = "-" if axis.availability is None else f"{axis.availability:.2%}"
+            times = [format_time_span(value) for value in (axis.online_s, axis.fault_s, axis.offline_s)]
+            table.add_row(axis.controller, part, *times, describe_counts(axis.faults))
         yield from ("", table)
     if figures.pairs:
         pairs = make_plain_table(["start skew", "moves>", "mean>", "p50>", "p99>", "worst>"])
-        for each in figures.pairs:
-            skews = (each.mean_ns, each.p50_ns, each.p99_ns, each.worst_ns)
-            pairs.add_row(" - ".join(each.pair), f"{each.moves:,}", *(format_ns(skew) for skew in skews))
+        for axis in figures.pairs:
+            skews = (axis.mean_ns, axis.p50_ns, axis.p99_ns, axis.worst_ns)
+            pairs.add_row(" - ".join(axis.pair), f"{axis.moves:,}", *(format_ns(skew) for skew in skews))
         yield from ("", pairs)
     for name, counts in (("jobs", figures.jobs), ("failures", figures.failures)):
         if counts:
@@ -68,8 +68,8 @@ def list_figures(figures: PeriodFigures) -> Iterator[Line]:
             ("moving", axis.moving_s, "s"),
         ):
             yield day, "axis", axis.axis, name, value, unit
-    for each in figures.controllers:
-        yield from _list_controller(day, each)
+    for controller in figures.controllers:
+        yield from _list_controller(day, controller)
     for pair in figures.pairs:
         subject = "+".join(pair.pair)
         yield day, "pair", subject, "moves", pair.moves, ""

@@ -29,15 +29,15 @@ def _list_parameters(file: Path, *, as_json: bool) -> None:
     from orchestrator.model.templates.template import Template
     from orchestrator.monitor.tables import make_plain_table
 
-    found = Template.load(file).parameters
+    parameters = Template.load(file).parameters
     if as_json:
-        print_json([{"name": name, **describe_parameter(each)} for name, each in found.items()])
+        print_json([{"name": name, **describe_parameter(each)} for name, each in parameters.items()])
         return
-    if not found:
+    if not parameters:
         console.print(f"{file} has no parameters", highlight=False, markup=False, soft_wrap=True)
         return
     table = make_plain_table(["parameter", "type", "unit", "default>", "allowed", "meaning"], ["meaning"])
-    for name, each in found.items():
+    for name, each in parameters.items():
         plain = describe_parameter(each)
         default = "required" if plain["required"] else _format_value(each, plain["default"])
         table.add_row(name, each.type, plain["unit"] or "", default, _describe_range(each, plain), each.description)

@@ -46,7 +46,7 @@ def check_extremes(
         except Refusal as error:
             notes.append(f"with {words}: {error.text}")
         else:
-            notes += [f"with {words}: {made.problem(each.place, each.text)}" for each in problems[:1]]
+            notes += [f"with {words}: {made.problem(problem.place, problem.text)}" for problem in problems[:1]]
     return notes
 
 
@@ -56,8 +56,8 @@ def _fill_extremes(
     """The jobs of all extremes, each with its value in words; for one that cannot be made, what is wrong."""
     from orchestrator.model.jobs.files import FileError
 
-    for words, further in template.list_extremes(settings):
+    for words, further_settings in template.list_extremes(settings):
         try:
-            yield words, template.fill_settings(further)
+            yield words, template.fill_settings(further_settings)
         except FileError as error:
             yield words, str(error.problems[0])

@@ -14,7 +14,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def set_options(command: F) -> F:
     """Add the options `--set` and `--set-file`, as `values` and `values_file`."""
-    given = click.option(
+    given_option = click.option(
         "--set",
         "values",
         multiple=True,
@@ -28,21 +28,21 @@ def set_options(command: F) -> F:
         default=None,
         help="A YAML file with values, `NAME: VALUE` in each line; --set comes before it.",
     )
-    return given(from_file(command))
+    return given_option(from_file(command))
 
 
 def read_settings(values: tuple[str, ...], file: Path | None) -> "dict[str, ParameterSetting]":
     """The values of both options, by name. Raises `click.BadParameter`, `FileError`."""
     from orchestrator.model.templates.template import ParameterSetting, read_settings_file
 
-    found: dict[str, ParameterSetting] = {}
+    settings: dict[str, ParameterSetting] = {}
     for text in values:
         name, equals, value = text.partition("=")
         if not equals or not name.strip():
             raise click.BadParameter(f"{text!r}: write NAME=VALUE, e.g. width=20mm", param_hint="--set")
         name = name.strip()
-        if name in found:
-            text = f"{name} is given twice, as {found[name].value} and as {value}"
+        if name in settings:
+            text = f"{name} is given twice, as {settings[name].value} and as {value}"
             raise click.BadParameter(text, param_hint="--set")
-        found[name] = ParameterSetting(value, "--set", written=True)
-    return (read_settings_file(file) if file is not None else {}) | found
+        settings[name] = ParameterSetting(value, "--set", written=True)
+    return (read_settings_file(file) if file is not None else {}) | settings

@@ -94,7 +94,8 @@ def list_users(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
     table = make_plain_table(["user", "role", "signs in by", "since", "tokens"], ["tokens"])
     for name, each in users.items():
         tokens = ", ".join(
-            f"{token} ({stored.role}, until {format_time(stored.expires_utc)})" for token, stored in each.tokens.items()
+            f"{token} ({stored_token.role}, until {format_time(stored_token.expires_utc)})"
+            for token, stored_token in each.tokens.items()
         )
         how = "password" if each.password else "tokens only"
         table.add_row(name, each.role, how, format_time(each.created_utc), tokens or "-")
@@ -195,12 +196,14 @@ def _make_token(
     if unknown:
         exit_with_error(f"no verb {unknown[0]!r}", BAD_INPUT, f"there are: {', '.join(sorted(LEAST_ROLES))}")
     user = users.load().users.get(name)
-    chosen = role or (user.role if user is not None else "viewer")
+    chosen_role = role or (user.role if user is not None else "viewer")
     utc = _utc()
     expires = shift_utc(utc, lifetime_s)
-    stored = StoredToken(digest="", role=chosen, verbs=list(verbs) or None, created_utc=utc, expires_utc=expires)
-    secret = users.add_token(name, token, stored, token_urlsafe(32))
-    value = {"user": name, "name": token, "role": chosen, "token": secret, "expires_utc": expires}
+    stored_token = StoredToken(
+        digest="", role=chosen_role, verbs=list(verbs) or None, created_utc=utc, expires_utc=expires
+    )
+    secret = users.add_token(name, token, stored_token, token_urlsafe(32))
+    value = {"user": name, "name": token, "role": chosen_role, "token": secret, "expires_utc": expires}
     print_result(value, secret, as_json=as_json)
 
 

@@ -90,14 +90,14 @@ class WatchPanel:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         options = options.update(height=None)
-        above = console.render_lines(self._render_above(), options, pad=False)
+        lines_above = console.render_lines(self._render_above(), options, pad=False)
         room = max(2, self.rows - FRAME_LINES)
-        top = self._cut_top(above, max(1, min(len(above), room - MIN_EVENT_LINES)))
-        below = self._cut_events(room - len(top), options.max_width)
+        top = self._cut_top(lines_above, max(1, min(len(lines_above), room - MIN_EVENT_LINES)))
+        events_below = self._cut_events(room - len(top), options.max_width)
         head = console.render_lines(self._render_head(), options, pad=False)[:1]
         keys = console.render_lines(self._render_keys(), options, pad=False)[:1]
-        between = [[Segment("")]]
-        for number, line in enumerate([*head, *top, *between, *below, *keys]):
+        segments_between = [[Segment("")]]
+        for number, line in enumerate([*head, *top, *segments_between, *events_below, *keys]):
             if number:
                 yield Segment.line()
             yield from line
@@ -109,10 +109,10 @@ class WatchPanel:
 
     def _cut_events(self, room: int, columns: int) -> list[Line]:
         """The newest matching lines, or older ones if they are scrolled; blank lines above fill the room."""
-        found = [line for line in self._lines if self._matches(line)]
-        self._scrolled["events"] = min(self._scrolled["events"], max(0, len(found) - room))
-        end = len(found) - self._scrolled["events"]
-        shown = found[max(0, end - room) : end]
+        found_lines = [line for line in self._lines if self._matches(line)]
+        self._scrolled["events"] = min(self._scrolled["events"], max(0, len(found_lines) - room))
+        end = len(found_lines) - self._scrolled["events"]
+        shown = found_lines[max(0, end - room) : end]
         lines = [Text(line, no_wrap=True, overflow="ellipsis") for line in shown]
         for line in lines:
             line.truncate(columns, overflow="ellipsis")
@@ -145,13 +145,13 @@ class WatchPanel:
         return text
 
     def _filter_states(self) -> Mapping[str, ControllerState]:
-        found: dict[str, ControllerState] = {}
+        states: dict[str, ControllerState] = {}
         for name, state in self.view.states.items():
-            axes = {axis: now for axis, now in state.axes.items() if self._matches(f"{name}.{axis}")}
+            axes = {axis: axis_now for axis, axis_now in state.axes.items() if self._matches(f"{name}.{axis}")}
             if axes:
-                found[name] = state.model_copy(update={"axes": axes})
+                states[name] = state.model_copy(update={"axes": axes})
         # A filter for events may fit no axis; then all stay in sight.
-        return found or self.view.states
+        return states or self.view.states
 
     def _matches(self, text: str) -> bool:
         return self.filter.lower() in text.lower()

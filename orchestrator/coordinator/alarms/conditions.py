@@ -53,31 +53,33 @@ class AlarmConditions:
         """A condition holds, or not. for_ns: it is over after that time, unless it is reported again."""
         if not self.started:
             return
-        now_ns, known = self._clock.now_ns(), self._known.get(cause.id)
+        now_ns, known_condition = self._clock.now_ns(), self._known.get(cause.id)
         holds = holds and self.find_rule(cause).enabled
-        if known is None:
+        if known_condition is None:
             if not holds or len(self._known) >= MAX_CONDITIONS:
                 return
-            known = self._known[cause.id] = _Condition(cause, holds, now_ns)
-        if known.holds != holds:
-            known.holds, known.since_ns = holds, now_ns
+            known_condition = self._known[cause.id] = _Condition(cause, holds, now_ns)
+        if known_condition.holds != holds:
+            known_condition.holds, known_condition.since_ns = holds, now_ns
         if holds:
-            known.cause = cause
-        known.until_ns = None if for_ns is None else now_ns + for_ns
-        self._apply(known, now_ns)
+            known_condition.cause = cause
+        known_condition.until_ns = None if for_ns is None else now_ns + for_ns
+        self._apply(known_condition, now_ns)
 
     def find_all(self, kind: str) -> list[AlarmCause]:
         """The causes of a kind whose conditions hold."""
-        return [each.cause for each in self._known.values() if each.holds and each.cause.kind == kind]
+        return [
+            condition.cause for condition in self._known.values() if condition.holds and condition.cause.kind == kind
+        ]
 
     def tick(self) -> None:
         """Raise and return what has held, or been over, for long enough."""
         now_ns = self._clock.now_ns()
-        for known in list(self._known.values()):
-            over = known.until_ns is not None and now_ns >= known.until_ns
-            if known.holds and (over or not self.find_rule(known.cause).enabled):
-                known.holds, known.since_ns, known.until_ns = False, now_ns, None
-            self._apply(known, now_ns)
+        for known_condition in list(self._known.values()):
+            over = known_condition.until_ns is not None and now_ns >= known_condition.until_ns
+            if known_condition.holds and (over or not self.find_rule(known_condition.cause).enabled):
+                known_condition.holds, known_condition.since_ns, known_condition.until_ns = False, now_ns, None
+            self._apply(known_condition, now_ns)
 
     def _apply(self, known: _Condition, now_ns: int) -> None:
         rule, passed_ns = self.find_rule(known.cause), now_ns - known.since_ns

@@ -56,13 +56,13 @@ class FleetAlarms:
         axes = state.axes.items()
         signature = _Signature(
             state.mode == "offline",
-            tuple((each.code, each.axis) for each in state.faults[:MAX_FAULTS]),
+            tuple((fault.code, fault.axis) for fault in state.faults[:MAX_FAULTS]),
             None if state.estop is None else state.estop.event,
             tuple(f"{name} {axis.limit} {axis.homing}" for name, axis in axes if axis.limit != "none" or axis.homing),
             bound_ns > self._view.fleet.alarms.clock_bound.limit,
         )
-        before = self._seen.get(controller)
-        if signature == before:
+        signature_before = self._seen.get(controller)
+        if signature == signature_before:
             return
         self._seen[controller] = signature
         self._report_connection(controller, state.faults, absent=signature.offline)
@@ -121,8 +121,8 @@ class FleetAlarms:
         else:
             why = f": {latch.reason}" if latch.reason else ""
             self._estops[state.controller] = f"e-stop by {latch.actor}{why}"
-        others = [each for each in self._view.fleet.controllers if each not in self._seen]
-        if not self._estops and not all(map(self._view.is_silent, others)):
+        others_controllers = [controller for controller in self._view.fleet.controllers if controller not in self._seen]
+        if not self._estops and not all(map(self._view.is_silent, others_controllers)):
             return  # after a start, one that is not seen yet may be latched
         text = next(iter(self._estops.values()), "")
         action = "find the reason, make the machine safe, then `tutti reset`"

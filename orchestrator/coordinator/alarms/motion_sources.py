@@ -78,12 +78,12 @@ class MotionAlarms:
         if state.mode != "moving":
             return
         config = self._view.fleet.controllers[state.controller]
-        for name, now in state.axes.items():
-            if now.moving and name in config.axes:
+        for name, axis_now in state.axes.items():
+            if axis_now.moving and name in config.axes:
                 sums = self._sums.setdefault(f"{state.controller}.{name}", _MoveSums())
                 sums.readings += 1
-                sums.error += abs(config.axes[name].to_unit(now.commanded_counts - now.raw_counts))
-                sums.speed += abs(now.velocity)
+                sums.error += abs(config.axes[name].to_unit(axis_now.commanded_counts - axis_now.raw_counts))
+                sums.speed += abs(axis_now.velocity)
 
     def take_motion(self, recording: StepRecording, report: StepReport | None) -> None:
         """A motion step is over. report: None for one that was interrupted."""

@@ -61,13 +61,13 @@ class AlarmRegister:
 
     def restore(self, records: Iterable[AlarmRecord]) -> None:
         """Take over what the last leader has left. Called before any other change."""
-        self._records = {each.id: each for each in records}
+        self._records = {record.id: record for record in records}
 
     async def close(self) -> None:
         """Serve no alarm any more."""
-        served, self._served = list(self._served.values()), {}
-        for each in served:
-            await each.undeclare()
+        served_declarations, self._served = list(self._served.values()), {}
+        for declaration in served_declarations:
+            await declaration.undeclare()
 
     @property
     def records(self) -> list[AlarmRecord]:
@@ -78,16 +78,16 @@ class AlarmRegister:
 
     def raise_alarm(self, cause: AlarmCause) -> None:
         """The condition of an alarm holds."""
-        before = self._records.get(cause.id)
-        if before is None and not self._make_room():
+        record_before = self._records.get(cause.id)
+        if record_before is None and not self._make_room():
             self._access.log.warning(f"an alarm is left out, because there are {MAX_ALARMS}: {cause.text}")
             return
-        after = raise_alarm(before, cause, self._access.clock.utc())
-        self._take(set_out_of_service(after, self.explain_absence(after)), before)
+        alarm_after = raise_alarm(record_before, cause, self._access.clock.utc())
+        self._take(set_out_of_service(alarm_after, self.explain_absence(alarm_after)), record_before)
 
     def return_alarm(self, alarm_id: str) -> None:
         """The condition of an alarm is over."""
-        self._change(alarm_id, lambda before: return_alarm(before, self._access.clock.utc()))
+        self._change(alarm_id, lambda record_before: return_alarm(record_before, self._access.clock.utc()))
 
     def check_service(self) -> None:
         """Set alarms out of service, and into service again, by `explain_absence`."""
@@ -96,15 +96,15 @@ class AlarmRegister:
 
     def end_shelving(self) -> None:
         """Unshelve the alarms whose time has come."""
-        now = self._access.clock.utc()
+        utc_now = self._access.clock.utc()
         for alarm_id, record in list(self._records.items()):
-            if record.shelved_until_utc is not None and record.shelved_until_utc <= now:
+            if record.shelved_until_utc is not None and record.shelved_until_utc <= utc_now:
                 self._change(alarm_id, unshelve_alarm)
 
     def _change(self, alarm_id: str, change: Transition) -> None:
-        before = self._records.get(alarm_id)
-        if before is not None:
-            self._take(change(before), before)
+        record_before = self._records.get(alarm_id)
+        if record_before is not None:
+            self._take(change(record_before), record_before)
 
     def _take(self, after: AlarmRecord, before: AlarmRecord | None) -> None:
         """Take a changed record over, and have it written."""
@@ -117,9 +117,9 @@ class AlarmRegister:
         """The change with a name of its own. It needs a notice if a user is to see it now: the alarm is unacknowledged
         and not set aside, and was not so before."""
         self._changes += 1
-        named = after.model_copy(update={"change": f"{self.epoch}-{self._changes}"})
+        named_record = after.model_copy(update={"change": f"{self.epoch}-{self._changes}"})
         was = before is not None and _is_annunciated(before)
-        return AlarmChange(named, _is_annunciated(named) and not was and self.needs_notice(named))
+        return AlarmChange(named_record, _is_annunciated(named_record) and not was and self.needs_notice(named_record))
 
     def _show(self, change: AlarmChange, before: AlarmRecord | None) -> None:
         record = self._records[change.record.id] = change.record
@@ -133,7 +133,7 @@ class AlarmRegister:
         """Forget the oldest alarm that is normal, if there are too many; False if there is none."""
         if len(self._records) < MAX_ALARMS:
             return True
-        normal = [each for each in self._records.values() if each.state == "normal" and not each.is_suppressed]
+        normal = [record for record in self._records.values() if record.state == "normal" and not record.is_suppressed]
         if not normal:
             return False
         oldest = min(normal, key=lambda each: each.raised_utc).id
@@ -145,7 +145,7 @@ class AlarmRegister:
 
     async def serve_new(self) -> None:
         """Serve the alarms that are new, so that a late reader finds them, and no longer those that are forgotten."""
-        for alarm_id in [each for each in self._records if each not in self._served]:
+        for alarm_id in [record for record in self._records if record not in self._served]:
             self._served[alarm_id] = await self._bus.serve(self._keys.alarm(alarm_id), self._reply_alarm)
         for alarm_id in [each for each in self._served if each not in self._records]:
             await self._served.pop(alarm_id).undeclare()
@@ -160,11 +160,11 @@ class AlarmRegister:
 
     async def list_alarms(self, request: ListAlarms) -> AlarmsListed:
         """List alarms: the more urgent ones first, and of one priority the newest. Raises `JournalError`."""
-        shown = [each for each in self._records.values() if request.all or each.state != "normal"]
-        shown.sort(key=lambda each: each.raised_utc, reverse=True)
-        shown.sort(key=lambda each: (not each.is_open, ORDER.index(each.priority)))
+        shown_records = [record for record in self._records.values() if request.all or record.state != "normal"]
+        shown_records.sort(key=lambda each: each.raised_utc, reverse=True)
+        shown_records.sort(key=lambda each: (not each.is_open, ORDER.index(each.priority)))
         history = await self._store.load_history(request.history) if request.history else []
-        return AlarmsListed(alarms=shown, history=history)
+        return AlarmsListed(alarms=shown_records, history=history)
 
     async def acknowledge_alarms(self, request: AcknowledgeAlarms) -> AlarmsAcknowledged:
         """Acknowledge alarms; it is in the journal when this is answered. Raises `Refusal`, `JournalError`."""
@@ -172,8 +172,10 @@ class AlarmRegister:
         ids = request.alarm_ids or list(self._records)
         for alarm_id in ids:
             self._require(alarm_id)
-        changed = await self._change_recorded(ids, lambda before: acknowledge_alarm(before, request.actor, utc))
-        return AlarmsAcknowledged(alarms=changed)
+        changed_records = await self._change_recorded(
+            ids, lambda record_before: acknowledge_alarm(record_before, request.actor, utc)
+        )
+        return AlarmsAcknowledged(alarms=changed_records)
 
     async def shelve_alarm(self, request: ShelveAlarm) -> AlarmShelved:
         """Set an alarm aside, or no longer; it is in the journal when this is answered. Raises `Refusal`,
@@ -182,8 +184,8 @@ class AlarmRegister:
         if request.for_s is None:
             change: Transition = unshelve_alarm
         else:
-            until = parse_utc(self._access.clock.utc()) + timedelta(seconds=request.for_s)
-            change = partial(shelve_alarm, until_utc=format_utc(until), actor=request.actor, why=request.why)
+            until_utc = parse_utc(self._access.clock.utc()) + timedelta(seconds=request.for_s)
+            change = partial(shelve_alarm, until_utc=format_utc(until_utc), actor=request.actor, why=request.why)
         await self._change_recorded([request.alarm_id], change)
         return AlarmShelved(alarm=self._records[request.alarm_id])
 
@@ -195,17 +197,21 @@ class AlarmRegister:
 
     async def _change_recorded(self, ids: Iterable[str], change: Transition) -> list[AlarmRecord]:
         """Change alarms once it is in the journal; return those that have changed. Raises `JournalError`."""
-        before = {alarm_id: self._records[alarm_id] for alarm_id in ids}
-        after = {alarm_id: change(record) for alarm_id, record in before.items()}
-        changes = [self._make_change(after[each], before[each]) for each in before if after[each] is not before[each]]
+        records_before = {alarm_id: self._records[alarm_id] for alarm_id in ids}
+        records_after = {alarm_id: change(record) for alarm_id, record in records_before.items()}
+        changes = [
+            self._make_change(records_after[each], records_before[each])
+            for each in records_before
+            if records_after[each] is not records_before[each]
+        ]
         if changes:
             await self._store.write_pending(*changes)
         for each in changes:
-            now = self._records.get(each.record.id)
-            if now is before[each.record.id]:
-                self._show(each, now)
-            elif now is not None:  # its condition has changed while this was written
-                self._take(change(now), now)
+            record_now = self._records.get(each.record.id)
+            if record_now is records_before[each.record.id]:
+                self._show(each, record_now)
+            elif record_now is not None:  # its condition has changed while this was written
+                self._take(change(record_now), record_now)
         return [self._records[each.record.id] for each in changes if each.record.id in self._records]
 
 

@@ -91,8 +91,8 @@ class AlarmService:
         for task in self._tasks:
             task.cancel()
         declared, self._declared = self._declared, []
-        for each in declared:
-            await each.undeclare()
+        for declaration in declared:
+            await declaration.undeclare()
         await self.register.close()
         with suppress(JournalError):
             await self._store.write_pending()

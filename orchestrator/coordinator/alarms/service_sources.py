@@ -109,11 +109,13 @@ class ServiceAlarms:
     def _has_place(self, cause: AlarmCause, *, active: bool) -> bool:
         """Whether a process may raise this alarm: the number of processes, and of alarms of each, is limited, so that
         they never leave no room for others."""
-        requested = [each for each in self._conditions.register.records if each.source and each.state != "normal"]
-        if not active or any(each.id == cause.id for each in requested):
+        requested_records = [
+            record for record in self._conditions.register.records if record.source and record.state != "normal"
+        ]
+        if not active or any(record.id == cause.id for record in requested_records):
             return True
-        sources = {each.source for each in requested} | {cause.source}
-        mine = sum(each.source == cause.source for each in requested)
+        sources = {record.source for record in requested_records} | {cause.source}
+        mine = sum(record.source == cause.source for record in requested_records)
         if mine < MAX_REQUESTED and len(sources) <= MAX_SOURCES:
             return True
         self._log.warning(f"an alarm of {cause.source} is left out, because there are too many: {cause.text}")

@@ -34,11 +34,11 @@ class CertificateEnds:
         certificate of these controllers' hosts, or of the coordinator. not_before: RFC 3339, where it begins later.
         """
         own = [(self._own.ends_utc, "", self._own)] if self._own is not None else []
-        stated = ((controller, self._stated.get(controller)) for controller in controllers)
-        held = own + [(each.ends_utc, controller, each) for controller, each in stated if each is not None]
-        if not held:
+        stated_controllers = ((controller, self._stated.get(controller)) for controller in controllers)
+        held_own = own + [(end.ends_utc, controller, end) for controller, end in stated_controllers if end is not None]
+        if not held_own:
             return
-        ends_utc, controller, certificate = min(held, key=lambda each: each[:2])
+        ends_utc, controller, certificate = min(held_own, key=lambda each: each[:2])
         until_utc = shift_utc(max(self._clock.utc(), not_before or ""), within_s)
         if until_utc < ends_utc:
             return

@@ -92,7 +92,7 @@ class LeaseRegistry:
     async def _reply_lease(self, sample: BusSample) -> bytes:
         """Return the lease of a controller; where several holders have its axes, that of the first."""
         controller = sample.key.rpartition("/")[2]
-        mine = [held for held in self._held.values() if controller in group_by_controller(held.axes)]
+        mine = [held_hold for held_hold in self._held.values() if controller in group_by_controller(held_hold.axes)]
         lease = (
             self._make_lease_state(mine[0], controller, None, mine[0].holder)
             if mine
@@ -111,13 +111,20 @@ class LeaseRegistry:
 
     def may_move(self, holder: str) -> bool:
         """Whether `holder` has a lease that the adapters have, too."""
-        held = self._held.get(holder)
-        return held is not None and not held.idle
+        held_hold = self._held.get(holder)
+        return held_hold is not None and not held_hold.idle
 
     def find_conflict(self, axes: Iterable[str], holder: str = "") -> LeaseHold | None:
         """The lease of another holder on one of `axes`."""
-        wanted = set(axes)
-        return next((held for held in self._held.values() if held.holder != holder and wanted & set(held.axes)), None)
+        wanted_axes = set(axes)
+        return next(
+            (
+                held_hold
+                for held_hold in self._held.values()
+                if held_hold.holder != holder and wanted_axes & set(held_hold.axes)
+            ),
+            None,
+        )
 
     def describe_use(self, held: LeaseHold) -> str:
         """A description of a lease for others that need its axes: by which user, what for, until when."""
@@ -139,13 +146,15 @@ class LeaseRegistry:
 
     async def suspend_motion(self, holder: str, reason: str) -> None:
         """Keep the axes reserved for `holder` without the right to move them; the adapters stop motion."""
-        held = self._held.get(holder)
-        if held is None or held.idle:
+        held_hold = self._held.get(holder)
+        if held_hold is None or held_hold.idle:
             return
-        self._held[holder] = replace(held, idle=True)
-        self._fleet.log.warning(f"{held.actor} ({held.what}) may no longer move axes: {reason}", holder=holder)
+        self._held[holder] = replace(held_hold, idle=True)
+        self._fleet.log.warning(
+            f"{held_hold.actor} ({held_hold.what}) may no longer move axes: {reason}", holder=holder
+        )
         try:
-            await self._send_lease(held, 0, reason)
+            await self._send_lease(held_hold, 0, reason)
         except Refusal as error:
             self._fleet.log.warning(f"lease not ended: {error.text}; it expires by itself", holder=holder)
 
@@ -162,57 +171,57 @@ class LeaseRegistry:
         axes cannot be leased separately. Raises `InUse`, `Refusal`; then no new lease has been made."""
         holder = user.holder
         whole = await self._complete_controllers(axes)
-        while (other := self.find_conflict(whole, holder)) is not None and other.brief:
+        while (other_hold := self.find_conflict(whole, holder)) is not None and other_hold.brief:
             self._given_back.clear()
             await self._given_back.wait()
-        if other is not None:
-            theirs = next(axis for axis in whole if axis in other.axes)
+        if other_hold is not None:
+            theirs = next(axis for axis in whole if axis in other_hold.axes)
             raise AxesInUse(
                 "leased",
-                f"{theirs} is {self.describe_use(other)}",
+                f"{theirs} is {self.describe_use(other_hold)}",
                 "wait for the end of that use, or contact its holder",
                 theirs.partition(".")[0],
             )
-        before = self._held.get(holder)
-        mine = tuple(dict.fromkeys((*(before.axes if before else ()), *whole)))
+        hold_before = self._held.get(holder)
+        mine = tuple(dict.fromkeys((*(hold_before.axes if hold_before else ()), *whole)))
         until_ns = None if ttl_ns is None else self._fleet.clock.now_ns() + ttl_ns
         # The lease counts from here on: no other holder can acquire the axes while the adapters are queried.
-        idle = idle or (before is not None and before.idle)
-        self._takings += before is None
-        taking = self._takings if before is None else before.acquisition
-        held = self._held[holder] = LeaseHold(
+        idle = idle or (hold_before is not None and hold_before.idle)
+        self._takings += hold_before is None
+        taking = self._takings if hold_before is None else hold_before.acquisition
+        held_hold = self._held[holder] = LeaseHold(
             holder, user.actor, user.what, mine, until_ns, brief, idle, taking, user.session
         )
-        if before is None or set(mine) != set(before.axes):
+        if hold_before is None or set(mine) != set(hold_before.axes):
             try:
                 if not idle:
-                    await self._send_lease(held, TTL_MS, tries=TRIES)
+                    await self._send_lease(held_hold, TTL_MS, tries=TRIES)
             except Refusal:
                 await self.release(holder)
                 raise
-            if self._held.get(holder) is not held:
+            if self._held.get(holder) is not held_hold:
                 raise Refusal("not-leased", "the lease ended while it was being acquired")
-            self._publish_lease(held, holder)
+            self._publish_lease(held_hold, holder)
         return whole
 
     async def release(self, holder: str, reason: str = "") -> None:
         """End the lease of `holder`; the adapters stop what it still moves."""
-        held = self._held.get(holder)
-        if held is None:
+        held_hold = self._held.get(holder)
+        if held_hold is None:
             return
         # A request that needs the axes now waits for the adapters to end the lease.
-        self._held[holder] = replace(held, brief=True)
+        self._held[holder] = replace(held_hold, brief=True)
         if reason:
-            self._fleet.log.warning(f"the lease of {held.actor} ({held.what}) ends: {reason}", holder=holder)
+            self._fleet.log.warning(f"the lease of {held_hold.actor} ({held_hold.what}) ends: {reason}", holder=holder)
         try:
-            if not held.idle:
-                await self._send_lease(held, 0, reason)
+            if not held_hold.idle:
+                await self._send_lease(held_hold, 0, reason)
         except Refusal as error:
             self._fleet.log.warning(f"lease not ended: {error.text}; it expires by itself", holder=holder)
         self._held.pop(holder, None)
         self._told_ns.pop(holder, None)
         self._given_back.set()
-        self._publish_lease(held, None)
+        self._publish_lease(held_hold, None)
         for listener in self._listeners:
             listener(holder)
 
@@ -272,13 +281,13 @@ class LeaseRegistry:
             await sleep_ns(self._fleet.clock, RENEW_POLL_NS)
             now_ns = self._fleet.clock.now_ns()
             # One adapter that does not answer must not delay the renewal of other leases.
-            for held in self._held.values():
-                if held.brief:
+            for held_hold in self._held.values():
+                if held_hold.brief:
                     continue
-                if held.until_ns is not None and held.until_ns <= now_ns:
-                    self._fleet.tasks.spawn(self.release(held.holder, "it was not renewed"), vital=False)
-                elif not held.idle and now_ns - self._told_ns.get(held.holder, 0) >= RENEW_NS:
-                    self._fleet.tasks.spawn(self._renew_one(held), vital=False)
+                if held_hold.until_ns is not None and held_hold.until_ns <= now_ns:
+                    self._fleet.tasks.spawn(self.release(held_hold.holder, "it was not renewed"), vital=False)
+                elif not held_hold.idle and now_ns - self._told_ns.get(held_hold.holder, 0) >= RENEW_NS:
+                    self._fleet.tasks.spawn(self._renew_one(held_hold), vital=False)
 
     async def _renew_one(self, held: LeaseHold) -> None:
         try:

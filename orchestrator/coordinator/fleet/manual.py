@@ -38,15 +38,17 @@ class ManualLeases:
     async def start(self) -> None:
         """Restore reservations. Raises `JournalError`."""
         now, now_ns = parse_utc(self._fleet.clock.utc()), self._fleet.clock.now_ns()
-        for each in await self._execute(self._journal.list_reservations):
-            left_s = self._find_rest_s(each, now)
-            axes = tuple(axis for axis in each.axes if axis in self._fleet.view.fleet.axis_names)
+        for reservation in await self._execute(self._journal.list_reservations):
+            left_s = self._find_rest_s(reservation, now)
+            axes = tuple(axis for axis in reservation.axes if axis in self._fleet.view.fleet.axis_names)
             if left_s <= 0 or not axes:
-                await self._execute(self._journal.delete_reservation, each.holder)
+                await self._execute(self._journal.delete_reservation, reservation.holder)
                 continue
-            self._reserved.add(each.holder)
+            self._reserved.add(reservation.holder)
             until_ns = now_ns + round(left_s * NS_PER_S)
-            self._leases.restore_reservation(LeaseHold(each.holder, each.actor, each.what, axes, until_ns))
+            self._leases.restore_reservation(
+                LeaseHold(reservation.holder, reservation.actor, reservation.what, axes, until_ns)
+            )
         self._fleet.permits.add_loss_listener(self._lost.set)
         self._leases.add_release_listener(self._on_release)
         self._spawn(self._watch_permits())
@@ -84,15 +86,15 @@ class ManualLeases:
     def find_reserved(self) -> dict[str, str]:
         """The axes that are reserved for work at the machine, each with the reason in words."""
         return {
-            axis: f"reserved by {held.actor}: {held.what}"
-            for held in self._leases.all_leases
-            if held.holder in self._reserved
-            for axis in held.axes
+            axis: f"reserved by {held_lease.actor}: {held_lease.what}"
+            for held_lease in self._leases.all_leases
+            if held_lease.holder in self._reserved
+            for axis in held_lease.axes
         }
 
     async def _record_reservation(self, request: AcquireAxes, axes: tuple[str, ...]) -> None:
-        until = parse_utc(self._fleet.clock.utc()) + timedelta(seconds=request.ttl_s)
-        values = (request.holder, request.actor, request.what, axes, format_utc(until))
+        until_utc = parse_utc(self._fleet.clock.utc()) + timedelta(seconds=request.ttl_s)
+        values = (request.holder, request.actor, request.what, axes, format_utc(until_utc))
         self._reserved.add(request.holder)
         try:
             await self._execute(self._journal.store_reservation, *values)
@@ -118,7 +120,7 @@ class ManualLeases:
         while True:
             await self._lost.wait()
             self._lost.clear()
-            holders = {held.holder for held in self._leases.all_leases}
+            holders = {held_lease.holder for held_lease in self._leases.all_leases}
             self._guards = {holder: guard for holder, guard in self._guards.items() if holder in holders}
             ends = {holder: why for holder, guard in self._guards.items() if (why := guard.describe_loss()) is not None}
             for holder in ends:

@@ -38,13 +38,13 @@ class PermitMonitor:
 
     def list_missing(self) -> list[MissingPermit]:
         """All permits that do not hold, or have not settled yet, with their axes."""
-        fleet, found = self._view.fleet, list[MissingPermit]()
+        fleet, permits = self._view.fleet, list[MissingPermit]()
         for name, permit in fleet.permits.items():
             text = self._describe_missing(name, permit)
             if text is not None:
                 axes = [axis for axis in fleet.axis_names if name in fleet.permits_of([axis])]
-                found.append(MissingPermit(name=name, axes=axes, text=text))
-        return found
+                permits.append(MissingPermit(name=name, axes=axes, text=text))
+        return permits
 
     def _describe_missing(self, name: str, permit: Permit) -> str | None:
         words = self._describe_broken(name, permit)

@@ -51,8 +51,8 @@ class PositionBook:
 
     async def start(self) -> None:
         """Load the saved positions. Raises `JournalError`."""
-        saved, self._damaged = await self._execute(self._journal.list_positions)
-        self._saved = {each.name: each for each in saved}
+        saved_positions, self._damaged = await self._execute(self._journal.list_positions)
+        self._saved = {position.name: position for position in saved_positions}
         for name in self._damaged:
             self._access.log.warning(f"position {name}: {DAMAGED}")
 
@@ -62,38 +62,52 @@ class PositionBook:
 
     def list_entries(self) -> list[PositionEntry]:
         """All named positions, those of the file first; a saved one stands for one of the file with its name."""
-        saved = [*(self._make_entry(each) for each in self._saved.values()), *map(self._make_damaged, self._damaged)]
-        names = {each.name: None for each in saved}
-        return [*list_file_positions(self._access.view.fleet, names), *sorted(saved, key=lambda each: each.name)]
+        saved_entries = [
+            *(self._make_entry(position) for position in self._saved.values()),
+            *map(self._make_damaged, self._damaged),
+        ]
+        names = {entry.name: None for entry in saved_entries}
+        return [
+            *list_file_positions(self._access.view.fleet, names),
+            *sorted(saved_entries, key=lambda each: each.name),
+        ]
 
     async def list_positions(self, _: object) -> PositionsListed:
         return PositionsListed(positions=self.list_entries())
 
     async def save_position(self, request: SavePosition) -> PositionSaved:
         """Save present or given user positions. Raises `Refusal`, `UnknownName`, `JournalError`."""
-        fleet, before = self._access.view.fleet, self._saved.get(request.name)
+        fleet, position_before = self._access.view.fleet, self._saved.get(request.name)
         text = explain_position_name(request.name, fleet.names)
         if text is not None:
             raise Refusal("bad-name", text, "choose another name")
-        if before is None and len(self._saved) >= MAX_POSITIONS:
+        if position_before is None and len(self._saved) >= MAX_POSITIONS:
             raise Refusal("too-many", f"{MAX_POSITIONS} positions are saved; there cannot be more", "remove some")
-        given = {axis: self._read_given(axis, value) for axis, value in request.values.items()}
-        present = await self._read_present([axis for axis in fleet.expand_names(request.axes) if axis not in given])
-        if not request.axes and not given:
+        given_values = {axis: self._read_given(axis, value) for axis, value in request.values.items()}
+        present = await self._read_present(
+            [axis for axis in fleet.expand_names(request.axes) if axis not in given_values]
+        )
+        if not request.axes and not given_values:
             present = await self._read_referenced()
-        description = before.description if request.description is None and before else request.description or ""
+        description = (
+            position_before.description
+            if request.description is None and position_before
+            else request.description or ""
+        )
         position = SavedPosition(
             name=request.name,
-            axes={axis: value for axis in fleet.axis_names if (value := {**present, **given}.get(axis)) is not None},
+            axes={
+                axis: value for axis in fleet.axis_names if (value := {**present, **given_values}.get(axis)) is not None
+            },
             description=description,
             actor=request.actor,
             utc=self._access.clock.utc(),
         )
         await self._execute(self._journal.store_position, position)
-        replaced = None if before is None else self._make_entry(before)
+        replaced_entry = None if position_before is None else self._make_entry(position_before)
         self._saved[position.name] = position
         self._note_change(position.name, f"saved by {request.actor}")
-        return PositionSaved(position=self._make_entry(position), replaced=replaced)
+        return PositionSaved(position=self._make_entry(position), replaced=replaced_entry)
 
     async def remove_position(self, request: RemovePosition) -> PositionRemoved:
         """Remove a saved position. Raises `Refusal`, `JournalError`."""
@@ -106,7 +120,7 @@ class PositionBook:
         await self._execute(self._journal.delete_position, name)
         self._saved.pop(name, None)
         self._note_change(name, f"removed by {request.actor}")
-        return PositionRemoved(uncovered=next((each for each in self.list_entries() if each.name == name), None))
+        return PositionRemoved(uncovered=next((entry for entry in self.list_entries() if entry.name == name), None))
 
     def _note_change(self, name: str, what: str) -> None:
         self._damaged = [each for each in self._damaged if each != name]
@@ -117,12 +131,12 @@ class PositionBook:
 
     def _make_entry(self, saved: SavedPosition) -> PositionEntry:
         fleet = self._access.view.fleet
-        found = [explain_value(fleet, axis, value) for axis, value in saved.axes.items()]
+        values = [explain_value(fleet, axis, value) for axis, value in saved.axes.items()]
         return PositionEntry(
             **saved.to_plain(),
             source="saved",
             covers_file=saved.name in fleet.positions,
-            problems=[text for text in found if text is not None],
+            problems=[text for text in values if text is not None],
         )
 
     def _make_damaged(self, name: str) -> PositionEntry:
@@ -133,41 +147,41 @@ class PositionBook:
 
     def _read_given(self, axis: str, value: Quantity) -> str:
         """A given user position with its unit. Raises `Refusal`, `UnknownName`."""
-        config, now = self._access.view.fleet.axis(axis), self._access.view.axis_now(axis)
+        config, state_now = self._access.view.fleet.axis(axis), self._access.view.axis_now(axis)
         text = explain_value(self._access.view.fleet, axis, value)
         if text is not None:
             raise Refusal("bad-unit", text, "correct the unit", controller_of(axis))
-        offset = now.offset if now is not None else Fraction(0)
+        offset = state_now.offset if state_now is not None else Fraction(0)
         # On an axis that wraps, a position exists once in each turn.
         motor = parse_quantity(value, config.unit) - offset
-        beyond = None if config.turn_length is not None else explain_beyond_limits(axis, config, motor, offset)
-        if beyond is not None:
-            raise Refusal("soft-limit", beyond, "give another value", controller_of(axis))
+        beyond_limits = None if config.turn_length is not None else explain_beyond_limits(axis, config, motor, offset)
+        if beyond_limits is not None:
+            raise Refusal("soft-limit", beyond_limits, "give another value", controller_of(axis))
         return format_quantity(value, config.unit)
 
     async def _read_present(self, axes: list[str]) -> dict[str, str]:
         """The present user positions of axes that stand and are referenced. Raises `Refusal`."""
         states = await self._query_states({controller_of(axis) for axis in axes})
-        found: dict[str, str] = {}
+        present: dict[str, str] = {}
         for axis in axes:
             controller, name = split_name(axis)
             state = states[controller]
             if state is None or state.mode == "offline":
                 text = f"the position of {axis} is not known: {controller} is {'offline' if state else 'absent'}"
                 raise Refusal("offline", text, "see `tutti status`; or give a value: `--at`", controller)
-            found[axis] = self._read_axis(axis, state.axes[name])
-        return found
+            present[axis] = self._read_axis(axis, state.axes[name])
+        return present
 
     async def _read_referenced(self) -> dict[str, str]:
         """The present user positions of all axes that are referenced. Raises `Refusal`."""
         fleet = self._access.view.fleet
-        found: dict[str, AxisState] = {}
+        states: dict[str, AxisState] = {}
         for controller, state in (await self._query_states(set(fleet.controllers))).items():
             axes = state.axes.items() if state is not None and state.mode != "offline" else ()
-            found |= {f"{controller}.{name}": now for name, now in axes if now.referenced}
-        if not found:
+            states |= {f"{controller}.{name}": state_now for name, state_now in axes if state_now.referenced}
+        if not states:
             raise Refusal("not-referenced", "no axis of the fleet is referenced", "home them before: `tutti axis home`")
-        return {axis: self._read_axis(axis, now) for axis, now in found.items()}
+        return {axis: self._read_axis(axis, state_now) for axis, state_now in states.items()}
 
     def _read_axis(self, axis: str, now: AxisState) -> str:
         controller = controller_of(axis)

@@ -130,12 +130,12 @@ class MemberRequests:
         took."""
         begun_s = asyncio.get_running_loop().time()
         texts = {member: request.to_json().decode() for member, request in requests.items()}
-        asked = BatchRequest(requests=texts, answer_within_ns=round(HOST_TIMEOUT_SHARE * timeout_s * NS_PER_S))
+        asked_request = BatchRequest(requests=texts, answer_within_ns=round(HOST_TIMEOUT_SHARE * timeout_s * NS_PER_S))
         first = next(iter(requests))
         key, server = self.keys.batch_command(self._host_of(first), verb), self.view.servers.get(first)
         said, failure = BatchReply(), None
         try:
-            said = BatchReply.read_message(await self.bus.request(key, asked.to_json(), timeout_s, server))
+            said = BatchReply.read_message(await self.bus.request(key, asked_request.to_json(), timeout_s, server))
         except (BusError, ValidationError) as error:
             failure = error
         took_ns = _elapsed_ns(begun_s)

@@ -133,9 +133,9 @@ class FleetView:
 
     async def query_info(self, controller: str) -> ControllerInfo:
         """Identity and capabilities of the controller; queried once per instance of its adapter. Raises `BusError`."""
-        known, state = self._infos.get(controller), self._states.get(controller)
-        if known is not None and state is not None and known.instance == state.instance:
-            return known
+        known_info, state = self._infos.get(controller), self._states.get(controller)
+        if known_info is not None and state is not None and known_info.instance == state.instance:
+            return known_info
         info = self._infos[controller] = await self.ask_info(controller)
         return info
 

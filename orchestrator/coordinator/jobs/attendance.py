@@ -31,5 +31,5 @@ class SessionMonitor:
     def find_absent(self, sessions: Iterable[str]) -> set[str]:
         """Those of `sessions` that have been silent for too long. A new one has that time for its first sign."""
         now_ns = self._services.clock.now_ns()
-        self._since_ns = {each: self._since_ns.get(each, now_ns) for each in set(sessions)}
-        return {each for each, since in self._since_ns.items() if self._signs.present_until_ns(each, since) < now_ns}
+        self._since_ns = {session: self._since_ns.get(session, now_ns) for session in set(sessions)}
+        return {name for name, since in self._since_ns.items() if self._signs.present_until_ns(name, since) < now_ns}

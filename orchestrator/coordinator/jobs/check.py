@@ -23,14 +23,14 @@ async def check_job(fleet: Fleet, steps: Iterable[RemainingStep], plan: Executor
 
     Raises `Refusal` for what cannot work wherever the axes are.
     """
-    forecaster, written, least_s = JobForecaster(fleet), dict[int, Step](), 0.0
-    for done, (_, number, step) in enumerate(steps):
-        if done and done % STEPS_AT_ONCE == 0:
+    forecaster, written_steps, least_s = JobForecaster(fleet), dict[int, Step](), 0.0
+    for count, (_, number, step) in enumerate(steps):
+        if count and count % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
-        written[number] = step
+        written_steps[number] = step
         least_s += (await forecast_step(forecaster, number, step, plan)).least_s
     if forecaster.problems:
-        raise _make_refusal(written, forecaster.problems)
+        raise _make_refusal(written_steps, forecaster.problems)
     return least_s
 
 
@@ -66,7 +66,7 @@ def _advance(work: Generator[None, None, StepForecast]) -> StepForecast | None:
 
 def _make_refusal(steps: Mapping[int, Step], problems: list[StepProblem]) -> Refusal:
     first = problems[0]
-    lines = [f"{_describe_place(steps, each.place)}: {each.text}" for each in problems[:MAX_LISTED]]
+    lines = [f"{_describe_place(steps, problem.place)}: {problem.text}" for problem in problems[:MAX_LISTED]]
     if len(problems) > MAX_LISTED:
         lines.append(f"and {len(problems) - MAX_LISTED} more; see `tutti job check`")
     return Refusal(first.code, "\n".join(lines), first.remedy, first.controller)

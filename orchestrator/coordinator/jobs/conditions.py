@@ -91,9 +91,9 @@ class WorldConditions:
         if needs.moves and self._estop is not None and self._clock.now_ns() < self._estop[0]:
             return Obstacle("estop-latched", self._estop[1], _SAFE)
         for controller in sorted(needs.controllers):
-            found = self._find_controller_obstacle(controller, moves=needs.moves)
-            if found is not None:
-                return found
+            obstacle = self._find_controller_obstacle(controller, moves=needs.moves)
+            if obstacle is not None:
+                return obstacle
         missing = self._permits.find_missing(needs.moved)
         if missing is not None:
             return Obstacle("permit", missing, "satisfy the permit")
@@ -125,10 +125,12 @@ class WorldConditions:
 
     def _find_axis_obstacle(self, enabled: Iterable[str], referenced: Iterable[str]) -> Obstacle | None:
         # All of them at once: one command is enough.
-        off = [axis for axis in sorted(enabled) if not (now := self._find_axis(axis)) or not now.enabled]
+        off = [axis for axis in sorted(enabled) if not (axis_now := self._find_axis(axis)) or not axis_now.enabled]
         if off:
             return Obstacle("not-enabled", _join(off, "not enabled"), f"enable: `tutti axis enable {' '.join(off)}`")
-        lost = [axis for axis in sorted(referenced) if not (now := self._find_axis(axis)) or not now.referenced]
+        lost = [
+            axis for axis in sorted(referenced) if not (axis_now := self._find_axis(axis)) or not axis_now.referenced
+        ]
         if lost:
             return Obstacle(
                 "not-referenced", _join(lost, "not referenced"), f"home: `tutti axis home {' '.join(lost)}`"

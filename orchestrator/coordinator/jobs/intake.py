@@ -59,28 +59,28 @@ class JobIntake:
         remaining = resolver.resolve_remaining(job.steps, terms.repeat, from_step).list_remaining(from_step)
         await self._check_steps(remaining, terms)
         await self._check_terms(terms, request.client_key)
-        axes = find_axes(services.view.fleet, [each.step for each in remaining])
-        described = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]
+        axes = find_axes(services.view.fleet, [step.step for step in remaining])
+        described_steps = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]
         reply = JobRetried(
-            steps=[f"{each.first} {each.step.describe()}" for each in described],
+            steps=[f"{step.first} {step.step.describe()}" for step in described_steps],
             axes=[self._axis_position(axis) for axis in axes],
             warnings=_find_warnings(remaining),
         )
         if request.dry_run:
             return reply
         fresh = job.model_copy(update={"actor": request.actor})
-        taken = await self._accept_job(request.client_key, fresh, terms, journal.RetryOrigin(record.id, from_step))
-        return reply.model_copy(update={"job_id": taken.job_id, "entry": taken.entry})
+        taken_job = await self._accept_job(request.client_key, fresh, terms, journal.RetryOrigin(record.id, from_step))
+        return reply.model_copy(update={"job_id": taken_job.job_id, "entry": taken_job.entry})
 
     async def prune_jobs(self, request: PruneJobs) -> int:
         """Delete old jobs; return how many."""
         services = self._services
-        before = parse_utc(services.clock.utc()) - timedelta(seconds=request.older_s)
-        gone = await services.execute(services.journal.prune_jobs, format_utc(before), request.keep)
-        named = await services.execute(services.journal.list_named_points)
-        await services.execute(services.journal.points.delete_unused, named, services.clock.utc())
-        services.log.info(f"{gone} jobs submitted before {format_utc(before)} deleted by {request.actor}")
-        return gone
+        utc_before = parse_utc(services.clock.utc()) - timedelta(seconds=request.older_s)
+        pruned_jobs = await services.execute(services.journal.prune_jobs, format_utc(utc_before), request.keep)
+        named_points = await services.execute(services.journal.list_named_points)
+        await services.execute(services.journal.points.delete_unused, named_points, services.clock.utc())
+        services.log.info(f"{pruned_jobs} jobs submitted before {format_utc(utc_before)} deleted by {request.actor}")
+        return pruned_jobs
 
     # Inside
 
@@ -88,7 +88,7 @@ class JobIntake:
         """Raises `Refusal` for steps that cannot work, and for those that would outlive a certificate."""
         services, fleet = self._services, self._services.view.fleet
         least_s = await check_job(fleet, steps, services.motion.plan)
-        members = find_needed_controllers(fleet, [each.step for each in steps])
+        members = find_needed_controllers(fleet, [step.step for step in steps])
         services.fleet.certificates.require_until(members, least_s, terms.at)
 
     async def _accept_job(
@@ -128,15 +128,15 @@ class JobIntake:
         if terms.proposed and (terms.now or terms.session is not None):
             text = "a proposed job waits for its approval: it cannot begin at once, or belong to a waiting command"
             raise Refusal("bad-terms", text, "propose it without `now` and `session`")
-        now = parse_utc(services.clock.utc())
-        if terms.at is not None and terms.missed == "skip" and parse_utc(terms.at) < now - MISSED_AFTER:
+        utc_now = parse_utc(services.clock.utc())
+        if terms.at is not None and terms.missed == "skip" and parse_utc(terms.at) < utc_now - MISSED_AFTER:
             raise Refusal(
                 "past",
-                f"start time {terms.at} is in the past; it is now {format_utc(now)}",
+                f"start time {terms.at} is in the past; it is now {format_utc(utc_now)}",
                 "give a later time, or set `missed: run`",
             )
-        if terms.expires is not None and parse_utc(terms.expires) <= now:
-            text = f"it expires at {terms.expires}, which is in the past; it is now {format_utc(now)}"
+        if terms.expires is not None and parse_utc(terms.expires) <= utc_now:
+            text = f"it expires at {terms.expires}, which is in the past; it is now {format_utc(utc_now)}"
             raise Refusal("past", text, "give a later time")
         if terms.after is not None:
             row = await services.execute(services.journal.load_record, terms.after)
@@ -150,11 +150,15 @@ class JobIntake:
                 )
 
     def _axis_position(self, axis: str) -> AxisPosition:
-        now = self._services.view.axis_now(axis)
-        if now is None:
+        axis_now = self._services.view.axis_now(axis)
+        if axis_now is None:
             return AxisPosition(axis=axis, unit=self._services.view.fleet.axis(axis).unit, position=None)
         return AxisPosition(
-            axis=axis, unit=now.unit, position=now.position, enabled=now.enabled, referenced=now.referenced
+            axis=axis,
+            unit=axis_now.unit,
+            position=axis_now.position,
+            enabled=axis_now.enabled,
+            referenced=axis_now.referenced,
         )
 
 
@@ -195,8 +199,8 @@ def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
 def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
     """Warnings for steps whose result depends on where the axes are now."""
     places = StartPlaces()
-    for index, _, written in remaining:
-        for step in iterate_steps([written]):
+    for index, _, written_step in remaining:
+        for step in iterate_steps([written_step]):
             axes = ", ".join(places.take_step(step))
             if axes:
                 return [step.describe_relative(index, axes)]

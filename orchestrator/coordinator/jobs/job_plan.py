@@ -51,7 +51,7 @@ async def resolve_job(job: Job, repeat: int, from_step: int, resolver: PositionR
 
 def list_written(order: StepOrder, from_step: int) -> list[Step]:
     """What is left from a step on, each written step once: more passes change nothing of what a plan states."""
-    return list({id(each.step): each.step for each in order.list_remaining(from_step)}.values())
+    return list({id(step.step): step.step for step in order.list_remaining(from_step)}.values())
 
 
 async def make_plan(view: FleetView, planned: PlannedJob, since_ns: int | None = None) -> JobPlan:
@@ -106,7 +106,7 @@ class _JobUses:
 
     def add_controllers(self, fleet: Fleet) -> None:
         """Add the controllers of axes, outputs, trigger lines and permits."""
-        names = [*self.axes, *self.outputs, *(each.input for each in fleet.permits_of(self.moved).values())]
+        names = [*self.axes, *self.outputs, *(permit.input for permit in fleet.permits_of(self.moved).values())]
         drivers = [wire.from_ for wire in find_wires(fleet, {*map(controller_of, self.moved)}, self.outputs)]
         self.controllers |= {*map(controller_of, (*names, *drivers))}
 

@@ -177,14 +177,14 @@ class JobRun:
     @property
     def steps_to_run(self) -> list[Step]:
         """The written steps that it runs, from the one that it begins with."""
-        return [each.step for each in self._steps.order.list_remaining(self.row.from_step)]
+        return [step.step for step in self._steps.order.list_remaining(self.row.from_step)]
 
     @property
     def members(self) -> list[str]:
         """Controllers that it can move, or whose outputs it switches on the way, to stop them all."""
-        moved = group_by_controller(find_axes(self._services.view.fleet, self.steps_to_run))
+        moved_controller = group_by_controller(find_axes(self._services.view.fleet, self.steps_to_run))
         outputs = [output for step in iterate_steps(self.steps_to_run) for output in step.trigger_outputs]
-        return list(dict.fromkeys([*moved, *map(controller_of, outputs)]))
+        return list(dict.fromkeys([*moved_controller, *map(controller_of, outputs)]))
 
     async def interrupt_job(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
         """Stop its axes and end it. Does nothing to a job that is ending already."""
@@ -284,11 +284,11 @@ class JobRun:
 
     def make_broken_outcome(self, error: BaseException | None) -> JobOutcome:
         """The outcome of a run that could not report it itself: it ended with an error, or was cancelled."""
-        ended = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
+        ended_interrupt = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
         if error is not None:
-            ended = JobInterrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
+            ended_interrupt = JobInterrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
         report = self._report.model_copy(update={"steps": self._reports.reports})
-        return JobOutcome(ended.state, ended.reason, ended.actor, report)
+        return JobOutcome(ended_interrupt.state, ended_interrupt.reason, ended_interrupt.actor, report)
 
     async def _run_job(self) -> JobOutcome:
         services = self._services
@@ -382,14 +382,14 @@ class JobRun:
         if approval is None or approval.void:
             return "no plan of it is approved"
         steps = list_written(self._steps.order, row.from_step)
-        planned = PlannedJob(self.job, row.repeat, row.from_step, steps, self._report.positions_used)
-        plan = await make_plan(services.view, planned, since_ns)
+        planned_job = PlannedJob(self.job, row.repeat, row.from_step, steps, self._report.positions_used)
+        plan = await make_plan(services.view, planned_job, since_ns)
         return "" if plan.hash == approval.plan.hash else join_changes(list_changes(approval.plan, plan))
 
     def _publish_beginning(self) -> None:
         """Publish the job itself, for what records it."""
         services, row = self._services, self.row
-        begun = JobBegun(
+        begun_job = JobBegun(
             job_id=row.id,
             name=row.name,
             actor=row.actor,
@@ -400,7 +400,7 @@ class JobRun:
             positions_used=self._report.positions_used,
             job=self.job,
         )
-        services.bus.put(services.keys.job_begun(row.id), begun.to_json(), Priority.EVENT)
+        services.bus.put(services.keys.job_begun(row.id), begun_job.to_json(), Priority.EVENT)
 
     def _take_positions(self) -> None:
         """Take the values of the named positions of its targets, for the whole run. Raises `Refusal`."""
@@ -444,7 +444,7 @@ class JobRun:
                 return await self._run_motion(self._motion_step)
             services.fleet.certificates.require_until(self.needs, predict_s(services.view.fleet, step))
             await self._on_state("running", "")
-            added = await run_step(self._make_context(), step)
+            added_fields = await run_step(self._make_context(), step)
         except Refusal as error:
             services.log.warning(error.text, job=self.row.id, step=index, code=error.code)
             reason = f"{error.text}; {error.remedy}" if error.remedy else error.text
@@ -459,7 +459,7 @@ class JobRun:
         took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
         name = step.name or ""
         report = StepReport(index=index, do=step.kind, name=name, state="done", actual_s=took_s)
-        return report.model_copy(update=added)
+        return report.model_copy(update=added_fields)
 
     def _make_context(self) -> StepContext:
         services, row = self._services, self.row
@@ -496,8 +496,8 @@ class JobRun:
             return
         services = self._services
         # Of a scan, the first point stands for all: its points have rows of their own in the journal.
-        later = self._noted and self._steps.locate(self._step).is_later_point
-        if not later or "paused" in (state, self.state):
+        point_later = self._noted and self._steps.locate(self._step).is_later_point
+        if not point_later or "paused" in (state, self.state):
             transition = services.make_transition(state, reason, actor or self.row.actor)
             await services.execute(services.journal.record_transition, self.row.id, transition)
         self.state, self._reason, self._noted = state, reason, True
@@ -614,7 +614,7 @@ class JobRun:
             with suppress(BusError):
                 state, since_ns = await services.view.query_state(member, since_ns), None
                 # A homing that has just begun is not seen as motion yet.
-                busy = any(each.moving or each.homing for each in state.axes.values())
+                busy = any(axis.moving or axis.homing for axis in state.axes.values())
                 if state.mode not in ("moving", "stopping") and not busy:
                     return
             await sleep_ns(services.clock, REST_POLL_NS)
@@ -624,7 +624,7 @@ class JobRun:
         await self._services.execute(journal.point_rows.store_points, self.row.id, points)
 
     def _holds_axes(self) -> bool:
-        return any(held.holder == self.row.id for held in self._services.leases.all_leases)
+        return any(held_lease.holder == self.row.id for held_lease in self._services.leases.all_leases)
 
     def _is_enabled(self, axis: str) -> bool:
         controller, _, name = axis.partition(".")

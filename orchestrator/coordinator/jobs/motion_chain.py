@@ -65,12 +65,12 @@ class MotionChain:
     def _prepare_behind(self, motion: PlannedMotion) -> StepAhead | None:
         """The motion step behind `motion`, being prepared; None where none can follow it."""
         fleet = self._services.fleet.view.fleet
-        found = find_next_motion(fleet, self._steps(), motion.planned.request.index)
-        if isinstance(found, ChainBreak):
-            self._breaks[found.index] = found.reason
+        found_motion = find_next_motion(fleet, self._steps(), motion.planned.request.index)
+        if isinstance(found_motion, ChainBreak):
+            self._breaks[found_motion.index] = found_motion.reason
             return None
-        following = MotionStep(self._services, self._make_request(found.index, found.move))
-        return StepAhead(self._services, following, motion, found.between, self._plan_after)
+        following = MotionStep(self._services, self._make_request(found_motion.index, found_motion.move))
+        return StepAhead(self._services, following, motion, found_motion.between, self._plan_after)
 
     # The next step
 

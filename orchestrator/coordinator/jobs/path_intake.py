@@ -26,13 +26,13 @@ async def split_paths(view: FleetView, job: Job) -> Job:
 
 
 async def _split_path(view: FleetView, step: FollowPath) -> Step:
-    known = set(view.fleet.axis_names)
+    known_names = set(view.fleet.axis_names)
     slow = set[str]()
-    for name in dict.fromkeys(controller_of(axis) for axis in step.axes if axis in known):
+    for name in dict.fromkeys(controller_of(axis) for axis in step.axes if axis in known_names):
         with suppress(BusError):
             if max((await view.query_info(name)).orders) < 3:
                 slow |= {axis for axis in step.axes if controller_of(axis) == name}
-    if not slow or not known.issuperset(step.axes):
+    if not slow or not known_names.issuperset(step.axes):
         return step
     units = {axis: view.fleet.axis(axis).unit for axis in step.axes}
     parts = split_path(step, slow, units, view.fleet.frames)

@@ -31,24 +31,26 @@ class PointIntake:
                 raise Refusal("bad-points", f"the data cannot be read: {error}", "send base64") from None
             state = await services.execute(store.add_part, request.digest, request.begin, data, utc)
         else:
-            for each in request.axes:
-                unit = services.view.fleet.axis(each.axis).unit
-                if unit != each.unit:
-                    text = f"the points of {each.axis} are in {each.unit}, and the axis is in {unit}"
-                    raise Refusal("bad-unit", text, "convert them", controller_of(each.axis))
-            named = await services.execute(services.journal.list_named_points)
+            for axis in request.axes:
+                unit = services.view.fleet.axis(axis.axis).unit
+                if unit != axis.unit:
+                    text = f"the points of {axis.axis} are in {axis.unit}, and the axis is in {unit}"
+                    raise Refusal("bad-unit", text, "convert them", controller_of(axis.axis))
+            named_points = await services.execute(services.journal.list_named_points)
             begin = store.begin_upload
-            state = await services.execute(begin, request.digest, request.axes, request.count, utc, named)
+            state = await services.execute(begin, request.digest, request.axes, request.count, utc, named_points)
         return PointsPut(received=state.received, points=_make_table(request.digest, state))
 
     async def resolve_points(self, job: Job) -> Job:
         """The job with the extremes of its stored points as the store has found them. Raises `Refusal`, code
         `unknown-points`, for points that are not stored."""
-        stored = [scan for scan in find_scans(job.steps) if not scan.axes and not (scan.points and scan.points.rows)]
-        if not stored:
+        stored_scans = [
+            scan for scan in find_scans(job.steps) if not scan.axes and not (scan.points and scan.points.rows)
+        ]
+        if not stored_scans:
             return job
-        found = {id(scan): await self._resolve_scan(scan) for scan in stored}
-        return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]})
+        scans = {id(scan): await self._resolve_scan(scan) for scan in stored_scans}
+        return job.model_copy(update={"steps": [step.replace_steps(scans) for step in job.steps]})
 
     async def _resolve_scan(self, scan: Scan) -> Scan:
         digest = None if scan.points is None else scan.points.digest

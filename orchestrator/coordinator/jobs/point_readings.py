@@ -50,9 +50,9 @@ class PointReadings:
         for axis, position in self._target.items():
             controller, name = split_name(axis)
             if controller == state.controller and name in state.axes and state.mode != "offline":
-                now = state.axes[name]
-                if _stands_at(self._view.fleet.axis(axis), now, position):
-                    self._found[axis] = now.position
+                axis_now = state.axes[name]
+                if _stands_at(self._view.fleet.axis(axis), axis_now, position):
+                    self._found[axis] = axis_now.position
 
 
 def _stands_at(axis: Axis, now: AxisState, position: float) -> bool:

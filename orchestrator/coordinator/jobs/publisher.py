@@ -57,20 +57,20 @@ class QueuePublisher:
 
     def make_entry(self, row: JobRecord) -> QueueEntry:
         """The list entry of a job. It has its place as soon as the scheduler has decided that it waits."""
-        run, waiting, stopped = self._running.get(row.id), self._waiting.get(row.id), self._stopped()
+        run, waiting_job, stopped = self._running.get(row.id), self._waiting.get(row.id), self._stopped()
         usual = row.reason
-        if waiting is not None:
-            row = waiting.row
+        if waiting_job is not None:
+            row = waiting_job.row
             # A job that has just been accepted has not been scheduled yet.
-            usual = describe_stop(stopped) if stopped is not None and not waiting.is_attended else row.reason
+            usual = describe_stop(stopped) if stopped is not None and not waiting_job.is_attended else row.reason
         return QueueEntry(
             id=row.id,
             name=row.name,
             actor=row.actor,
             state=run.state if run is not None and row.state not in FINISHED_STATES else row.state,
-            reason=row.reason if waiting is None else self._reasons.get(row.id, usual),
+            reason=row.reason if waiting_job is None else self._reasons.get(row.id, usual),
             submitted_utc=row.submitted_utc,
-            place=None if waiting is None else self._places.get(row.id),
+            place=None if waiting_job is None else self._places.get(row.id),
             terms=row.terms,
             held_by=row.held_by,
             origin=row.origin,
@@ -89,7 +89,7 @@ class QueuePublisher:
         while self._changed:
             self._changed = False
             rows = [run.row for run in self._running.values()]
-            rows += [each.row for each in sort_waiting(self._waiting)[:MAX_PUBLISHED_JOBS]]
+            rows += [job.row for job in sort_waiting(self._waiting)[:MAX_PUBLISHED_JOBS]]
             total = len(self._running) + len(self._waiting)
             state = self.make_queue_state(total, rows[:MAX_PUBLISHED_JOBS])
             self._services.bus.put(self._services.keys.queue, state.to_json(), Priority.EVENT)
@@ -100,11 +100,11 @@ class QueuePublisher:
         self._places = {each.row.id: place for place, each in enumerate(order, 1)}
         self._reasons = reasons
         told: dict[str, str] = {}
-        for each in order[:MAX_PUBLISHED_JOBS]:
-            row = each.row
+        for job in order[:MAX_PUBLISHED_JOBS]:
+            row = job.row
             reason = told[row.id] = reasons.get(row.id, row.reason)
             if self._told.get(row.id) != reason:
-                steps = len(StepOrder(each.job.steps, row.repeat))
+                steps = len(StepOrder(job.job.steps, row.repeat))
                 progress = make_queued_progress(row, "queued", reason, self._services.clock.utc(), steps)
                 self._services.bus.put(self._services.keys.job_state(row.id), progress.to_json(), Priority.STATE)
         self._told = told

@@ -67,7 +67,7 @@ class WaitingJob:
 
 def sort_waiting(waiting: Mapping[str, WaitingJob]) -> list[WaitingJob]:
     """The queue, first job first."""
-    return sorted(waiting.values(), key=lambda each: each.sort_key)
+    return sorted(waiting.values(), key=lambda job: job.sort_key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,35 +92,35 @@ def choose_jobs(
     still waits for; empty: nothing. stopped: why the queue is stopped; empty: it is not. free_places: how many more
     jobs without axes may run.
     """
-    taken = dict(busy)
+    taken_busy = dict(busy)
     begin: list[WaitingJob] = []
     reasons: dict[str, str] = {}
     waits_for_world = False
-    for each, needs in waiting:
-        why = each.blocking_reason or ("" if each.is_attended else stopped)
+    for job, needs in waiting:
+        why = job.blocking_reason or ("" if job.is_attended else stopped)
         if why:
-            reasons[each.row.id] = why
+            reasons[job.row.id] = why
             continue
         # It keeps its claim on the controllers while it waits.
-        claim = f"job {each.row.name!r} {each.row.id} of {each.row.actor}"
-        in_the_way = sorted(needs & taken.keys())
+        claim = f"job {job.row.name!r} {job.row.id} of {job.row.actor}"
+        in_the_way = sorted(needs & taken_busy.keys())
         if not needs and not free_places:
-            reasons[each.row.id] = WITHOUT_AXES_REASON
+            reasons[job.row.id] = WITHOUT_AXES_REASON
         elif in_the_way:
             first = in_the_way[0]
-            reasons[each.row.id] = f"waits for {first}: {taken[first]}"
+            reasons[job.row.id] = f"waits for {first}: {taken_busy[first]}"
             claim += " comes first"
         else:
-            condition = find_condition(each)
+            condition = find_condition(job)
             if condition:
-                reasons[each.row.id] = f"waits for: {condition}"
+                reasons[job.row.id] = f"waits for: {condition}"
                 waits_for_world = True
                 claim += " comes first"
             else:
-                begin.append(each)
+                begin.append(job)
                 free_places -= not needs
         for controller in needs:
-            taken.setdefault(controller, claim)
+            taken_busy.setdefault(controller, claim)
     return Schedule(begin, reasons, waits_for_world)
 
 

@@ -95,10 +95,10 @@ class QueueGate:
             self._referenced.pop(name, None)
             return
         # A search for the reference is an order, not a loss.
-        known = {axis for axis, now in state.axes.items() if now.referenced and not now.homing}
-        searching = {axis for axis, now in state.axes.items() if now.homing}
-        lost = self._referenced.get(name, set()) - known - searching
-        self._referenced[name] = known
+        known_axes = {axis for axis, axis_now in state.axes.items() if axis_now.referenced and not axis_now.homing}
+        searching = {axis for axis, axis_now in state.axes.items() if axis_now.homing}
+        lost = self._referenced.get(name, set()) - known_axes - searching
+        self._referenced[name] = known_axes
         if lost:
             self.note_break(f"{name}.{min(lost)} is no longer referenced")
 

@@ -50,15 +50,21 @@ class JobRehearsal:
             motion, asked_step = forecaster.motion, as_motion(step)
             steps.append(forecast)
             if asked_step is not None and motion is not None and motion.plan.profiles:
-                asked = StepRequest("dry-run", request.job, index, asked_step)
-                resolved = ResolvedMove(motion.moves, dict(motion.exact))
-                planned = PlannedStep(
-                    asked, resolved, motion.plan, {}, rehearsal=True, path=motion.path, triggers=motion.triggers
+                asked_request = StepRequest("dry-run", request.job, index, asked_step)
+                resolved_move = ResolvedMove(motion.moves, dict(motion.exact))
+                planned_step = PlannedStep(
+                    asked_request,
+                    resolved_move,
+                    motion.plan,
+                    {},
+                    rehearsal=True,
+                    path=motion.path,
+                    triggers=motion.triggers,
                 )
-                rehearsals.append(self._rehearse(planned, forecast, forecaster.problems))
+                rehearsals.append(self._rehearse(planned_step, forecast, forecaster.problems))
             if len(rehearsals) == REHEARSALS_AT_ONCE or number == len(request.job.steps) - 1:
-                for done in await asyncio.gather(*rehearsals):
-                    steps[done.index - request.first] = done
+                for done_forecast in await asyncio.gather(*rehearsals):
+                    steps[done_forecast.index - request.first] = done_forecast
                 rehearsals.clear()
         self._check_certificates(request, steps, forecaster)
         return DryRunDone(forecast=forecaster.finish(steps), end=forecaster.axes)
@@ -112,14 +118,14 @@ class JobRehearsal:
         view, targets = self._services.view, self._services.motion.targets
         axes: dict[str, AxisForecast] = {}
         for name in view.fleet.axis_names:
-            now, axis = view.axis_now(name), view.fleet.axis(name)
-            if now is None:
+            state_now, axis = view.axis_now(name), view.fleet.axis(name)
+            if state_now is None:
                 continue
             axes[name] = AxisForecast(
-                motor=targets.exact_position(name, now.commanded_counts, axis.counts_per_unit),
+                motor=targets.exact_position(name, state_now.commanded_counts, axis.counts_per_unit),
                 known=True,
-                offset=now.offset,
-                enabled=now.enabled or axis.enable != "manual",
-                referenced=now.referenced,
+                offset=state_now.offset,
+                enabled=state_now.enabled or axis.enable != "manual",
+                referenced=state_now.referenced,
             )
         return axes

@@ -86,21 +86,21 @@ class ReportCollector:
 
     async def add_report(self, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
         """Take the report of a step that has begun. target: of the point it belongs to. Raises `JournalError`."""
-        now = self._scan
+        scan_now = self._scan
         if report.t0_fleet_ns is not None:
             self._last_motion = report
-        if now is None:
+        if scan_now is None:
             self._reports.append(report)
             return
         if place.part == 0:
-            now.moved = report
+            scan_now.moved = report
             self._close_row()
             self._readings.begin_point(target)
-        now.steps_done += report.state == "done"
+        scan_now.steps_done += report.state == "done"
         if report.state != "done":
-            now.ended = place, report
-        if report.state != "done" or place.part == now.scan.points_steps - 1:
-            self._end_point(now, place, report, target)
+            scan_now.ended = place, report
+        if report.state != "done" or place.part == scan_now.scan.points_steps - 1:
+            self._end_point(scan_now, place, report, target)
             waited_ns = self._clock.now_ns() - self._written_ns
             if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:
                 await self._write_rows()
@@ -122,17 +122,17 @@ class ReportCollector:
 
     def _end_point(self, now: _ScanProgress, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
         assert place.point is not None
-        took_ns, moved = self._clock.now_ns() - now.point_ns, now.moved
+        took_ns, moved_report = self._clock.now_ns() - now.point_ns, now.moved
         now.point_ns += took_ns
-        verdict: Verdict = "none" if moved is None else moved.verdict
+        verdict: Verdict = "none" if moved_report is None else moved_report.verdict
         now.worst = worse_verdict(now.worst, verdict)
         now.verdicts[verdict] = now.verdicts.get(verdict, 0) + 1
         skew = None
-        if moved is not None:
-            skew = moved.narrowest_skew
-            self._note_skew(now, moved)
+        if moved_report is not None:
+            skew = moved_report.narrowest_skew
+            self._note_skew(now, moved_report)
             if verdict in ("amber", "red") and len(now.findings) < MAX_FINDINGS:
-                text = "; ".join(moved.deviations) or moved.reason
+                text = "; ".join(moved_report.deviations) or moved_report.reason
                 now.findings.append(PointFinding(point=place.point + 1, verdict=verdict, text=text))
         if report.state == "done":
             now.points += 1
@@ -143,7 +143,7 @@ class ReportCollector:
             point=place.point + 1,
             state=report.state,
             verdict=verdict,
-            t0_fleet_ns=None if moved is None else moved.t0_fleet_ns,
+            t0_fleet_ns=None if moved_report is None else moved_report.t0_fleet_ns,
             start_skew=skew,
             took_s=took_ns / NS_PER_S,
             target=dict(target),
@@ -161,36 +161,38 @@ class ReportCollector:
 
     def _make_scan_reports(self) -> list[StepReport]:
         """The report of the scan that runs, or ended last, and of its point that was not done."""
-        now = self._scan
-        if now is None:
+        scan_now = self._scan
+        if scan_now is None:
             return []
         summary = ScanSummary(
-            points=now.scan.point_count,
-            done=now.points,
-            steps_done=now.steps_done,
-            verdicts=dict(now.verdicts),
-            start_skew_worst_ns=now.skews.worst_ns if now.skews.count else None,
-            start_skew_p50_ns=now.skews.find_quantile(0.5),
-            start_skew_p99_ns=now.skews.find_quantile(0.99),
-            not_green=list(now.findings),
-            least_s=None if now.least_ns is None else now.least_ns / NS_PER_S,
-            mean_s=None if not now.points else (now.point_ns - now.begun_ns) / NS_PER_S / now.points,
-            most_s=None if now.least_ns is None else now.most_ns / NS_PER_S,
+            points=scan_now.scan.point_count,
+            done=scan_now.points,
+            steps_done=scan_now.steps_done,
+            verdicts=dict(scan_now.verdicts),
+            start_skew_worst_ns=scan_now.skews.worst_ns if scan_now.skews.count else None,
+            start_skew_p50_ns=scan_now.skews.find_quantile(0.5),
+            start_skew_p99_ns=scan_now.skews.find_quantile(0.99),
+            not_green=list(scan_now.findings),
+            least_s=None if scan_now.least_ns is None else scan_now.least_ns / NS_PER_S,
+            mean_s=None
+            if not scan_now.points
+            else (scan_now.point_ns - scan_now.begun_ns) / NS_PER_S / scan_now.points,
+            most_s=None if scan_now.least_ns is None else scan_now.most_ns / NS_PER_S,
         )
-        worst = now.worst_report
+        worst = scan_now.worst_report
         report = StepReport(
-            index=now.place.first,
+            index=scan_now.place.first,
             do="scan",
-            name=now.scan.name or "",
+            name=scan_now.scan.name or "",
             state="done",
-            actual_s=(now.point_ns - now.begun_ns) / NS_PER_S,
+            actual_s=(scan_now.point_ns - scan_now.begun_ns) / NS_PER_S,
             budget=None if worst is None else worst.budget,
             start_skew=None if worst is None else worst.narrowest_skew,
-            verdict=now.worst,
+            verdict=scan_now.worst,
             scan=summary,
         )
-        if now.ended is None:
+        if scan_now.ended is None:
             return [report]
-        place, ended = now.ended
-        reason = f"{place.describe()}: {ended.reason}"
-        return [report.model_copy(update={"state": ended.state, "reason": reason}), ended]
+        place, ended_report = scan_now.ended
+        reason = f"{place.describe()}: {ended_report.reason}"
+        return [report.model_copy(update={"state": ended_report.state, "reason": reason}), ended_report]

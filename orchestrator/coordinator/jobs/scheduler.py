@@ -99,17 +99,17 @@ class Scheduler:
             if job is None:
                 damaged = True
             elif row.state == "queued":
-                waiting = self._waiting[row.id] = WaitingJob(row, job, row.after)
-                if waiting.awaits_approval:
+                waiting_job = self._waiting[row.id] = WaitingJob(row, job, row.after)
+                if waiting_job.awaits_approval:
                     approval = await self._services.load_approval(row.id)
-                    waiting.deviation = "" if approval is None else approval.void
+                    waiting_job.deviation = "" if approval is None else approval.void
             else:
                 left.append((row, job))
         for row, job in left:
             reason = f"the coordinator ended while the job was {row.state}"
             await self._end_job(row, job, self._report_of(row, job), JobEnd("interrupted", reason, "coordinator"))
-        for waiting in list(self._waiting.values()):
-            await self._settle_follower(waiting)
+        for waiting_job in list(self._waiting.values()):
+            await self._settle_follower(waiting_job)
         await self.gate.start(interrupted=bool(left) or damaged)
         await self._sessions.start()
         self._declared.append(await services.bus.subscribe(services.keys.estop, self._receive_estop))
@@ -161,8 +161,8 @@ class Scheduler:
 
     async def enter_job(self, row: JobRecord, job: Job) -> None:
         """Enter a job that was accepted."""
-        waiting = self._waiting[row.id] = WaitingJob(row, job, row.after)
-        await self._settle_follower(waiting)
+        waiting_job = self._waiting[row.id] = WaitingJob(row, job, row.after)
+        await self._settle_follower(waiting_job)
         self._timed.set()
         self.wake_up()
         self._publisher.schedule_publication()
@@ -173,10 +173,10 @@ class Scheduler:
         if run is not None:
             await run.interrupt_job(JobInterrupted("cancelled", f"cancelled by {actor}", actor))
             return
-        waiting = self._waiting.pop(job_id, None)
-        if waiting is None:
+        waiting_job = self._waiting.pop(job_id, None)
+        if waiting_job is None:
             raise await self._make_refusal(job_id, "not-queued", "try again in a moment")
-        await self._cancel_waiting(waiting, f"cancelled by {actor}", actor)
+        await self._cancel_waiting(waiting_job, f"cancelled by {actor}", actor)
         self.wake_up()
 
     async def stop_jobs(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
@@ -197,32 +197,32 @@ class Scheduler:
 
     async def release_jobs(self, job_ids: Iterable[str], actor: str) -> None:
         """Release held jobs; without ids, all held jobs but those that wait for approval."""
-        held = [each for each in self._waiting.values() if each.row.held_by and not each.awaits_approval]
-        for job_id in list(job_ids) or [each.row.id for each in held]:
-            waiting = await self.find_waiting(job_id, "for a paused job: `tutti job resume`")
-            if waiting.awaits_approval:
+        held_jobs = [job for job in self._waiting.values() if job.row.held_by and not job.awaits_approval]
+        for job_id in list(job_ids) or [job.row.id for job in held_jobs]:
+            waiting_job = await self.find_waiting(job_id, "for a paused job: `tutti job resume`")
+            if waiting_job.awaits_approval:
                 remedy = f"look at its plan and approve it: `tutti job approve {job_id}`"
                 raise Refusal("awaits-approval", f"job {job_id} waits for the approval of its plan", remedy)
-            if waiting.row.held_by:
+            if waiting_job.row.held_by:
                 services = self._services
                 change = services.make_transition("queued", f"released by {actor}", actor)
                 await services.execute(services.journal.hold_jobs, [job_id], "", change)
-                waiting.row = waiting.row._replace(held_by="", reason=change.reason)
+                waiting_job.row = waiting_job.row._replace(held_by="", reason=change.reason)
                 self.wake_up()
 
     async def find_waiting(self, job_id: str, remedy: str) -> WaitingJob:
         """A job that waits. Raises `Refusal` with this remedy for one that does not."""
-        waiting = self._waiting.get(job_id)
-        if waiting is None:
+        waiting_job = self._waiting.get(job_id)
+        if waiting_job is None:
             raise await self._make_refusal(job_id, "not-queued", remedy)
-        return waiting
+        return waiting_job
 
     async def approve_job(self, waiting: WaitingJob, approval: JobApproval) -> None:
         """Record the approval of a job's plan, and release the job if it waits for that. A hold by a user stays."""
         services, job_id = self._services, waiting.row.id
         change = services.make_transition("queued", f"plan {approval.plan.hash} approved", approval.actor)
-        stored = await services.execute(services.journal.approvals.approve_job, approval, change)
-        if not stored or self._waiting.get(job_id) is not waiting:
+        is_stored = await services.execute(services.journal.approvals.approve_job, approval, change)
+        if not is_stored or self._waiting.get(job_id) is not waiting:
             raise await self._make_refusal(job_id, "not-queued", "only a job that waits can be approved")
         held_by = "" if waiting.awaits_approval else waiting.row.held_by
         waiting.row = waiting.row._replace(held_by=held_by, reason=change.reason)
@@ -237,12 +237,12 @@ class Scheduler:
         if job_id == before:
             raise Refusal("same-job", f"job {job_id} cannot be moved before itself", "choose another job")
         async with self._arranging:
-            mine, other = self._waiting[job_id], self._waiting[before]
-            order = [each for each in sort_waiting(self._waiting) if each is not mine]
-            order.insert(order.index(other), mine)
-            ranks = sorted(each.row.place for each in order)
-            places = {each.row.id: rank for each, rank in zip(order, ranks, strict=True) if each.row.place != rank}
-            services, priority = self._services, other.row.priority
+            mine, other_job = self._waiting[job_id], self._waiting[before]
+            order = [job for job in sort_waiting(self._waiting) if job is not mine]
+            order.insert(order.index(other_job), mine)
+            ranks = sorted(job.row.place for job in order)
+            places = {job.row.id: rank for job, rank in zip(order, ranks, strict=True) if job.row.place != rank}
+            services, priority = self._services, other_job.row.priority
             change = services.make_transition("queued", f"moved before job {before} by {actor}", actor)
             await services.execute(services.journal.reorder_jobs, job_id, priority, places, change)
             for each in order:
@@ -315,15 +315,15 @@ class Scheduler:
             choice = self._make_schedule()
             if choice.waits_for_world:
                 services.clock.call_at_ns(services.clock.now_ns() + CONDITION_POLL_NS, self.wake_up)
-            for each in choice.ready_jobs:
-                self._begin_job(each)
+            for job in choice.ready_jobs:
+                self._begin_job(job)
             await self._cancel_impatient(choice.reasons)
             self._publisher.take_schedule(sort_waiting(self._waiting), choice.reasons)
             if choice.ready_jobs:
                 self._publisher.schedule_publication()
 
     def _make_schedule(self) -> Schedule:
-        queue = ((each, self._find_needs(each).controllers) for each in sort_waiting(self._waiting))
+        queue = ((job, self._find_needs(job).controllers) for job in sort_waiting(self._waiting))
         stopped = self.gate.stopped
         why = "" if stopped is None else describe_stop(stopped)
         return choose_jobs(queue, self._find_busy(), self._find_condition, why, self._count_free_places())
@@ -336,10 +336,10 @@ class Scheduler:
         """The present user of each controller that is in use, in words. A lease that ends soon is waited for by the
         job itself."""
         busy = {controller: run.description for run in self._running.values() for controller in run.needs}
-        for held in self._services.leases.all_leases:
-            if held.holder not in self._running and not held.brief:
-                for controller in group_by_controller(held.axes):
-                    busy.setdefault(controller, self._services.leases.describe_use(held))
+        for held_lease in self._services.leases.all_leases:
+            if held_lease.holder not in self._running and not held_lease.brief:
+                for controller in group_by_controller(held_lease.axes):
+                    busy.setdefault(controller, self._services.leases.describe_use(held_lease))
         return busy
 
     def _find_condition(self, waiting: WaitingJob) -> str:
@@ -367,28 +367,28 @@ class Scheduler:
 
     async def _cancel_impatient(self, reasons: Mapping[str, str]) -> None:
         """End the jobs that must begin at once or never, and that would have to wait."""
-        for waiting in [each for each in self._waiting.values() if each.row.now and each.row.id in reasons]:
-            if self._waiting.pop(waiting.row.id, None) is not None:
-                reason = f"not begun, because it must not wait: {reasons[waiting.row.id]}"
-                await self._cancel_waiting(waiting, reason, "coordinator")
+        for waiting_job in [job for job in self._waiting.values() if job.row.now and job.row.id in reasons]:
+            if self._waiting.pop(waiting_job.row.id, None) is not None:
+                reason = f"not begun, because it must not wait: {reasons[waiting_job.row.id]}"
+                await self._cancel_waiting(waiting_job, reason, "coordinator")
 
     def _find_needs(self, waiting: WaitingJob) -> JobNeeds:
         """Cached, because the queue may be long; names that the fleet file no longer has are refused at the start."""
-        known = self._needs.get(waiting.row.id)
-        if known is None:
+        known_needs = self._needs.get(waiting.row.id)
+        if known_needs is None:
             row = waiting.row
             try:
-                known = self._find_needs_of(waiting.job.steps, row.repeat, row.from_step)
+                known_needs = self._find_needs_of(waiting.job.steps, row.repeat, row.from_step)
             except (UnknownName, Refusal):
-                known = JobNeeds(frozenset())
-            self._needs[waiting.row.id] = known
-        return known
+                known_needs = JobNeeds(frozenset())
+            self._needs[waiting.row.id] = known_needs
+        return known_needs
 
     def _find_needs_of(self, steps: Sequence[Step], repeat: int = 1, first: int = 0) -> JobNeeds:
         """What steps need from step number `first` on, by the named positions of this moment. Raises `UnknownName`,
         `Refusal`."""
         order = self._services.positions.make_resolver().resolve_remaining(steps, repeat, first)
-        return find_needs(self._services.view.fleet, [each.step for each in order.list_remaining(first)])
+        return find_needs(self._services.view.fleet, [step.step for step in order.list_remaining(first)])
 
     def forget_needs(self) -> None:
         """The fleet file, or a named position, has changed."""
@@ -460,9 +460,9 @@ class Scheduler:
         if outcome.state != "failed" or self._services.view.fleet.queue.on_failure != "hold":
             return
         affected = [
-            each.row.id
-            for each in sort_waiting(self._waiting)
-            if not each.is_attended and run.needs & self._find_needs(each).controllers
+            job.row.id
+            for job in sort_waiting(self._waiting)
+            if not job.is_attended and run.needs & self._find_needs(job).controllers
         ]
         for job_id in affected:
             await self._hold_job(job_id, f"job {run.row.id}", f"held: job {run.row.id} has failed: {outcome.reason}")
@@ -474,9 +474,14 @@ class Scheduler:
         services = self._services
         state, reason, actor = end
         transition = services.make_transition(state, reason, actor)
-        before = await services.execute(services.journal.list_transitions, row.id)
+        transitions_before = await services.execute(services.journal.list_transitions, row.id)
         report = report.model_copy(
-            update={"state": state, "reason": reason, "ended_utc": transition.utc, "transitions": [*before, transition]}
+            update={
+                "state": state,
+                "reason": reason,
+                "ended_utc": transition.utc,
+                "transitions": [*transitions_before, transition],
+            }
         )
         await services.execute(services.journal.record_transition, row.id, transition, report)
         services.statistics.take_job(report)
@@ -498,13 +503,13 @@ class Scheduler:
 
     async def _settle_followers(self, job_id: str) -> None:
         """Release, or end, the jobs that come after a job that has ended."""
-        for waiting in [each for each in self._waiting.values() if each.pending == job_id]:
+        for waiting_job in [job for job in self._waiting.values() if job.pending == job_id]:
             while True:
                 try:
-                    await self._settle_follower(waiting)
+                    await self._settle_follower(waiting_job)
                     break
                 except JournalError as error:
-                    self._services.log.warning(f"job has to wait: {error}", job=waiting.row.id)
+                    self._services.log.warning(f"job has to wait: {error}", job=waiting_job.row.id)
                     await sleep_ns(self._services.clock, RETRY_NS)
 
     async def _settle_follower(self, waiting: WaitingJob) -> None:
@@ -521,8 +526,8 @@ class Scheduler:
             return
         if self._waiting.pop(waiting.row.id, None) is None:
             return
-        found = f"is {row.state}: {row.reason}" if row is not None else "is no longer in the journal"
-        await self._cancel_waiting(waiting, f"job {before}, which must be done before, {found}", "coordinator")
+        text = f"is {row.state}: {row.reason}" if row is not None else "is no longer in the journal"
+        await self._cancel_waiting(waiting, f"job {before}, which must be done before, {text}", "coordinator")
 
     async def _cancel_waiting(self, waiting: WaitingJob, reason: str, actor: str) -> None:
         """End a job that was taken out of the queue; it returns there if its end cannot be recorded."""
@@ -557,13 +562,13 @@ class Scheduler:
         those that have waited for longer than their terms allow."""
         services = self._services
         while not services.leadership.over:
-            now = parse_utc(services.clock.utc())
+            utc_now = parse_utc(services.clock.utc())
             left = timedelta.max
-            for each in list(self._waiting.values()):
+            for job in list(self._waiting.values()):
                 try:
-                    left = min(left, await self._check_times(each, now))
+                    left = min(left, await self._check_times(job, utc_now))
                 except JournalError as error:
-                    services.log.warning(f"job has to wait: {error}", job=each.row.id)
+                    services.log.warning(f"job has to wait: {error}", job=job.row.id)
                     left = min(left, timedelta(seconds=RETRY_NS / NS_PER_S))
             if left == timedelta.max:
                 await self._timed.wait()
@@ -573,21 +578,21 @@ class Scheduler:
 
     async def _check_times(self, waiting: WaitingJob, now: datetime) -> timedelta:
         """Act on the start time and the expiry of a job; return how long neither needs attention."""
-        row, left = waiting.row, timedelta.max
+        row, utc_left = waiting.row, timedelta.max
         if row.expires_utc is not None:
-            left = parse_utc(row.expires_utc) - now
-            if left <= timedelta(0):
+            utc_left = parse_utc(row.expires_utc) - now
+            if utc_left <= timedelta(0):
                 reason = f"expired at {row.expires_utc}; last state: {self._publisher.make_entry(row).reason}"
                 if self._waiting.pop(row.id, None) is not None:
                     await self._cancel_waiting(waiting, reason, "coordinator")
                 return timedelta.max
         if row.due or row.at_utc is None:
-            return left
+            return utc_left
         at = parse_utc(row.at_utc)
         if at > now:
-            return min(left, at - now)
+            return min(utc_left, at - now)
         await self._mark_due(waiting, now - at)
-        return left
+        return utc_left
 
     async def _watch_sessions(self) -> None:
         """End the jobs of commands that have ended: of their processes, or the connections to them."""
@@ -595,19 +600,19 @@ class Scheduler:
         while not services.leadership.over:
             await sleep_ns(services.clock, SESSION_POLL_NS)
             jobs = chain(self._running.values(), self._waiting.values())
-            attended = [(each.row.session, each.row) for each in jobs if each.row.session is not None]
-            absent = self._sessions.find_absent(session for session, _ in attended)
-            for session, row in attended:
+            attended_sessions = [(job.row.session, job.row) for job in jobs if job.row.session is not None]
+            absent = self._sessions.find_absent(session for session, _ in attended_sessions)
+            for session, row in attended_sessions:
                 if session in absent:
                     self._spawn(self._end_unattended, row)
 
     async def _end_unattended(self, row: JobRecord) -> None:
         reason = f"the command of {row.actor} that waited for it has ended"
-        run, waiting = self._running.get(row.id), self._waiting.pop(row.id, None)
+        run, waiting_job = self._running.get(row.id), self._waiting.pop(row.id, None)
         if run is not None:
             await run.interrupt_job(JobInterrupted("cancelled", reason, "coordinator"))
-        elif waiting is not None:
-            await self._cancel_waiting(waiting, reason, "coordinator")
+        elif waiting_job is not None:
+            await self._cancel_waiting(waiting_job, reason, "coordinator")
 
     async def _mark_due(self, waiting: WaitingJob, late: timedelta) -> None:
         services, row = self._services, waiting.row
@@ -629,17 +634,17 @@ class Scheduler:
 
     async def _hold_job(self, job_id: str, held_by: str, reason: str) -> None:
         """Hold a waiting job now, and record it. Raises `JournalError`. Does nothing to a held job."""
-        services, waiting = self._services, self._waiting.get(job_id)
-        if waiting is None or waiting.row.held_by:
+        services, waiting_job = self._services, self._waiting.get(job_id)
+        if waiting_job is None or waiting_job.row.held_by:
             return
-        waiting.row = waiting.row._replace(held_by=held_by)
+        waiting_job.row = waiting_job.row._replace(held_by=held_by)
         change = services.make_transition("queued", reason, held_by)
         await services.execute(services.journal.hold_jobs, [job_id], held_by, change)
         self.wake_up()
 
     def _count_unattended(self) -> int:
         """The number of waiting jobs that would begin by themselves."""
-        return sum(not each.is_attended for each in self._waiting.values())
+        return sum(not job.is_attended for job in self._waiting.values())
 
     def _queue_has_changed(self) -> None:
         self.wake_up()

@@ -122,12 +122,12 @@ class _StoredReader:
         self._blocks: dict[int, list[tuple[float, ...]]] = {}
 
     async def load_point(self, point: int) -> None:
-        wanted = {each // ROWS_AT_ONCE for each in (point, min(point + 1, self._count - 1))}
-        for number in sorted(wanted - self._blocks.keys()):
+        wanted_rows = {each // ROWS_AT_ONCE for each in (point, min(point + 1, self._count - 1))}
+        for number in sorted(wanted_rows - self._blocks.keys()):
             rows = await self._execute(self._store.read_rows, self._digest, number * ROWS_AT_ONCE, ROWS_AT_ONCE)
             self._blocks[number] = rows
-        if not wanted >= self._blocks.keys():
-            self._blocks = {number: self._blocks[number] for number in sorted(wanted)}
+        if not wanted_rows >= self._blocks.keys():
+            self._blocks = {number: self._blocks[number] for number in sorted(wanted_rows)}
 
     def find_positions(self, point: int) -> Sequence[float]:
         return self._blocks[point // ROWS_AT_ONCE][point % ROWS_AT_ONCE]

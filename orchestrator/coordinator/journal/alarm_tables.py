@@ -60,15 +60,15 @@ class AlarmTables:
 
     def load_alarms(self) -> tuple[list[AlarmRecord], list[str]]:
         """The alarms, and the ids of those that are damaged."""
-        found: list[AlarmRecord] = []
+        records: list[AlarmRecord] = []
         damaged: list[str] = []
         for name, body, crc in self._select_rows("SELECT id, body, crc FROM alarms ORDER BY id"):
             record = _read_record(body, crc)
             if record is not None and record.id == name:
-                found.append(record)
+                records.append(record)
             else:
                 damaged.append(name)
-        return found, damaged
+        return records, damaged
 
     def load_notices(self) -> list[AlarmNotice]:
         """The pending notices, the oldest first; without damaged ones."""

@@ -54,13 +54,13 @@ class ApprovalTable:
             raise make_unusable_error(self._path, error) from None
         for body, crc in rows:
             try:
-                found = JobApproval.model_validate_json(body)
+                approval = JobApproval.model_validate_json(body)
             except ValidationError:
-                found = None
-            if found is None or found.job_id != job_id or crc32(body.encode()) != crc:
+                approval = None
+            if approval is None or approval.job_id != job_id or crc32(body.encode()) != crc:
                 text = f"{self._path}: the approval of job {job_id} is damaged"
                 raise DamagedRecord(text, "approve its plan again: `tutti job approve`")
-            return found
+            return approval
         return None
 
     def _store(self, approval: JobApproval) -> None:

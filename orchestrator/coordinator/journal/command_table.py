@@ -19,11 +19,11 @@ class CommandTable:
         """Store a command, and delete the oldest ones."""
         with Transaction(self._db, self._path):
             values = (command.utc, command.actor, command.verb, command.subject, command.refused)
-            stored = self._db.execute(
+            row = self._db.execute(
                 "INSERT INTO commands (utc, actor, verb, subject, refused) VALUES (?, ?, ?, ?, ?)", values
             )
             # Numbers have no gaps before the oldest one: each transaction deletes at most one row.
-            self._db.execute("DELETE FROM commands WHERE number <= ?", ((stored.lastrowid or 0) - MAX_COMMANDS,))
+            self._db.execute("DELETE FROM commands WHERE number <= ?", ((row.lastrowid or 0) - MAX_COMMANDS,))
 
     def list_commands(self, limit: int, before_utc: str | None = None, by: str = "") -> list[CommandRecord]:
         """The newest commands, the newest first: those before an instant, by users with `by` in their name."""

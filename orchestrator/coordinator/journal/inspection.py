@@ -95,8 +95,8 @@ def check_journal(path: Path) -> JournalCheck:
 
 def _check_pages(db: sqlite3.Connection, name: str) -> list[JournalDamage]:
     """What SQLite finds wrong with a whole file."""
-    found = [problem for (problem,) in db.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})") if problem != "ok"]
-    return [JournalDamage(name, problem, _MOVE_AWAY) for problem in found]
+    texts = [problem for (problem,) in db.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})") if problem != "ok"]
+    return [JournalDamage(name, problem, _MOVE_AWAY) for problem in texts]
 
 
 def _check_records(db: sqlite3.Connection, version: int, damages: list[JournalDamage]) -> JournalCheck:

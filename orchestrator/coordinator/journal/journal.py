@@ -136,10 +136,10 @@ class Journal:
     def _find_identity(self) -> tuple[int, int] | None:
         """Device and number of the file that the path names now; None without one, or in memory."""
         try:
-            found = None if self._path == ":memory:" else os.lstat(self._path)
+            status = None if self._path == ":memory:" else os.lstat(self._path)
         except OSError:
             return None
-        return None if found is None else (found.st_dev, found.st_ino)
+        return None if status is None else (status.st_dev, status.st_ino)
 
     def _require_same_file(self) -> None:
         """Raises `JournalError` if the file that is open is no longer the one at its path: what is written to a deleted
@@ -215,10 +215,10 @@ class Journal:
     def load_instances(self) -> dict[str, str]:
         """The adapter instance of each controller, as the last leader saw them."""
         try:
-            found: dict[str, str] = json.loads(self._read_value("instances", "{}"))
+            instances: dict[str, str] = json.loads(self._read_value("instances", "{}"))
         except ValueError:
             return {}  # every adapter then counts as started again
-        return found
+        return instances
 
     def store_instances(self, instances: Mapping[str, str]) -> None:
         with self._transaction():
@@ -235,7 +235,7 @@ class Journal:
         entry: QueueEntryOptions | None = None,
     ) -> tuple[str, bool]:
         """Accept a job: (its id, whether it is new). The same `client_key` returns the same job."""
-        terms, again = entry or QueueEntryOptions()
+        terms, origin_again = entry or QueueEntryOptions()
         self._require_same_file()
         with self._transaction():
             row = self._db.execute("SELECT id FROM jobs WHERE client_key = ?", (client_key,)).fetchone()
@@ -258,8 +258,8 @@ class Journal:
                 "missed": terms.missed,
                 "due": int(terms.at is None),
                 "held_by": APPROVAL if terms.proposed else job.actor if terms.held else "",
-                "origin": again.origin if again else None,
-                "from_step": again.from_step if again else 0,
+                "origin": origin_again.origin if origin_again else None,
+                "from_step": origin_again.from_step if origin_again else 0,
                 "expires_utc": terms.expires,
                 "now": int(terms.now),
                 "session": terms.session,
@@ -267,8 +267,10 @@ class Journal:
             }
             values["crc"] = find_checksum(values)
             marks = ", ".join("?" * len(values))
-            made = self._db.execute(f"INSERT INTO jobs ({', '.join(values)}) VALUES ({marks})", (*values.values(),))
-            self._db.execute("UPDATE jobs SET place = number WHERE number = ?", (made.lastrowid,))
+            inserted_row = self._db.execute(
+                f"INSERT INTO jobs ({', '.join(values)}) VALUES ({marks})", (*values.values(),)
+            )
+            self._db.execute("UPDATE jobs SET place = number WHERE number = ?", (inserted_row.lastrowid,))
             digests = [(job_id, digest) for digest in find_digests(job.steps)]
             self._db.executemany("INSERT INTO job_points VALUES (?, ?)", digests)
             submitted = (job_id, reason, job.actor, utc)
@@ -306,8 +308,8 @@ class Journal:
         """Change the places of jobs, and the priority of `job_id`. Nothing changes if that is not queued any more."""
         with self._transaction():
             if is_queued(self._db, job_id):
-                moved = [(place, each) for each, place in places.items()]
-                self._db.executemany("UPDATE jobs SET place = ? WHERE id = ?", moved)
+                moved_places = [(place, name) for name, place in places.items()]
+                self._db.executemany("UPDATE jobs SET place = ? WHERE id = ?", moved_places)
                 self._db.execute("UPDATE jobs SET priority = ? WHERE id = ?", (priority, job_id))
                 insert_transition(self._db, job_id, transition)
 
@@ -347,15 +349,15 @@ class Journal:
         return self._select_body(Job, "SELECT body FROM jobs WHERE id = ?", (job_id,))
 
     def load_record(self, job_id: str) -> JobRecord | None:
-        found = self._select_records("WHERE id = ?", (job_id,))
-        return found[0] if found else None
+        records = self._select_records("WHERE id = ?", (job_id,))
+        return records[0] if records else None
 
     def list_unfinished(self) -> list[JobRecord]:
         """Jobs that are queued or were running, in the order in which they are to begin; also those whose state is
         damaged."""
-        finished = tuple(sorted(FINISHED_STATES))
-        marks = ", ".join("?" * len(finished))
-        return self._select_records(f"WHERE state NOT IN ({marks}) ORDER BY priority DESC, place", finished)
+        finished_states = tuple(sorted(FINISHED_STATES))
+        marks = ", ".join("?" * len(finished_states))
+        return self._select_records(f"WHERE state NOT IN ({marks}) ORDER BY priority DESC, place", finished_states)
 
     def fail_damaged(self, job: JobRecord, transition: JobTransition, report: JobReport) -> None:
         """End a job that cannot be read, so that the others can be run."""
@@ -383,9 +385,9 @@ class Journal:
             ("WHERE id >= ? AND id < ?", (reference, reference + LAST_CHARACTER)),
             ("WHERE name = ?", (reference,)),
         ):
-            found = self._select_records(f"{clause} ORDER BY number DESC LIMIT ?", (*values, limit))
-            if found:
-                return found
+            jobs = self._select_records(f"{clause} ORDER BY number DESC LIMIT ?", (*values, limit))
+            if jobs:
+                return jobs
         return []
 
     def list_transitions(self, job_id: str) -> list[JobTransition]:

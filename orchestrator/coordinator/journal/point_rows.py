@@ -22,18 +22,18 @@ class PointRows:
         rows = [
             (
                 job_id,
-                each.step,
-                each.point,
-                each.state,
-                each.verdict,
-                each.t0_fleet_ns,
-                each.start_skew.at_least_ns if each.start_skew else None,
-                each.start_skew.at_most_ns if each.start_skew else None,
-                each.took_s,
-                json.dumps(each.target),
-                json.dumps(each.measured),
+                point.step,
+                point.point,
+                point.state,
+                point.verdict,
+                point.t0_fleet_ns,
+                point.start_skew.at_least_ns if point.start_skew else None,
+                point.start_skew.at_most_ns if point.start_skew else None,
+                point.took_s,
+                json.dumps(point.target),
+                json.dumps(point.measured),
             )
-            for each in points
+            for point in points
         ]
         with Transaction(self._db, self._path):
             self._db.executemany(f"INSERT OR REPLACE INTO point_rows VALUES ({', '.join('?' * 11)})", rows)
@@ -43,7 +43,7 @@ class PointRows:
         where = "job_id = ? AND (step, point) > (?, ?) ORDER BY step, point LIMIT ?"
         query = f"SELECT {_COLUMNS} FROM point_rows WHERE {where}"
         try:
-            found = self._db.execute(query, (job_id, *after, limit)).fetchall()
+            found_rows = self._db.execute(query, (job_id, *after, limit)).fetchall()
         except sqlite3.Error as error:
             raise make_unusable_error(self._path, error) from None
         return [
@@ -58,5 +58,5 @@ class PointRows:
                 target=json.loads(target),
                 measured=json.loads(measured),
             )
-            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, measured in found
+            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, measured in found_rows
         ]

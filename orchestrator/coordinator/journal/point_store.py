@@ -79,17 +79,17 @@ class PointStore:
     ) -> UploadState:
         """Begin, or continue, to store `count` points. named: digests that jobs name. Raises `Refusal`, code
         `point-store-full`."""
-        known = self.find_upload(digest, utc)
-        if known is not None:
-            return known
+        known_state = self.find_upload(digest, utc)
+        if known_state is not None:
+            return known_state
         self.delete_unused(named, utc)
         size = count * find_row_bytes(axes)
-        used = self.used_bytes
-        if used + size > self.quota_bytes:
+        used_bytes = self.used_bytes
+        if used_bytes + size > self.quota_bytes:
             raise Refusal(
                 "point-store-full",
-                f"the points need {_format_size(size)}; {_format_size(used)} of {_format_size(self.quota_bytes)} for "
-                "points are in use",
+                f"the points need {_format_size(size)}; {_format_size(used_bytes)} of "
+                f"{_format_size(self.quota_bytes)} for points are in use",
                 "delete finished jobs, and their points with them: `tutti job prune --older 7d --keep 0`; points that "
                 "no job names are deleted after an hour",
             )
@@ -121,27 +121,29 @@ class PointStore:
             raise Refusal("no-upload", "the upload of these points is not known any more", "begin it again")
         if begin != state.received or not data or state.columns is not None:
             return state
-        received = begin + len(data)
-        if received > state.size:
-            raise Refusal("bad-points", f"{received} bytes of points are more than the {state.size} announced", "")
+        received_begin = begin + len(data)
+        if received_begin > state.size:
+            raise Refusal(
+                "bad-points", f"{received_begin} bytes of points are more than the {state.size} announced", ""
+            )
         with self._transaction():
             self._db.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (digest, begin, data, crc32(data)))
-            values = (received, utc, digest)
+            values = (received_begin, utc, digest)
             self._db.execute("UPDATE uploads SET received = ?, used_utc = ? WHERE digest = ?", values)
-        if received < state.size:
-            return UploadState(received, state.size, None)
-        return UploadState(received, state.size, self._finish_upload(digest))
+        if received_begin < state.size:
+            return UploadState(received_begin, state.size, None)
+        return UploadState(received_begin, state.size, self._finish_upload(digest))
 
     def _finish_upload(self, digest: str) -> list[PointColumn]:
         """Check the digest, and find the extremes. Raises `Refusal`; the points are deleted then."""
         (header,) = self._db.execute("SELECT header FROM uploads WHERE digest = ?", (digest,)).fetchone()
         axes = _AXES.validate_json(header)
-        found, summary = hashlib.sha256(header.encode()), ColumnSummary(axes)
+        found_hash, summary = hashlib.sha256(header.encode()), ColumnSummary(axes)
         try:
             for data in self._read_parts(digest, 0, None):
-                found.update(data)
+                found_hash.update(data)
                 summary.add_rows(np.frombuffer(data, ROW_TYPE).reshape(-1, len(axes)))
-            if f"sha256:{found.hexdigest()}" != digest:
+            if f"sha256:{found_hash.hexdigest()}" != digest:
                 raise Refusal(
                     "bad-digest", "the points that arrived are not those that were announced", "send them again"
                 )
@@ -195,8 +197,8 @@ class PointStore:
 
     def delete_unused(self, named: Collection[str], utc: str) -> None:
         """Delete points that no job names and that were not used for an hour."""
-        before = format_utc(parse_utc(utc) - UNUSED_AFTER)
-        old = self._select("SELECT digest FROM uploads WHERE used_utc <= ?", (before,))
+        utc_before = format_utc(parse_utc(utc) - UNUSED_AFTER)
+        old = self._select("SELECT digest FROM uploads WHERE used_utc <= ?", (utc_before,))
         for digest in {digest for (digest,) in old} - set(named):
             self.delete_upload(digest)
 

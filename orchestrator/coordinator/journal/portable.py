@@ -97,8 +97,8 @@ def import_journal(source: BinaryIO, name: str, path: Path) -> None:
         db.execute("BEGIN")
         writers = _find_writers(db, ""), _find_writers(point_db, POINTS)
         _insert_records(lines, name, {**writers[0], **writers[1]})
-        for each in (db, point_db):
-            each.commit()
+        for connection in (db, point_db):
+            connection.commit()
 
 
 class _RowWriter:
@@ -115,7 +115,7 @@ class _RowWriter:
         odd = sorted(row.keys() ^ set(self._columns))
         if odd:
             raise ValueError(f"the column {odd[0]!r} is {'not known' if odd[0] in row else 'missing'}")
-        self._db.execute(self._insert, [_decode(row[each]) for each in self._columns])
+        self._db.execute(self._insert, [_decode(row[column]) for column in self._columns])
 
 
 def _find_writers(db: sqlite3.Connection, prefix: str) -> dict[str, _RowWriter]:
@@ -152,12 +152,12 @@ def _read_lines(source: BinaryIO, name: str) -> Iterator[tuple[int, dict[str, An
     while line := source.readline(MAX_LINE + 1):
         number += 1
         try:
-            found = json.loads(line) if len(line) <= MAX_LINE else None
+            plain = json.loads(line) if len(line) <= MAX_LINE else None
         except (ValueError, RecursionError):
-            found = None
-        if not isinstance(found, dict):
+            plain = None
+        if not isinstance(plain, dict):
             raise _bad_line(name, number, "it is no JSON object")
-        yield number, found
+        yield number, plain
 
 
 def _read_header(lines: Iterator[tuple[int, dict[str, Any]]], name: str) -> int:

@@ -114,10 +114,10 @@ CHECKED_COLUMNS = (
 
 def find_checksum(values: Mapping[str, Any]) -> int:
     """Return the checksum of a job by the values of its columns."""
-    checked = [values[each] for each in CHECKED_COLUMNS]
+    checked_values = [values[column] for column in CHECKED_COLUMNS]
     # Jobs of journals that had no such column have checksums without it.
-    checked += ["proposed"] if values["proposed"] else []
-    return crc32(repr(checked).encode())
+    checked_values += ["proposed"] if values["proposed"] else []
+    return crc32(repr(checked_values).encode())
 
 
 def make_record(row: Sequence[Any]) -> JobRecord:

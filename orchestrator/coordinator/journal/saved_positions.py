@@ -10,7 +10,7 @@ from orchestrator.model.positions.entries import SavedPosition
 
 def read_positions(rows: Iterable[tuple[str, str, int]]) -> tuple[list[SavedPosition], list[str]]:
     """The positions of rows of name, body and checksum; and the names of those that cannot be read."""
-    found: list[SavedPosition] = []
+    positions: list[SavedPosition] = []
     damaged: list[str] = []
     for name, body, crc in rows:
         try:
@@ -19,7 +19,7 @@ def read_positions(rows: Iterable[tuple[str, str, int]]) -> tuple[list[SavedPosi
             damaged.append(name)
             continue
         if crc32(body.encode()) == crc and position.name == name:
-            found.append(position)
+            positions.append(position)
         else:
             damaged.append(name)
-    return found, damaged
+    return positions, damaged

@@ -116,7 +116,7 @@ CREATE TABLE commands (
 def list_statements(version: int, wanted: int = VERSION) -> str:
     """The statements that lead from a schema version, 0 for an empty database, to the wanted one; empty: none."""
     steps = "" if version else SCHEMA
-    return steps + "".join(MIGRATIONS[each] for each in range(max(version, 1), wanted))
+    return steps + "".join(MIGRATIONS[number] for number in range(max(version, 1), wanted))
 
 
 def read_version(db: sqlite3.Connection, path: str) -> int:

@@ -29,10 +29,10 @@ class StatisticsTable:
     def add_rows(self, rows: Iterable[StatisticsRow]) -> None:
         """Add the values of rows to the figures."""
         add = "INSERT INTO statistics VALUES (?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET value = "
-        summed, worst = f"{add} value + excluded.value", f"{add} max(value, excluded.value)"
+        summed_string, worst = f"{add} value + excluded.value", f"{add} max(value, excluded.value)"
         with Transaction(self._db, self._path):
             for row in rows:
-                self._db.execute(worst if row.figure.startswith(WORST) else summed, row)
+                self._db.execute(worst if row.figure.startswith(WORST) else summed_string, row)
 
     def read_rows(self, since_day: str) -> list[StatisticsRow]:
         """All figures from a day on, in the order of day, kind, subject and figure."""

@@ -30,10 +30,10 @@ async def confirm_leader(bus: Bus, keys: FleetKeys, heartbeat: LeaderHeartbeat) 
     put one on the bus."""
     try:
         answer = await bus.request(keys.leader_answer(heartbeat.coordinator), b"", ANSWER_S)
-        found = LeaderHeartbeat.read_message(answer)
+        message = LeaderHeartbeat.read_message(answer)
     except (BusError, ValueError):
         return False
-    return (found.coordinator, found.epoch) == (heartbeat.coordinator, heartbeat.epoch)
+    return (message.coordinator, message.epoch) == (heartbeat.coordinator, heartbeat.epoch)
 
 
 class Leadership:
@@ -77,17 +77,17 @@ class Leadership:
         self._declared.append(await self._bus.subscribe(self._keys.leader, self._receive_heartbeat))
         if not vacant:
             await sleep_ns(self._clock, LEADER_TIMEOUT_NS)
-        other = self._last_heartbeat
-        if other is not None and not await confirm_leader(self._bus, self._keys, other):
-            self.on_contradicted(other)
-            other = None
-        if other is not None and not take_over:
+        heartbeat = self._last_heartbeat
+        if heartbeat is not None and not await confirm_leader(self._bus, self._keys, heartbeat):
+            self.on_contradicted(heartbeat)
+            heartbeat = None
+        if heartbeat is not None and not take_over:
             await self.close()
             raise AnotherLeader(
-                f"coordinator {other.coordinator[:8]} leads fleet {self._fleet} (epoch {other.epoch}); "
+                f"coordinator {heartbeat.coordinator[:8]} leads fleet {self._fleet} (epoch {heartbeat.epoch}); "
                 "stop it first, or start with --take-over"
             )
-        seen = 0 if other is None else other.epoch
+        seen = 0 if heartbeat is None else heartbeat.epoch
         for payload in (await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)).values():
             try:
                 seen = max(seen, ControllerState.read_message(payload).epoch)

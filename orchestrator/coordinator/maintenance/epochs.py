@@ -26,25 +26,25 @@ class EpochRepair:
         requests, view = self._fleet.requests, self._fleet.view
         epoch = requests.leadership.epoch
         answers = await asyncio.gather(*map(view.query_state, view.fleet.controllers), return_exceptions=True)
-        states = [each for each in answers if isinstance(each, ControllerState)]
-        moving = sorted(axis for state in states for axis in _find_moving(state))
-        if moving:
+        states = [answer for answer in answers if isinstance(answer, ControllerState)]
+        moving_states = sorted(axis for state in states for axis in _find_moving(state))
+        if moving_states:
             raise Refusal(
                 "moving",
-                f"{moving[0]} moves, or is about to",
+                f"{moving_states[0]} moves, or is about to",
                 "wait until all axes are at rest (`tutti stop`), then repeat",
             )
-        other = [state.controller for state in states if state.epoch != epoch]
+        other_controllers = [state.controller for state in states if state.epoch != epoch]
         replies = await asyncio.gather(
             *(
                 requests.request(name, "accept-epoch", AcceptEpoch(**requests.request_fields(actor)), Reply, ANSWER_S)
-                for name in other
+                for name in other_controllers
             )
         )
-        for name, reply in zip(other, replies, strict=True):
+        for name, reply in zip(other_controllers, replies, strict=True):
             if reply.refused is not None:
                 raise Refusal(reply.refused.code, f"{name}: {reply.refused.text}", reply.refused.remedy)
-        return other
+        return other_controllers
 
 
 def _find_moving(state: ControllerState) -> list[str]:

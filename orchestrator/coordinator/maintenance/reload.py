@@ -27,22 +27,22 @@ class FleetReload:
         """Load `fresh`; return the controllers whose configuration has changed. Raises `Refusal`."""
         fleet = self._require_comparable(fresh)
         old = self._fleet.view.fleet
-        changed = {
+        changed_controllers = {
             name: config for name, config in fleet.controllers.items() if config.digest != old.controllers[name].digest
         }
-        held = self._leases.all_leases
-        if held:
+        held_leases = self._leases.all_leases
+        if held_leases:
             raise Refusal(
                 "leased",
-                f"{', '.join(held[0].axes)} is in use by {held[0].actor} ({held[0].what})",
+                f"{', '.join(held_leases[0].axes)} is in use by {held_leases[0].actor} ({held_leases[0].what})",
                 "wait for the end of that use, then reload",
             )
-        await self._configure_controllers(changed, actor, check=True)
-        await self._configure_controllers(changed, actor, check=False)
+        await self._configure_controllers(changed_controllers, actor, check=True)
+        await self._configure_controllers(changed_controllers, actor, check=False)
         self._fleet.view.fleet = fleet
         self._save(fleet)
-        await self._wait_for_reconnect(changed)
-        return list(changed)
+        await self._wait_for_reconnect(changed_controllers)
+        return list(changed_controllers)
 
     def _require_comparable(self, fresh: Fleet) -> Fleet:
         """`fresh` with the simulators in use, if everything that cannot change while the fleet runs is the same."""
@@ -69,16 +69,16 @@ class FleetReload:
             )
         controllers: dict[str, Controller] = {}
         for name, config in fresh.controllers.items():
-            running = old.controllers[name]
+            running_controller = old.controllers[name]
             for field in FIXED_FIELDS:
-                if getattr(config, field) != getattr(running, field):
+                if getattr(config, field) != getattr(running_controller, field):
                     raise Refusal(
                         "other-place",
                         f"controllers.{name}.{field} would change",
                         "end `tutti up` and start it with the new file",
                         name,
                     )
-            controllers[name] = config.model_copy(update={"simulate": running.simulate})
+            controllers[name] = config.model_copy(update={"simulate": running_controller.simulate})
         return fresh.model_copy(update={"controllers": controllers})
 
     async def _configure_controllers(self, changed: dict[str, Controller], actor: str, *, check: bool) -> None:

@@ -29,16 +29,18 @@ class WiringCheck:
     async def check_wires(self, actor: str) -> list[WireFinding]:
         """Check each wire. Raises `Refusal` when axes are in use, or a controller is offline."""
         fleet = self._fleet.view.fleet
-        concerned = sorted({each for wire in fleet.connections for each in (wire.source, wire.target)})
-        if not concerned:
+        concerned_connections = sorted({source for wire in fleet.connections for source in (wire.source, wire.target)})
+        if not concerned_connections:
             raise Refusal(
                 "no-wiring", "the fleet file has no `wiring`", "add it: each entry leads from an output to inputs"
             )
         # An armed member that waits for a trigger line would start by the check.
-        axes = [axis for name in concerned for axis in fleet.expand_name(name)]
+        axes = [axis for name in concerned_connections for axis in fleet.expand_name(name)]
         await self._leases.acquire(LeaseUser(HOLDER, actor, "wiring check"), axes)
         try:
-            return [found for wire in fleet.wiring for found in await self._check_output(wire.from_, wire.to, actor)]
+            return [
+                finding for wire in fleet.wiring for finding in await self._check_output(wire.from_, wire.to, actor)
+            ]
         finally:
             await self._leases.release(HOLDER)
 
@@ -50,18 +52,18 @@ class WiringCheck:
         finally:
             with suppress(Refusal):
                 switched_ns = await self._switch_output(output, value=False, actor=actor)
-        after = await self._wait_for_inputs(switched_ns, during, [name for name in inputs if during[name]])
-        found: list[WireFinding] = []
+        inputs_after = await self._wait_for_inputs(switched_ns, during, [name for name in inputs if during[name]])
+        findings: list[WireFinding] = []
         for name in inputs:
-            ok, text, remedy = _judge_input(before=before[name], during=during[name], after=after[name])
-            found.append(WireFinding(output=output, input=name, ok=ok, text=text, remedy=remedy))
+            ok, text, remedy = _judge_input(before=before[name], during=during[name], after=inputs_after[name])
+            findings.append(WireFinding(output=output, input=name, ok=ok, text=text, remedy=remedy))
         crossed = [name for name, level in during.items() if name not in inputs and level != before[name]]
         for name in crossed:
-            follows = after[name] == before[name]
+            follows = inputs_after[name] == before[name]
             if follows:
                 text = f"{name} follows {output}, but the fleet file has no such wire"
-                found.append(WireFinding(output=output, input=name, ok=False, text=text, remedy="correct `wiring`"))
-        return found
+                findings.append(WireFinding(output=output, input=name, ok=False, text=text, remedy="correct `wiring`"))
+        return findings
 
     async def _switch_output(self, output: str, actor: str, *, value: bool) -> int:
         """Switch an output; return the fleet time by which it was switched: it is read back."""

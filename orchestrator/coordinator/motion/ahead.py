@@ -107,12 +107,12 @@ class StepAhead:
             raise
 
     async def _prepare_stages(self) -> PlannedMotion:
-        services, before = self._services, self._before
-        planned = await plan_following(services, self.step.request, before.planned)
-        if not planned.plan.profiles:
+        services, motion_before = self._services, self._before
+        planned_following = await plan_following(services, self.step.request, motion_before.planned)
+        if not planned_following.plan.profiles:
             raise Refusal("no-motion", "the step moves no axis")
-        present = before.make_present(self.between)
-        motion = self._motion = await PlannedMotion.agree(services, planned, present)
+        present = motion_before.make_present(self.between)
+        motion = self._motion = await PlannedMotion.agree(services, planned_following, present)
         await self._may_arm.wait()
         motion.start.state.withdrawn = self._prevented
         self._stage = "arming"

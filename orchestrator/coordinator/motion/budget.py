@@ -36,12 +36,12 @@ class StartWindow:
 def make_budget(windows: Mapping[str, StartWindow], allowed_ns: int) -> SyncBudget:
     """The guaranteed spread of starts around T0, and the member and term with the largest share."""
     members = {
-        name: MemberBudget(terms=each.terms, earliest_ns=each.earliest_ns, latest_ns=each.latest_ns)
-        for name, each in windows.items()
+        name: MemberBudget(terms=window.terms, earliest_ns=window.earliest_ns, latest_ns=window.latest_ns)
+        for name, window in windows.items()
     }
     # The axes of one controller that start together differ by at most its own window; the instant of a trigger line's
     # edge does not matter if all wait for it.
-    edges = {each.edge for each in windows.values()}
+    edges = {window.edge for window in windows.values()}
     common = next(iter(edges)) if len(edges) == 1 else None
     predicted_ns = max(m.latest_ns for m in members.values()) - min(m.earliest_ns for m in members.values())
     if common is not None:
@@ -104,7 +104,7 @@ def make_deviations(
     proposals: Mapping[str, Proposal], profiles: Mapping[str, Mapping[str, Profile]], duration_s: float
 ) -> list[AxisDeviation]:
     """The deviations of all axes of a step. profiles: by member and axis."""
-    found: list[AxisDeviation] = []
+    deviations: list[AxisDeviation] = []
     for member, proposal in proposals.items():
         for axis, took_s in proposal.durations_s.items():
             profile = profiles[member][axis]
@@ -116,8 +116,8 @@ def make_deviations(
                 proposal.path_error_counts.get(axis, 0.0) / (SLOWEST_FRACTION * profile.peak_velocity) * NS_PER_S
             )
             longer_ns = (took_s - duration_s) * NS_PER_S
-            found.append(AxisDeviation(member, longer_ns, crystal_ns + proposal.tick_ns, crystal_ns + path_off_ns))
-    return found
+            deviations.append(AxisDeviation(member, longer_ns, crystal_ns + proposal.tick_ns, crystal_ns + path_off_ns))
+    return deviations
 
 
 def predict_end(budget: SyncBudget, ways: list[AxisDeviation], allowed_ns: int | None) -> PredictedSkew | None:

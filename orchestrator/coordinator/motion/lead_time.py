@@ -121,16 +121,16 @@ class LeadTimeEstimator:
     def arming_share(self, member: str, kind: ArmKind = "rest", *, use_known: bool = True) -> float:
         """The fraction of its declared arming time that a member needs; at least 1 until it has been armed
         `KNOWN_AFTER` times, or if `use_known` is false."""
-        declared = self.arming_share(member) if kind == "behind" else 1.0
+        declared_share = self.arming_share(member) if kind == "behind" else 1.0
         seen = self._shares.get((kind, member))
-        return declared if seen is None else seen.allowed_time(declared, use_known=use_known)
+        return declared_share if seen is None else seen.allowed_time(declared_share, use_known=use_known)
 
     def go_ns(self, members: int, promise_ns: int = 0, *, follows: bool = False) -> int:
         """The time to allow for decision and release. members: their number. promise_ns: how long their promises
         have just taken; a machine that was slow a moment ago probably still is. follows: behind a step."""
-        known = self._following_ns if follows and self._following_ns.is_known else self._goes_ns
+        known_history = self._following_ns if follows and self._following_ns.is_known else self._goes_ns
         declared_ns = _default_margin_ns(members) / 2
-        return round(max(known.allowed_time(declared_ns, factor=GO_FACTOR), SLOW_GO_FACTOR * promise_ns))
+        return round(max(known_history.allowed_time(declared_ns, factor=GO_FACTOR), SLOW_GO_FACTOR * promise_ns))
 
     def margin_ns(self, members: int, *, use_known: bool = True) -> int:
         """The time to allow for promise, decision and release. members: their number."""

@@ -98,7 +98,9 @@ class StartAgreement:
     def disarm_ns(self) -> int:
         """How long before T0 the step can last be withdrawn for certain, as the members declare it: their controllers
         decide this long before their start, so a fast link does not shorten it."""
-        return max((each.costs.disarm_ns for each in self.proposals.values() if each.costs is not None), default=0)
+        return max(
+            (proposal.costs.disarm_ns for proposal in self.proposals.values() if proposal.costs is not None), default=0
+        )
 
     @property
     def start_tolerance_ns(self) -> int:
@@ -113,19 +115,21 @@ class StartAgreement:
     @property
     def can_advance(self) -> bool:
         """Whether T0 can be brought forward after arming."""
-        return self.line is None and not self.aligned and all(each.can_advance for each in self.proposals.values())
+        return (
+            self.line is None and not self.aligned and all(proposal.can_advance for proposal in self.proposals.values())
+        )
 
     @property
     def loads_later(self) -> list[str]:
         """Of a step that follows: the members that load it only after the end of the present one."""
-        return [name for name, each in self.proposals.items() if each.gap_ns is None] if self.present else []
+        return [name for name, proposal in self.proposals.items() if proposal.gap_ns is None] if self.present else []
 
     @property
     def follows_ns(self) -> int:
         """The earliest T0 of a step that follows, for the members that hold it beside the present one, fleet time."""
         if self.present is None:
             return 0
-        gaps = [each.gap_ns for each in self.proposals.values() if each.gap_ns is not None]
+        gaps = [proposal.gap_ns for proposal in self.proposals.values() if proposal.gap_ns is not None]
         return max(
             self.present.ends_fleet_ns + self.present.between.pause_ns,
             self.present.planned_end_ns + max(gaps, default=0),
@@ -134,9 +138,9 @@ class StartAgreement:
     def longest_ns(self, *, with_start: bool) -> int:
         """From T0 until all its members have ended, ns. with_start: the latest start that they promise included."""
         return max(
-            (sum_terms(each.terms)[1] if with_start else 0)
-            + round(max(each.durations_s.values(), default=0.0) * (1 + each.clock_ppm * 1e-6) * NS_PER_S)
-            for each in self.proposals.values()
+            (sum_terms(proposal.terms)[1] if with_start else 0)
+            + round(max(proposal.durations_s.values(), default=0.0) * (1 + proposal.clock_ppm * 1e-6) * NS_PER_S)
+            for proposal in self.proposals.values()
         )
 
     def profiles(self, member: str) -> dict[str, Profile]:
@@ -156,9 +160,9 @@ class StartAgreement:
     def choose_start(self, from_ns: int, within_ns: int = 0) -> int:
         """The instant from `from_ns` on, fleet time, at which the members' ticks coincide best."""
         grids = [
-            TickGrid(each.tick_at_fleet_ns, each.tick_ns)
-            for member, each in self.proposals.items()
-            if each.tick_at_fleet_ns is not None and self.profiles(member)
+            TickGrid(proposal.tick_at_fleet_ns, proposal.tick_ns)
+            for member, proposal in self.proposals.items()
+            if proposal.tick_at_fleet_ns is not None and self.profiles(member)
         ]
         return find_closest_ticks(grids, from_ns, within_ns)[0]
 
@@ -228,13 +232,15 @@ class StartNegotiation:
     async def _plan_first_chunk(self) -> FirstChunk | None:
         """The first chunk of a path, if members can execute it in chunks; a path with triggers is loaded as a whole,
         because their instants are set before it begins. Raises `Refusal`."""
-        planned = self._planned
-        if planned.path is None or self._triggers.owners:
+        planned_step = self._planned
+        if planned_step.path is None or self._triggers.owners:
             return None
-        members = dict.fromkeys(controller_of(axis) for axis in planned.plan.profiles)
+        members = dict.fromkeys(controller_of(axis) for axis in planned_step.plan.profiles)
         try:
             infos = {member: await self._view.query_info(member) for member in members}
-            return plan_first_chunk(planned.path, planned.plan, infos, planned.begun_s, planned.rate)
+            return plan_first_chunk(
+                planned_step.path, planned_step.plan, infos, planned_step.begun_s, planned_step.rate
+            )
         except BusError as error:
             raise Refusal("absent", str(error), "check that its adapter host is running") from None
         except PlanError as error:
@@ -252,12 +258,12 @@ class StartNegotiation:
         earliest_ns = max(agreement.follows_ns, self._now_ns() + self._needed_ns(agreement, use_known=True))
         if present is None or not (agreement.loads_later or present.between.acts):
             return earliest_ns
-        later = {name: each for name, each in agreement.proposals.items() if each.gap_ns is None}
+        proposals_later = {name: proposal for name, proposal in agreement.proposals.items() if proposal.gap_ns is None}
         # Promise and release are an exchange each, with nothing to check in between.
         releasing_ns = 2 * self._estimator.go_ns(len(agreement.proposals), follows=True) + agreement.disarm_ns
-        shares = {name: self._estimator.arming_share(name, "behind") for name in later}
-        begun_ns = self._arming_ns(later, shares)
-        if not self._estimator.knows_loading(later):
+        shares = {name: self._estimator.arming_share(name, "behind") for name in proposals_later}
+        begun_ns = self._arming_ns(proposals_later, shares)
+        if not self._estimator.knows_loading(proposals_later):
             begun_ns += END_SEEN_NS
         if present.between.acts:
             begun_ns = max(begun_ns, present.between.pause_ns + self._estimator.acting_ns)
@@ -417,8 +423,8 @@ class StartNegotiation:
                     "start-class", f"{line.driver} cannot drive a trigger line", "wire it from another controller"
                 )
             line = agreement.line = replace(line, edge=sum_terms(edge))
-        others = [each for each in agreement.members if each not in proposals]
-        proposals |= await self._request_proposals(agreement, others)
+        others_members = [each for each in agreement.members if each not in proposals]
+        proposals |= await self._request_proposals(agreement, others_members)
         agreement.proposals = {member: proposals[member] for member in agreement.members}
         if line is not None:
             middles = [sum(sum_terms(proposals[member].terms)) // 2 for member in line.waiters]
@@ -458,7 +464,9 @@ class StartNegotiation:
     def _needed_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
         """The lead time that the members need, as measured if `use_known`, else as declared."""
         margin_ns = self._estimator.margin_ns(len(agreement.proposals), use_known=use_known)
-        at_once = {name: each for name, each in agreement.proposals.items() if name not in agreement.loads_later}
+        at_once = {
+            name: proposal for name, proposal in agreement.proposals.items() if name not in agreement.loads_later
+        }
         kind = "rest" if agreement.present is None else "beside"
         shares = {name: self._estimator.arming_share(name, kind, use_known=use_known) for name in at_once}
         return round(self._arming_ns(at_once, shares)) + margin_ns + agreement.disarm_ns
@@ -485,7 +493,7 @@ def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
     if not agreement.can_advance:
         return 0, 0
     spare_ns = max(0, spare_ns)
-    ticks_ns = [each.tick_ns for each in agreement.proposals.values() if each.tick_ns]
+    ticks_ns = [proposal.tick_ns for proposal in agreement.proposals.values() if proposal.tick_ns]
     if not ticks_ns:
         return spare_ns, 0
     shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
@@ -498,9 +506,9 @@ def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
 def _longest_braking_s(resolved: ResolvedMove, plan: StepPlan) -> float:
     """How long the axis that brakes slowest needs from its peak velocity."""
     braking_s = (
-        plan.profiles[each.axis].peak_velocity / each.acceleration
-        for each in resolved.moves
-        if each.axis in plan.profiles
+        plan.profiles[move.axis].peak_velocity / move.acceleration
+        for move in resolved.moves
+        if move.axis in plan.profiles
     )
     return max(braking_s, default=0.0)
 
@@ -513,8 +521,8 @@ def _describe_learned(budget: SyncBudget) -> str:
         for term in member.terms
         if term.name == "learned-starts"
     }
-    found = ", ".join(f"{name} by {format_ns(width_ns)}" for name, width_ns in wider.items())
-    return f"; unusual starts of the last minutes widen it: {found}" if found else ""
+    text = ", ".join(f"{name} by {format_ns(width_ns)}" for name, width_ns in wider.items())
+    return f"; unusual starts of the last minutes widen it: {text}" if text else ""
 
 
 def _require_allowed(what: str, skew: PredictedSkew | None) -> None:

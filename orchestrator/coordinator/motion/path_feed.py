@@ -164,7 +164,7 @@ class PathFeed:
         `Refusal`."""
         requests, number = self._services.fleet.requests, self._numbers
         self._numbers += 1
-        asked = {
+        asked_requests = {
             member: LoadChunkRequest(
                 **self._reference(number),
                 begin_s=chunk.begin_s,
@@ -173,7 +173,9 @@ class PathFeed:
             )
             for member, profiles in self._share(chunk.profiles).items()
         }
-        replies = await requests.request_all("load-chunk", asked, ChunkReply, max(0.1, latest_s - self._now_s()))
+        replies = await requests.request_all(
+            "load-chunk", asked_requests, ChunkReply, max(0.1, latest_s - self._now_s())
+        )
         raise_first_refusal(replies)
         for member, reply in replies.items():
             self._require_clock(member, reply)
@@ -197,15 +199,24 @@ class PathFeed:
     async def _release(self, chunk: ChunkPlan, number: int) -> None:
         """Have all members change over to a loaded chunk. Raises `Refusal`: some of them may have."""
         requests = self._services.fleet.requests
-        asked = {member: ReleaseChunkRequest(**self._reference(number)) for member in self._share(chunk.profiles)}
-        replies = await requests.request_all("release-chunk", asked, Reply, RELEASE_S)
-        refused = [member for member, reply in replies.items() if reply.refused is not None]
-        if refused and len(refused) == len(replies) and all(_is_late(reply) for reply in replies.values()):
+        asked_requests = {
+            member: ReleaseChunkRequest(**self._reference(number)) for member in self._share(chunk.profiles)
+        }
+        replies = await requests.request_all("release-chunk", asked_requests, Reply, RELEASE_S)
+        refused_replies = [member for member, reply in replies.items() if reply.refused is not None]
+        if (
+            refused_replies
+            and len(refused_replies) == len(replies)
+            and all(_is_late(reply) for reply in replies.values())
+        ):
             raise_first_refusal(replies)  # none has changed over
         self.chunk, self.ends_s = chunk, self._stated_s
-        if refused:
+        if refused_replies:
             await self._services.fleet.stop_members(
-                list(asked), "decelerate", self._request.job.actor, f"{refused[0]} has not continued the path"
+                list(asked_requests),
+                "decelerate",
+                self._request.job.actor,
+                f"{refused_replies[0]} has not continued the path",
             )
             raise_first_refusal(replies)
 
@@ -284,24 +295,24 @@ class PathFeed:
         begin_s = cut.ramps[-1].begin_s
         if begin_s >= self.chunk.end_s:
             return
-        changed = course.adapt_rate(self._clock, begin_s, rate, SHORT_CHUNK_S)
+        changed_rate = course.adapt_rate(self._clock, begin_s, rate, SHORT_CHUNK_S)
         # Where it is braked if the next chunk does not come in time.
         await self._cut(cut)
-        following = course.plan_chunk(changed, self.chunk.end_s - SWITCH_S, SHORT_CHUNK_S)
+        following = course.plan_chunk(changed_rate, self.chunk.end_s - SWITCH_S, SHORT_CHUNK_S)
         try:
             await self._release(following, await self._load(following, self.chunk.end_s - SWITCH_S / 2))
         except Refusal as refusal:
             self.failure = refusal
             raise
-        self._clock = changed
+        self._clock = changed_rate
 
 
 def _find_clock_promises(agreement: StartAgreement) -> dict[str, int]:
     """By member, the bound of its clock at the start, ns."""
     members = agreement.budget.members if agreement.budget is not None else {}
     return {
-        name: max((term.latest_ns for term in each.terms if term.name == "clock"), default=0)
-        for name, each in members.items()
+        name: max((term.latest_ns for term in member.terms if term.name == "clock"), default=0)
+        for name, member in members.items()
     }
 
 

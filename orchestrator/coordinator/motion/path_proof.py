@@ -82,12 +82,15 @@ def _find_delays(
 
 def _narrow_start(agreement: StartAgreement, member: str, report: MemberReport, t0_ns: int) -> tuple[int, int]:
     """The start of a member around T0, ns: its evidence, narrowed by its promise where both agree."""
-    starts = [each.start_for_verdict for each in report.evidence.values()]
-    early_ns, late_ns = min(each.earliest_ns for each in starts) - t0_ns, max(each.latest_ns for each in starts) - t0_ns
+    starts = [evidence.start_for_verdict for evidence in report.evidence.values()]
+    early_ns, late_ns = (
+        min(start.earliest_ns for start in starts) - t0_ns,
+        max(start.latest_ns for start in starts) - t0_ns,
+    )
     window = None if agreement.budget is None else agreement.budget.members.get(member)
     if window is None:
         return early_ns, late_ns
-    delayed_ns = max(each.late_ns for each in report.evidence.values())
+    delayed_ns = max(evidence.late_ns for evidence in report.evidence.values())
     narrow = max(early_ns, window.earliest_ns), min(late_ns, window.latest_ns + delayed_ns)
     return narrow if narrow[0] <= narrow[1] else (early_ns, late_ns)
 

@@ -38,8 +38,8 @@ def make_time_terms(
 
 def _share_out(name: PathTermName, errors: Mapping[str, Array]) -> list[PathTerm]:
     """A term for each member, together the largest error of all; in proportion to the squares of their own largest."""
-    whole = float(np.sqrt(np.sum([each**2 for each in errors.values()], axis=0)).max())
-    parts = {member: float(each.max()) ** 2 for member, each in errors.items()}
+    whole = float(np.sqrt(np.sum([error**2 for error in errors.values()], axis=0)).max())
+    parts = {member: float(error.max()) ** 2 for member, error in errors.items()}
     total = sum(parts.values())
     return [
         PathTerm(name=name, member=member, size=whole * part / total if total else 0.0)

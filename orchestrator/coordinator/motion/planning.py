@@ -119,9 +119,9 @@ class PathRest:
 
 async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
     """Plan the rest of a path from where its axes were braked on it. Raises `Refusal`."""
-    planned, view = rest.planned, services.fleet.view
-    assert planned.path is not None and planned.path.course is not None
-    missing = services.fleet.permits.find_missing(planned.request.axes)
+    planned_step, view = rest.planned, services.fleet.view
+    assert planned_step.path is not None and planned_step.path.course is not None
+    missing = services.fleet.permits.find_missing(planned_step.request.axes)
     if missing is not None:
         raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
     counts: dict[str, int] = {}
@@ -134,9 +134,9 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
         if abs(counts[axis] - expected) > MAX_REST_COUNTS:
             text = f"axis {axis} is at {counts[axis]} counts; it was braked on its path at {expected}"
             raise Refusal("other-start", text, "submit the job again", controller_of(axis))
-    course = planned.path.course.restart(rest.path_s, counts)
-    path = replace(planned.path, course=course)
-    return replace(planned, instances=instances, path=path, begun_s=rest.path_s, rate=rest.rate)
+    course = planned_step.path.course.restart(rest.path_s, counts)
+    path = replace(planned_step.path, course=course)
+    return replace(planned_step, instances=instances, path=path, begun_s=rest.path_s, rate=rest.rate)
 
 
 async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:
@@ -155,8 +155,8 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
         if axis in states:
             states[axis] = states[axis].model_copy(update={"commanded_counts": counts})
     context = AxisContext(view.fleet, states, infos, services.targets.expect_targets(before.ends))
-    planned = await _plan_from(services, request, context, {}, instances)
-    return replace(planned, ends={**before.ends, **planned.ends})
+    planned_step = await _plan_from(services, request, context, {}, instances)
+    return replace(planned_step, ends={**before.ends, **planned_step.ends})
 
 
 async def _plan_from(
@@ -179,13 +179,13 @@ async def _plan_from(
         if isinstance(move, FollowPath):
             starts = make_path_starts(move, context)
             path = await services.plan(plan_path_step, move, starts, context.fleet.frames)
-            resolved = ResolvedMove(path.moves, dict(path.exact))
-            return PlannedStep(request, resolved, path.plan, instances, path.exact, path=path, triggers=triggers)
-        resolved = resolve_targets(move, context, goal)
-        plan = plan_step(resolved.moves, move.sync, move.speed, move.ramps)
+            resolved_move = ResolvedMove(path.moves, dict(path.exact))
+            return PlannedStep(request, resolved_move, path.plan, instances, path.exact, path=path, triggers=triggers)
+        resolved_move = resolve_targets(move, context, goal)
+        plan = plan_step(resolved_move.moves, move.sync, move.speed, move.ramps)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
-    return PlannedStep(request, resolved, plan, instances, resolved.exact, triggers=triggers)
+    return PlannedStep(request, resolved_move, plan, instances, resolved_move.exact, triggers=triggers)
 
 
 async def _query_controller(

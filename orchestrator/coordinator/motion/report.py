@@ -48,19 +48,19 @@ def make_member_report(agreement: StartAgreement, armed: ArmedReply, member: str
 def measure_gap_s(before: StepReport, after: StepReport) -> float | None:
     """The time from the last end of one step to the first start of the next, s, in the middle of the evidence; None
     without evidence."""
-    ends = [each.end for member in before.members.values() for each in member.evidence.values()]
-    starts = [each.start_for_verdict for member in after.members.values() for each in member.evidence.values()]
-    known = [each for each in ends if each is not None]
-    if not known or not starts:
+    ends = [evidence.end for member in before.members.values() for evidence in member.evidence.values()]
+    starts = [evidence.start_for_verdict for member in after.members.values() for evidence in member.evidence.values()]
+    known_ends = [end for end in ends if end is not None]
+    if not known_ends or not starts:
         return None
-    last_ns = max((each.earliest_ns + each.latest_ns) // 2 for each in known)
-    first_ns = min((each.earliest_ns + each.latest_ns) // 2 for each in starts)
+    last_ns = max((interval.earliest_ns + interval.latest_ns) // 2 for interval in known_ends)
+    first_ns = min((start.earliest_ns + start.latest_ns) // 2 for start in starts)
     return (first_ns - last_ns) / NS_PER_S
 
 
 def find_wrong_durations(agreement: StartAgreement, reports: Mapping[str, MemberReport]) -> list[str]:
     """Axes whose motion has certainly taken another time than their controller has promised, in words."""
-    found: list[str] = []
+    durations: list[str] = []
     for member, report in reports.items():
         ppm = agreement.proposals[member].clock_ppm
         for axis, evidence in report.evidence.items():
@@ -69,8 +69,8 @@ def find_wrong_durations(agreement: StartAgreement, reports: Mapping[str, Member
                 continue
             taken_s = find_other_duration(evidence.start_for_verdict, evidence.end, promised_s, ppm)
             if taken_s is not None:
-                found.append(f"{member}.{axis} took {taken_s:.3f} s, promised {promised_s:.3f} s")
-    return found
+                durations.append(f"{member}.{axis} took {taken_s:.3f} s, promised {promised_s:.3f} s")
+    return durations
 
 
 def find_misplaced_axes(
@@ -79,7 +79,7 @@ def find_misplaced_axes(
     """Axes that are not commanded to their targets after the step, in words. A state from before its end says nothing:
     behind a step that another one follows at once there may be none, and its end is the controller's evidence."""
     ends_ns = t0_fleet_ns + round(agreement.plan.duration_s * NS_PER_S)
-    found: list[str] = []
+    axes: list[str] = []
     for axis, profile in agreement.plan.profiles.items():
         controller, _, name = axis.partition(".")
         state = states.get(controller)
@@ -87,8 +87,8 @@ def find_misplaced_axes(
             continue
         off = state.axes[name].commanded_counts - profile.end_counts
         if abs(off) > POSITION_TOLERANCE_COUNTS and not state.axes[name].moving:
-            found.append(f"{axis} is {off:+d} counts from its target")
-    return found
+            axes.append(f"{axis} is {off:+d} counts from its target")
+    return axes
 
 
 def judge_ends(verdict: Verdict, ends: SkewInterval | None, budget: SyncBudget | None) -> Verdict:
@@ -134,8 +134,8 @@ def make_step_report(
     end_skew = measure_skew(ends) if len(ends) == len(axes) else None
     actual_s = None
     if failure is None and ends:
-        first_ns = min((each.earliest_ns + each.latest_ns) // 2 for each in starts)
-        last_ns = max((each.earliest_ns + each.latest_ns) // 2 for each in ends)
+        first_ns = min((start.earliest_ns + start.latest_ns) // 2 for start in starts)
+        last_ns = max((end.earliest_ns + end.latest_ns) // 2 for end in ends)
         actual_s = (last_ns - first_ns) / NS_PER_S
     return StepReport(
         index=request.index,

@@ -25,8 +25,8 @@ class StepSampler:
     async def begin(self, duration_s: float, lead_ns: int) -> None:
         """Have all controllers record. duration_s: planned; lead_ns: until the start, as far as it is known. Raises
         `Refusal`: then none goes on."""
-        wanted = self._request.move.record
-        if wanted is None:
+        wanted_sampling = self._request.move.record
+        if wanted_sampling is None:
             return
         fleet = self._services.fleet.view.fleet
         seconds = duration_s + 2 * lead_ns / NS_PER_S + MARGIN_S
@@ -36,10 +36,10 @@ class StepSampler:
                 job=self._request.job_id,
                 step=self._request.index,
                 axes=list(axes),
-                period_ns=wanted.period,
+                period_ns=wanted_sampling.period,
                 seconds=seconds,
             )
-            for member, axes in group_by_controller(fleet.expand_names(wanted.axes)).items()
+            for member, axes in group_by_controller(fleet.expand_names(wanted_sampling.axes)).items()
         }
         replies = await self._services.fleet.requests.request_all("begin-sampling", requests, SamplingBegun, BEGIN_S)
         raise_first_refusal(replies)
@@ -63,9 +63,9 @@ class StepSampler:
         for member, reply in replies.items():
             if reply.refused is None:
                 self._publish(member, reply)
-        refused = [f"{member}: {reply.refused.text}" for member, reply in replies.items() if reply.refused is not None]
-        counted = {member: len(reply.fleet_ns) for member, reply in replies.items()}
-        return SamplingReport(samples=counted, problem="; ".join(refused))
+        refusals = [f"{member}: {reply.refused.text}" for member, reply in replies.items() if reply.refused is not None]
+        counted_replies = {member: len(reply.fleet_ns) for member, reply in replies.items()}
+        return SamplingReport(samples=counted_replies, problem="; ".join(refusals))
 
     def _publish(self, member: str, reply: SamplesTaken) -> None:
         fleet, axes = self._services.fleet.view.fleet, dict[str, SampledAxis]()

@@ -201,7 +201,9 @@ class StartSequence:
             )
             for member, options in self._negotiation.start_options(agreement, agreement.proposals).items()
         }
-        declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in agreement.proposals.items()}
+        declared_ns = {
+            name: proposal.costs.arm_ns if proposal.costs else 0 for name, proposal in agreement.proposals.items()
+        }
         timeout_s = ANSWER_S + 2 * max(declared_ns.values()) / NS_PER_S
         took_ns = dict[str, int]()
         self.state.armed = await self._requests.request_all(
@@ -298,14 +300,16 @@ class StartSequence:
         wait_s = max(0.02, min(ANSWER_S, max(left_ns / 2, useful_ns) / NS_PER_S))
         replies = await self._requests.request_all("commit", requests, CommittedReply, wait_s)
         await self._disarm_if_refused(replies)
-        loaded = {member: reply.armed for member, reply in replies.items() if reply.armed is not None}
-        if loaded:
-            self.state.armed = {**self.state.armed, **loaded}
+        loaded_replies = {member: reply.armed for member, reply in replies.items() if reply.armed is not None}
+        if loaded_replies:
+            self.state.armed = {**self.state.armed, **loaded_replies}
             await self._judge_frozen_mappings()
             declared_ns = {
-                name: costs.arm_ns for name in loaded if (costs := agreement.proposals[name].costs) is not None
+                name: costs.arm_ns for name in loaded_replies if (costs := agreement.proposals[name].costs) is not None
             }
-            self._estimator.record_arming("behind", declared_ns, {name: loaded[name].took_ns for name in declared_ns})
+            self._estimator.record_arming(
+                "behind", declared_ns, {name: loaded_replies[name].took_ns for name in declared_ns}
+            )
 
     async def _record_decision(self) -> None:
         request, services = self._request, self._services
@@ -336,19 +340,19 @@ class StartSequence:
         left_s = (self.state.t0_fleet_ns - self._leadership.fleet_now_ns()) / NS_PER_S
         # Answers are waited for only while the other members can still be disarmed.
         wait_s = max(0.02, min(ANSWER_S, max(left_s / 2, left_s - agreement.disarm_ns / NS_PER_S)))
-        released = await self._requests.request_all("go", requests, Reply, wait_s)
-        if any(reply.refused is not None and reply.refused.code in LATE for reply in released.values()):
+        released_replies = await self._requests.request_all("go", requests, Reply, wait_s)
+        if any(reply.refused is not None and reply.refused.code in LATE for reply in released_replies.values()):
             self._estimator.record_late_go(len(agreement.proposals))
-        await self._disarm_if_refused(released)
+        await self._disarm_if_refused(released_replies)
 
     # Withdrawal
 
     async def _disarm_if_refused(self, replies: Mapping[str, Reply]) -> None:
-        refused = next((reply.refused for reply in replies.values() if reply.refused is not None), None)
-        if refused is None:
+        refused_reply = next((reply.refused for reply in replies.values() if reply.refused is not None), None)
+        if refused_reply is None:
             return
         await self.disarm()
-        raise refused.as_step_error()
+        raise refused_reply.as_step_error()
 
     async def disarm(self) -> None:
         """Unload all members, each independently of the others' silence; one that reports motion or does not answer is

@@ -66,7 +66,9 @@ class PlannedMotion:
         agreement = await negotiation.agree()
         certificates, ends_s = services.fleet.certificates, _find_duration_s(planned, agreement)
         certificates.require_until(agreement.members, agreement.lead_ns / NS_PER_S + ends_s)
-        stop_times_ns = {name: each.costs.stop_ns for name, each in agreement.proposals.items() if each.costs}
+        stop_times_ns = {
+            name: proposal.costs.stop_ns for name, proposal in agreement.proposals.items() if proposal.costs
+        }
         services.stop_times_ns.update(stop_times_ns)
         # Events and permits count from before arming: a stop, or the loss of a permit, may come at any moment.
         permit_watch = services.fleet.permits.watch_losses(agreement.plan.profiles)
@@ -155,13 +157,17 @@ class MotionStep:
 
     async def _run_once(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
         services, request = self._services, self._request
-        planned = await run_while_recording(observer.on_state("planning", ""), self._plan(seen_ns))
-        self._goal = {axis: exact for axis, (exact, _) in planned.resolved.exact.items()}
-        if not planned.plan.profiles:
+        planned_recording = await run_while_recording(observer.on_state("planning", ""), self._plan(seen_ns))
+        self._goal = {axis: exact for axis, (exact, _) in planned_recording.resolved.exact.items()}
+        if not planned_recording.plan.profiles:
             name = request.move.name or ""
             return StepReport(index=request.index, do=request.move.do, name=name, state="done", reason="already there")
-        motion = self._motion = await PlannedMotion.agree(services, planned)
-        whole = planned.plan if planned.path is not None and not planned.begun_s else motion.agreement.plan
+        motion = self._motion = await PlannedMotion.agree(services, planned_recording)
+        whole = (
+            planned_recording.plan
+            if planned_recording.path is not None and not planned_recording.begun_s
+            else motion.agreement.plan
+        )
         recorder = StepRecorder(services.fleet.view, whole.profiles)
         sampler = StepSampler(services, request)
         try:
@@ -220,13 +226,13 @@ class MotionStep:
     async def _watch_motion(self, motion: PlannedMotion, observer: StepObserver, recorder: StepRecorder) -> StepReport:
         """Watch the members, which are released, and store what was recorded meanwhile."""
         services, request, start = self._services, self._request, motion.start
-        done: StepReport | None = None
+        done_report: StepReport | None = None
         feeding = None if motion.feed is None else asyncio.get_running_loop().create_task(motion.feed.run())
         try:
             await observer.on_state("running", "")
             observer.on_started(start.state.t0_fleet_ns, motion.duration_s)
             await motion.watch.run()
-            done = report = await self._finish(motion)
+            done_report = report = await self._finish(motion)
         except asyncio.CancelledError:
             # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
             # would wait for T0, and refuse the next job until then.
@@ -238,7 +244,7 @@ class MotionStep:
             self._end_motion(motion)
             recording = recorder.finish(request.index, request.move.name or "", start.state.t0_fleet_ns)
             for listener in services.listeners:
-                listener(recording, done)
+                listener(recording, done_report)
         if report.state == "done":
             for axis, (exact, counts) in motion.planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)

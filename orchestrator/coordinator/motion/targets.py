@@ -45,7 +45,7 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
         axis, state = context.fleet.axis(name), context.states[name]
         controller = controller_of(name)
         _require_ready(name, state, controller)
-        here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
+        position_here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
         try:
             amount = parse_quantity(value, axis.unit)
         except UnitError as error:
@@ -53,12 +53,16 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
         if name in goal:
             target = goal[name]
         else:
-            target = here + amount if name in step.by else choose_turn(axis, here, amount - state.offset, state.offset)
+            target = (
+                position_here + amount
+                if name in step.by
+                else choose_turn(axis, position_here, amount - state.offset, state.offset)
+            )
         counts = axis.to_counts(target)
-        beyond = explain_beyond_limits(name, axis, target, state.offset)
-        if beyond is not None:
+        beyond_limits = explain_beyond_limits(name, axis, target, state.offset)
+        if beyond_limits is not None:
             remedy = "change the target, or the soft limits in the fleet file"
-            raise Refusal("soft-limit", beyond, remedy, controller)
+            raise Refusal("soft-limit", beyond_limits, remedy, controller)
         exact[name] = (target, counts)
         order = max(context.infos[controller].orders)
         move = make_axis_move(name, axis, state.commanded_counts, counts, order)
@@ -73,9 +77,9 @@ def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
     for name in step.axes:
         axis, state, controller = context.fleet.axis(name), context.states[name], controller_of(name)
         _require_ready(name, state, controller)
-        here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
+        position_here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
         order = max(context.infos[controller].orders)
-        starts.append(PathStart(name, axis, here, state.commanded_counts, state.offset, order))
+        starts.append(PathStart(name, axis, position_here, state.commanded_counts, state.offset, order))
     return starts
 
 

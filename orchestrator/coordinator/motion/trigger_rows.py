@@ -39,20 +39,22 @@ class TriggerRows:
 
     async def add_to(self, report: StepReport) -> StepReport:
         """The report of the step with what its triggers did; the rows are published. Raises nothing."""
-        asked = self.agreement.triggers.find_outputs(self.agreement.plan)
-        if not asked:
+        asked_outputs = self.agreement.triggers.find_outputs(self.agreement.plan)
+        if not asked_outputs:
             return report
-        replies = await self._fetch(asked)
+        replies = await self._fetch(asked_outputs)
         places = self._make_place_finder(report)
         reports: list[TriggerReport] = []
-        for owner, triggers in asked.items():
-            refused, outputs = replies[owner].refused, replies[owner].outputs
+        for owner, triggers in asked_outputs.items():
+            refused_details, outputs = replies[owner].refused, replies[owner].outputs
             for trigger in triggers:
                 edges = outputs.get(trigger.output, TriggerEdges())
                 rows = self._make_rows(owner, trigger, edges, places)
                 self._publish(f"{owner}.{trigger.output}", rows)
                 made = _sum_up(f"{owner}.{trigger.output}", rows, unknown=edges.unknown)
-                reports.append(made if refused is None else made.model_copy(update={"problem": refused.text}))
+                reports.append(
+                    made if refused_details is None else made.model_copy(update={"problem": refused_details.text})
+                )
         return _judge(report, reports)
 
     async def _fetch(self, asked: Mapping[str, list[OutputTrigger]]) -> Mapping[str, TriggersTaken]:
@@ -71,8 +73,8 @@ class TriggerRows:
     def _make_rows(
         self, owner: str, trigger: OutputTrigger, edges: TriggerEdges, places: FindPlaces
     ) -> list[TriggerRow]:
-        armed, t0_ns = self.state.armed.get(owner), self.state.t0_fleet_ns
-        terms = [] if armed is None else armed.triggers.get(trigger.output, [])
+        armed_reply, t0_ns = self.state.armed.get(owner), self.state.t0_fleet_ns
+        terms = [] if armed_reply is None else armed_reply.triggers.get(trigger.output, [])
         early_ns, late_ns = sum_terms(terms or self.agreement.proposals[owner].triggers.get(trigger.output, []))
         residual_ns = self.agreement.tick_residual_ns
         rows: list[TriggerRow] = []
@@ -127,12 +129,12 @@ class TriggerRows:
 
 def _sum_up(output: str, rows: list[TriggerRow], *, unknown: bool) -> TriggerReport:
     seen = [(row, row.seen) for row in rows if row.seen is not None]
-    outside = [row for row, span in seen if span.latest_ns < row.earliest_ns or span.earliest_ns > row.latest_ns]
+    rows_outside = [row for row, span in seen if span.latest_ns < row.earliest_ns or span.earliest_ns > row.latest_ns]
     return TriggerReport(
         output=output,
         planned=len(rows),
         seen=len(seen),
-        outside=len(outside),
+        outside=len(rows_outside),
         widest_ns=max((span.latest_ns - span.earliest_ns for _, span in seen), default=0),
         rows=rows[:REPORTED_ROWS],
         problem="of one more edge it is not known whether it happened" if unknown else "",
@@ -142,12 +144,14 @@ def _sum_up(output: str, rows: list[TriggerRow], *, unknown: bool) -> TriggerRep
 def _judge(report: StepReport, triggers: list[TriggerReport]) -> StepReport:
     """The report with its triggers. A step that is done although triggers were missed differs from its plan."""
     deviations = list(report.deviations)
-    for each in triggers if report.state == "done" else ():
-        if each.seen < each.planned:
-            text = f"{each.output}: {each.seen} of {each.planned} triggers are known to have happened"
-            deviations.append(text + (f" ({each.problem})" if each.problem else ""))
-        if each.outside:
-            deviations.append(f"{each.output}: {each.outside} of {each.planned} triggers were not within the promise")
+    for trigger in triggers if report.state == "done" else ():
+        if trigger.seen < trigger.planned:
+            text = f"{trigger.output}: {trigger.seen} of {trigger.planned} triggers are known to have happened"
+            deviations.append(text + (f" ({trigger.problem})" if trigger.problem else ""))
+        if trigger.outside:
+            deviations.append(
+                f"{trigger.output}: {trigger.outside} of {trigger.planned} triggers were not within the promise"
+            )
     worse = deviations != report.deviations and report.verdict != "none"
     update = {"triggers": triggers, "deviations": deviations, "verdict": "red" if worse else report.verdict}
     return report.model_copy(update=update)

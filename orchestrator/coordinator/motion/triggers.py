@@ -23,7 +23,7 @@ class StepTriggers:
     def find_outputs(self, plan: StepPlan) -> Mapping[str, list[OutputTrigger]]:
         """By controller, what it is to switch in this plan. Raises `Refusal`."""
         if self._found is None or self._found[0] is not plan:
-            found = {
+            triggers = {
                 owner: [
                     OutputTrigger(
                         output=split_name(trigger.output)[1],
@@ -35,7 +35,7 @@ class StepTriggers:
                 ]
                 for owner, group in group_by_owner(self.triggers).items()
             }
-            self._found = plan, found
+            self._found = plan, triggers
         return self._found[1]
 
 

@@ -103,7 +103,7 @@ class StatisticsCollector:
 
     def _count_skews(self, report: StepReport) -> None:
         starts = {
-            member: [each.start_for_verdict for each in part.evidence.values()]
+            member: [evidence.start_for_verdict for evidence in part.evidence.values()]
             for member, part in sorted(report.members.items())
             if part.evidence
         }

@@ -18,8 +18,10 @@ class _Period:
 
     def add_row(self, row: StatisticsRow) -> None:
         figures = self.subjects.setdefault((row.kind, row.subject), {})
-        before = figures.get(row.figure, 0.0)
-        figures[row.figure] = max(before, row.value) if row.figure.startswith(WORST) else before + row.value
+        figure_before = figures.get(row.figure, 0.0)
+        figures[row.figure] = (
+            max(figure_before, row.value) if row.figure.startswith(WORST) else figure_before + row.value
+        )
 
     def make_figures(self, day: str | None, units: Mapping[str, str]) -> PeriodFigures:
         of_kind: dict[str, dict[str, Figures]] = {}
@@ -27,7 +29,11 @@ class _Period:
             of_kind.setdefault(kind, {})[subject] = figures
         return PeriodFigures(
             day=day,
-            axes=[each for name, values in of_kind.get("axis", {}).items() for each in _make_axis(name, values, units)],
+            axes=[
+                axis_figures
+                for name, values in of_kind.get("axis", {}).items()
+                for axis_figures in _make_axis(name, values, units)
+            ],
             controllers=[_make_controller(name, values) for name, values in of_kind.get("controller", {}).items()],
             pairs=[_make_pair(name, values) for name, values in of_kind.get("pair", {}).items()],
             jobs=_make_counts(of_kind.get("jobs", {}).get("", {})),
@@ -57,7 +63,10 @@ def _make_axis(name: str, figures: Figures, units: Mapping[str, str]) -> list[Ax
         moving_s=figures.get("moving_s", 0.0),
         distance=distances.pop(unit, 0.0),
     )
-    return [present, *(AxisFigures(axis=name, unit=other, distance=value) for other, value in distances.items())]
+    return [
+        present,
+        *(AxisFigures(axis=name, unit=other_unit, distance=value) for other_unit, value in distances.items()),
+    ]
 
 
 def _make_controller(name: str, figures: Figures) -> ControllerFigures:

@@ -32,28 +32,28 @@ class _HomingRun:
 
     def find_blocked(self) -> dict[str, str]:
         """Axes that cannot begin any more, with the axis before them that failed."""
-        stopped: dict[str, str] = {axis: axis for axis in self.failed}
+        stopped_axes: dict[str, str] = {axis: axis for axis in self.failed}
         while True:
             more = {
-                axis: next(stopped[other] for other in sorted(others) if other in stopped)
-                for axis, others in self.waits.items()
-                if axis not in stopped and others & stopped.keys()
+                axis: next(stopped_axes[other] for other in sorted(others_wait) if other in stopped_axes)
+                for axis, others_wait in self.waits.items()
+                if axis not in stopped_axes and others_wait & stopped_axes.keys()
             }
             if not more:
-                return {axis: cause for axis, cause in stopped.items() if axis not in self.failed}
-            stopped |= more
+                return {axis: cause for axis, cause in stopped_axes.items() if axis not in self.failed}
+            stopped_axes |= more
 
     def find_ready(self) -> list[str]:
         """Axes that may begin now."""
-        begun = {*self.homed, *self.failed, *(axis for axes in self.busy.values() for axis in axes)}
+        begun_busies = {*self.homed, *self.failed, *(axis for axes in self.busy.values() for axis in axes)}
         ready = [
             axis
-            for axis, others in self.waits.items()
-            if axis not in begun and axis.partition(".")[0] not in self.busy and others <= set(self.homed)
+            for axis, others_wait in self.waits.items()
+            if axis not in begun_busies and axis.partition(".")[0] not in self.busy and others_wait <= set(self.homed)
         ]
-        alone = [axis for axis in ready if axis in self.loners]
-        together = [axis for axis in ready if axis not in self.loners]
-        return together or ([] if self.busy else alone[:1])
+        alone_ready = [axis for axis in ready if axis in self.loners]
+        together_ready = [axis for axis in ready if axis not in self.loners]
+        return together_ready or ([] if self.busy else alone_ready[:1])
 
 
 class HomingSequence:
@@ -70,7 +70,7 @@ class HomingSequence:
         order = homing_order(fleet, axes)
         waits = find_prerequisites(fleet, order)
         run = _HomingRun(holder, actor, waits, order.loners)
-        for axis in [other for others in waits.values() for other in others if other not in waits]:
+        for axis in [other for others_wait in waits.values() for other in others_wait if other not in waits]:
             self._require_referenced(axis, waits)
             run.homed.append(axis)
         total, before = len(waits), len(run.homed)
@@ -80,7 +80,7 @@ class HomingSequence:
         guard, woken = self._fleet.permits.watch_losses(waits), asyncio.Event()
         unlisten = self._fleet.permits.add_loss_listener(woken.set)
         tasks: dict[asyncio.Task[HomeReply], str] = {}
-        waiting = asyncio.get_running_loop().create_task(woken.wait())
+        waiting_task = asyncio.get_running_loop().create_task(woken.wait())
         try:
             while True:
                 for controller, names in group_by_controller(run.find_ready()).items():
@@ -89,9 +89,9 @@ class HomingSequence:
                     tasks[asyncio.get_running_loop().create_task(ask)] = controller
                 if not tasks:
                     break
-                now = sorted(axis for axes in run.busy.values() for axis in axes)
-                progress((len(run.homed) - before) / total, f"homing {', '.join(now)}")
-                await asyncio.wait([*tasks, waiting], return_when=asyncio.FIRST_COMPLETED)
+                busy_now = sorted(axis for axes in run.busy.values() for axis in axes)
+                progress((len(run.homed) - before) / total, f"homing {', '.join(busy_now)}")
+                await asyncio.wait([*tasks, waiting_task], return_when=asyncio.FIRST_COMPLETED)
                 lost = guard.describe_loss()
                 if lost is not None:
                     await self._fleet.stop_members(list(run.busy), "decelerate", actor, lost)
@@ -100,7 +100,7 @@ class HomingSequence:
                     self._take_reply(run, tasks.pop(task), task.result())
         finally:
             unlisten()
-            waiting.cancel()
+            waiting_task.cancel()
             for task in tasks:
                 task.cancel()
         if run.failed:
@@ -110,7 +110,7 @@ class HomingSequence:
         controller, _, name = axis.partition(".")
         state = self._fleet.view.last_state(controller)
         if state is None or not state.axes[name].referenced:
-            waiting = next(each for each, others in waits.items() if axis in others)
+            waiting = next(each for each, others_wait in waits.items() if axis in others_wait)
             raise Refusal(
                 "not-referenced",
                 f"{waiting} must be homed after {axis} (homing.after), which is not referenced",
@@ -130,12 +130,12 @@ class HomingSequence:
         def ask() -> "asyncio.Task[HomeReply]":
             return loop.create_task(requests.request(controller, "home", request, HomeReply, timeout_s + ANSWER_S))
 
-        asked, asked_s = ask(), loop.time()
+        asked_task, asked_s = ask(), loop.time()
         try:
             while True:
-                await asyncio.wait([asked], timeout=POLL_S)
-                if asked.done():
-                    return asked.result()
+                await asyncio.wait([asked_task], timeout=POLL_S)
+                if asked_task.done():
+                    return asked_task.result()
                 # The answer may take as long as its axes may search: stop waiting once it is known that none will come.
                 gone = self._fleet.view.describe_absence(controller, instance)
                 if gone is not None:
@@ -144,10 +144,10 @@ class HomingSequence:
                     return HomeReply(refused=RefusalDetails(code="absent", text=gone, remedy=remedy, member=controller))
                 if loop.time() - asked_s > REPEAT_S and not self._is_homing(controller, names):
                     # The request or its answer was lost. It keeps its id, so it is executed once.
-                    asked.cancel()
-                    asked, asked_s = ask(), loop.time()
+                    asked_task.cancel()
+                    asked_task, asked_s = ask(), loop.time()
         finally:
-            asked.cancel()
+            asked_task.cancel()
 
     def _is_homing(self, controller: str, names: list[str]) -> bool:
         state = self._fleet.view.last_state(controller)
@@ -162,15 +162,15 @@ class HomingSequence:
             elif name in reply.homed:
                 run.homed.append(axis)
             else:
-                missing = RefusalDetails(
+                missing_details = RefusalDetails(
                     code="homing-failed", text=f"axis {name}: the adapter has not reported a result"
                 )
-                run.failed[axis] = reply.failed.get(name, missing)
+                run.failed[axis] = reply.failed.get(name, missing_details)
 
     def _make_failure(self, run: _HomingRun) -> Refusal:
         first, why = next(iter(run.failed.items()))
         # The refusal of a whole controller is reported once.
-        texts = list(dict.fromkeys(f"{axis.partition('.')[0]}: {each.text}" for axis, each in run.failed.items()))
+        texts = list(dict.fromkeys(f"{axis.partition('.')[0]}: {details.text}" for axis, details in run.failed.items()))
         blocked = run.find_blocked()
         if blocked:
             causes = ", ".join(sorted(set(blocked.values())))

@@ -123,29 +123,29 @@ class Authentication:
         self._read_file()
         if self._damage is not None:
             raise NotSignedIn("bad-users", self._damage.text, self._damage.remedy)
-        counted = (f"user {user[:64]}", f"address {address}")
-        self._require_pause(counted)
+        counters = (f"user {user[:64]}", f"address {address}")
+        self._require_pause(counters)
         if self._verifying >= MAX_VERIFYING:
             raise TooManyTries("too-many-tries", "too many sign-ins at once", "try again in a second")
-        stored = self._table.users.get(user)
+        stored_user = self._table.users.get(user)
         self._verifying += 1
         try:
-            right = await self._execute(verify_password, stored, password)
+            right = await self._execute(verify_password, stored_user, password)
         finally:
             self._verifying -= 1
-        if not right or stored is None:
-            self._count_failure(counted)
+        if not right or stored_user is None:
+            self._count_failure(counters)
             raise NotSignedIn(
                 "wrong-password", "user or password is wrong", "try again; `tutti user passwd` sets another one"
             )
-        for each in counted:
+        for each in counters:
             self._failures.pop(each, None)
         secret, now_ns = self._new_secret(), self._clock.now_ns()
         csrf = _derive_csrf(secret)
-        self._sessions[csrf] = _Session(user, now_ns, now_ns, stored.changed_utc)
+        self._sessions[csrf] = _Session(user, now_ns, now_ns, stored_user.changed_utc)
         if len(self._sessions) > MAX_SESSIONS:
             self._sessions.popitem(last=False)
-        return secret, Identity(user, stored.role, address, "cookie", csrf)
+        return secret, Identity(user, stored_user.role, address, "cookie", csrf)
 
     def sign_out(self, cookie: str) -> None:
         """End the session of a cookie header, if there is one."""
@@ -155,16 +155,16 @@ class Authentication:
 
     def _identify_token(self, address: str, authorization: str) -> Identity:
         scheme, _, secret = authorization.partition(" ")
-        found = None
+        found_token = None
         if scheme.lower() == "bearer" and secret.startswith(TOKEN_START):
             try:
-                found = find_token(self._table, secret.strip(), self._clock.utc())
+                found_token = find_token(self._table, secret.strip(), self._clock.utc())
             except Refusal as error:
                 raise NotSignedIn(error.code, error.text, error.remedy) from None
-        if found is None:
+        if found_token is None:
             text = "the token is not valid"
             raise NotSignedIn("bad-token", text, "send `Authorization: Bearer TOKEN`; `tutti user token` makes one")
-        user, token, stored = found
+        user, token, stored = found_token
         role = _lower(stored.role, self._table.users[user].role)
         verbs = None if stored.verbs is None else frozenset(stored.verbs)
         return Identity(user, role, address, "token", token=token, verbs=verbs)

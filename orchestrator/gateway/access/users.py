@@ -91,19 +91,19 @@ class UserFile:
     def find_version(self) -> tuple[int, int, int] | None:
         """Tells one state of the file from another one; None: there is none."""
         try:
-            found = self.path.stat()
+            stat = self.path.stat()
         except OSError:
             return None
-        return found.st_ino, found.st_mtime_ns, found.st_size
+        return stat.st_ino, stat.st_mtime_ns, stat.st_size
 
     def add_user(self, name: str, role: Role, password: str, utc: str) -> None:
         """Add a user. Raises `Refusal`: codes `user-exists`, `bad-user`, `weak-password`."""
         _require_name(name)
-        hashed = hash_password(password) if password else ""
+        hashed_password = hash_password(password) if password else ""
         with self._change() as users:
             if name in users:
                 raise Refusal("user-exists", f"there is a user {name} already", "change it: `tutti user passwd`")
-            users[name] = StoredUser(role=role, password=hashed, created_utc=utc, changed_utc=utc)
+            users[name] = StoredUser(role=role, password=hashed_password, created_utc=utc, changed_utc=utc)
 
     def remove_user(self, name: str) -> None:
         """Remove a user with all tokens. Raises `Refusal`: code `no-user`."""
@@ -113,10 +113,10 @@ class UserFile:
 
     def change_password(self, name: str, password: str, utc: str) -> None:
         """Give a user another password; sessions end. Raises `Refusal`: codes `no-user`, `weak-password`."""
-        hashed = hash_password(password)
+        hashed_password = hash_password(password)
         with self._change() as users:
             user = _require_user(users, name)
-            users[name] = user.model_copy(update={"password": hashed, "changed_utc": utc})
+            users[name] = user.model_copy(update={"password": hashed_password, "changed_utc": utc})
 
     def change_role(self, name: str, role: Role, utc: str) -> None:
         """Give a user another role; sessions end. Raises `Refusal`: code `no-user`."""
@@ -148,8 +148,8 @@ class UserFile:
                 raise Refusal(
                     "no-token", f"user {name} has no token {token}; there are: {there}", "see `tutti user ls`"
                 )
-            left = {each: stored for each, stored in user.tokens.items() if each != token}
-            users[name] = user.model_copy(update={"tokens": left})
+            tokens_left = {each: stored_token for each, stored_token in user.tokens.items() if each != token}
+            users[name] = user.model_copy(update={"tokens": tokens_left})
 
     @contextmanager
     def _change(self) -> Generator[dict[str, StoredUser]]:
@@ -183,9 +183,9 @@ def hash_password(password: str) -> str:
 
 def verify_password(user: StoredUser | None, password: str) -> bool:
     """Whether it is the password of a user; takes the same time for a user that does not exist."""
-    hashed = user.password if user is not None and user.password else _make_dummy_hash()
+    hashed_password = user.password if user is not None and user.password else _make_dummy_hash()
     try:
-        _HASHER.verify(hashed, password[: MAX_PASSWORD + 1])
+        _HASHER.verify(hashed_password, password[: MAX_PASSWORD + 1])
     except (VerificationError, InvalidHashError):
         return False
     return user is not None and bool(user.password)
@@ -198,12 +198,12 @@ def find_token(table: UserTable, secret: str, utc: str) -> tuple[str, str, Store
     if user is None:
         return None
     digest = _digest_token(secret)
-    for token, stored in user.tokens.items():
-        if hmac.compare_digest(stored.digest, digest):
-            if stored.expires_utc <= utc:
-                text = f"token {token} of {name} expired at {stored.expires_utc}"
+    for token, stored_token in user.tokens.items():
+        if hmac.compare_digest(stored_token.digest, digest):
+            if stored_token.expires_utc <= utc:
+                text = f"token {token} of {name} expired at {stored_token.expires_utc}"
                 raise Refusal("token-expired", text, f"make another one: `tutti user token {name}`")
-            return name, token, stored
+            return name, token, stored_token
     return None
 
 

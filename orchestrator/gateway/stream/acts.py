@@ -206,9 +206,9 @@ class FleetActs:
                 await self._end_manual()
                 self._socket.send({"manual": {"axes": [], "lost": describe_refusal(_SILENT)}})
             elif manual is not None and manual.lost is not None:
-                lost = describe_refusal(manual.lost)
+                lost_refusal = describe_refusal(manual.lost)
                 await self._end_manual()
-                self._socket.send({"manual": {"axes": [], "lost": lost}})
+                self._socket.send({"manual": {"axes": [], "lost": lost_refusal}})
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
         task = asyncio.get_running_loop().create_task(work)
@@ -223,9 +223,9 @@ _SILENT = Refusal("silent", "the page has sent nothing for a second, so its axes
 def _read_axes(frame: Frame) -> list[str]:
     axes = frame.get("axes")
     names = cast(list[object], axes) if isinstance(axes, list) else []
-    if not 0 < len(names) <= MAX_AXES or not all(isinstance(each, str) for each in names):
+    if not 0 < len(names) <= MAX_AXES or not all(isinstance(name, str) for name in names):
         raise Refusal("bad-request", f"`axes` must be 1 to {MAX_AXES} names", 'for example `["gantry.x"]`')
-    return [str(each) for each in names]
+    return [str(name) for name in names]
 
 
 def _make_job(step: object) -> Job:
@@ -242,6 +242,6 @@ def _make_job(step: object) -> Job:
 
 def _explain_end(report: JobReport) -> dict[str, Any]:
     step = report.steps[-1] if report.steps else None
-    refused = None if step is None else step.refused
+    refused_details = None if step is None else step.refused
     reason = "" if report.state == "done" else (step.reason if step is not None else "") or report.reason
-    return {"reason": reason, "remedy": "" if refused is None else refused.remedy, "fraction": 1.0}
+    return {"reason": reason, "remedy": "" if refused_details is None else refused_details.remedy, "fraction": 1.0}

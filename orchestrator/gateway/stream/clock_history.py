@@ -35,10 +35,12 @@ def _show_mappings(kept: list[tuple[int, ClockMapping]]) -> dict[str, list[float
     first = kept[0][1]
     return {
         "t": [round(at_ns / NS_PER_S, 3) for at_ns, _ in kept],
-        "bound_us": [round(each.bound_ns / 1e3, 3) for _, each in kept],
-        "rate_ppm": [round(each.rate_ppm, 4) for _, each in kept],
+        "bound_us": [round(mapping.bound_ns / 1e3, 3) for _, mapping in kept],
+        "rate_ppm": [round(mapping.rate_ppm, 4) for _, mapping in kept],
         "offset_us": [
-            round((each.host_at_ns - first.host_at_ns - (each.ticks_at - first.ticks_at) * first.tick_ns) / 1e3, 3)
-            for _, each in kept
+            round(
+                (mapping.host_at_ns - first.host_at_ns - (mapping.ticks_at - first.ticks_at) * first.tick_ns) / 1e3, 3
+            )
+            for _, mapping in kept
         ],
     }

@@ -14,7 +14,7 @@ DIGITS = 6  # after the point: nanometres of a mm axis
 
 def show_controller(state: ControllerState, config: Controller | None, targets: Mapping[str, float]) -> dict[str, Any]:
     """The controller for the stream. config: of the fleet file; None: not in it. targets: of its axes, by name."""
-    shown: dict[str, Any] = {
+    shown_controller: dict[str, Any] = {
         "mode": state.mode,
         "epoch": state.epoch,
         "digest": state.digest,
@@ -24,22 +24,22 @@ def show_controller(state: ControllerState, config: Controller | None, targets: 
         "axes": {name: _show_axis(name, axis, config, targets.get(name)) for name, axis in state.axes.items()},
     }
     if state.job is not None:
-        shown["job"] = state.job
+        shown_controller["job"] = state.job
     if state.step is not None:
-        shown["step"] = state.step
+        shown_controller["step"] = state.step
     if state.estop is not None:
-        shown["estop"] = state.estop.to_plain()
+        shown_controller["estop"] = state.estop.to_plain()
     if state.clock is not None:
         # In whole seconds: an age that is other in every state would be half of the stream.
         age_ns = state.clock.age_ns // NS_PER_S * NS_PER_S
-        shown["clock"] = {"bound_ns": state.clock.bound_ns, "age_ns": age_ns, "samples": state.clock.samples}
+        shown_controller["clock"] = {"bound_ns": state.clock.bound_ns, "age_ns": age_ns, "samples": state.clock.samples}
     if config is not None:
-        shown["make"] = config.adapter
-    return shown
+        shown_controller["make"] = config.adapter
+    return shown_controller
 
 
 def _show_axis(name: str, axis: AxisState, config: Controller | None, target: float | None) -> dict[str, Any]:
-    shown: dict[str, Any] = {
+    shown_axis: dict[str, Any] = {
         "position": round(axis.position, DIGITS),
         "commanded": round(axis.commanded, DIGITS),
         "velocity": round(axis.velocity, DIGITS),
@@ -52,15 +52,15 @@ def _show_axis(name: str, axis: AxisState, config: Controller | None, target: fl
         "offset": str(axis.offset),
     }
     if axis.fault is not None:
-        shown["fault"] = axis.fault
+        shown_axis["fault"] = axis.fault
     if target is not None:
-        shown["target"] = round(target, DIGITS)
-    known = None if config is None else config.axes.get(name)
-    if known is not None:
-        shown["max_velocity"] = known.limits.velocity
-        shown["jog_velocity"] = known.jog_speed(referenced=axis.referenced)
-        if known.soft_limits is not None and known.turn_length is None:
+        shown_axis["target"] = round(target, DIGITS)
+    known_axis = None if config is None else config.axes.get(name)
+    if known_axis is not None:
+        shown_axis["max_velocity"] = known_axis.limits.velocity
+        shown_axis["jog_velocity"] = known_axis.jog_speed(referenced=axis.referenced)
+        if known_axis.soft_limits is not None and known_axis.turn_length is None:
             # Soft limits are motor positions.
-            for end, limit in (("min", known.soft_limits.min), ("max", known.soft_limits.max)):
-                shown[end] = round(float(parse_quantity(limit, known.unit) + axis.offset), DIGITS)
-    return shown
+            for end, limit in (("min", known_axis.soft_limits.min), ("max", known_axis.soft_limits.max)):
+                shown_axis[end] = round(float(parse_quantity(limit, known_axis.unit) + axis.offset), DIGITS)
+    return shown_axis

@@ -230,12 +230,12 @@ class FleetState:
         return {"present": True, "name": heartbeat.coordinator[:8], "epoch": heartbeat.epoch}
 
     def _show_controller(self, name: str, now_ns: int) -> dict[str, Any]:
-        shown = self._shown.get(name)
-        if shown is None:
-            shown = self._shown[name] = self._make_controller(name)
+        shown_controller = self._shown.get(name)
+        if shown_controller is None:
+            shown_controller = self._shown[name] = self._make_controller(name)
         age_ns = now_ns - self._received_ns[name]
         age_s = age_ns // NS_PER_S if age_ns > STALE_NS else 0
-        return shown if shown.get("age_s") == age_s else {**shown, "age_s": age_s}
+        return shown_controller if shown_controller.get("age_s") == age_s else {**shown_controller, "age_s": age_s}
 
     def _make_controller(self, name: str) -> dict[str, Any]:
         present = {"present": self._present.get(name, 0) > 0, "age_s": 0}
@@ -249,8 +249,8 @@ class FleetState:
         targets = {
             axis.removeprefix(head): target for axis, target in self._targets.by_axis.items() if axis.startswith(head)
         }
-        shown = show_controller(state, config, targets) | present
-        return shown | {"link": self._links[name]} if name in self._links else shown
+        shown_controller = show_controller(state, config, targets) | present
+        return shown_controller | {"link": self._links[name]} if name in self._links else shown_controller
 
     def _read_state(self, name: str) -> ControllerState | None:
         """The newest state; it is parsed only now. None if it is not valid and there was none before."""
@@ -265,14 +265,14 @@ class FleetState:
     def _note_state(self, name: str, state: ControllerState) -> None:
         self._states[name] = state
         rests = self._rests.setdefault(name, {})
-        rests |= {axis: now.commanded for axis, now in state.axes.items() if not now.moving}
+        rests |= {axis: axis_now.commanded for axis, axis_now in state.axes.items() if not axis_now.moving}
 
     def _find_members(self) -> dict[str, Any]:
         """The stage of each member of the step that a job runs."""
-        found: dict[str, Any] = {}
+        members: dict[str, Any] = {}
         for name in self._received_ns:
             state = self._states.get(name)
             if state is not None and state.job is not None and state.job in self._jobs:
-                job = found.setdefault(state.job, {"step": state.step or 0, "members": {}})
+                job = members.setdefault(state.job, {"step": state.step or 0, "members": {}})
                 job["members"][name] = state.mode
-        return found
+        return members

@@ -106,8 +106,8 @@ class StreamHub:
         """End it."""
         for task in self._tasks:
             task.cancel()
-        for each in self._declared:
-            await each.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
 
     def add_reader(self, wake: Callable[[], None]) -> StreamReader:
         """A new reader; its first frame is the whole state."""
@@ -187,12 +187,12 @@ class StreamHub:
 
     async def _list_queue(self) -> QueueState:
         """The queue as the coordinator publishes it when it changes next."""
-        found: list[QueueEntry] = []
+        entries: list[QueueEntry] = []
         for states in (None, "queued"):
             request = ListJobs(**self._tutti.request_fields(), limit=MAX_LISTED, state=states)
             queue = await self._tutti.request_service("list", request, QueueState, ASK_S)
-            found += [each for each in queue.jobs if each.state not in FINISHED_STATES]
-        jobs = sorted({each.id: each for each in found}.values(), key=lambda each: each.place or 0)
+            entries += [job for job in queue.jobs if job.state not in FINISHED_STATES]
+        jobs = sorted({entry.id: entry for entry in entries}.values(), key=lambda each: each.place or 0)
         return queue.model_copy(update={"jobs": jobs[:MAX_LISTED], "total": len(jobs)})
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:

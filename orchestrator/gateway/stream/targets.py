@@ -34,15 +34,15 @@ class JobTargets:
         """Take over a job's progress; return whether targets have changed. find_rest: the position of an
         axis before the step, for moves by a distance."""
         job_id = progress.job_id
-        begun = self._jobs.get(job_id)
+        begun_job = self._jobs.get(job_id)
         if progress.state in FINISHED_STATES:
             self._jobs.pop(job_id, None)
             self._steps.pop(job_id, None)
             return self._targets.pop(job_id, None) is not None
-        if begun is None or fleet is None or self._steps.get(job_id) == progress.step:
+        if begun_job is None or fleet is None or self._steps.get(job_id) == progress.step:
             return False
         self._steps[job_id] = progress.step
-        self._targets[job_id] = _find_targets(begun, progress.step, fleet, find_rest)
+        self._targets[job_id] = _find_targets(begun_job, progress.step, fleet, find_rest)
         return True
 
 
@@ -70,13 +70,13 @@ def _find_targets(begun: JobBegun, number: int, fleet: Fleet, find_rest: FindRes
 
 def _list_absolute(step: Move, positions: Mapping[str, Mapping[str, str]]) -> dict[str, int | float | str]:
     """The absolute targets of a step by axis, with the values of named positions."""
-    found: dict[str, int | float | str] = {}
+    absolute: dict[str, int | float | str] = {}
     for axis, target in step.to.items():
         if axis == ALL_AXES:
-            found |= positions.get(str(target), {})
+            absolute |= positions.get(str(target), {})
         elif is_position_name(target):
             value = positions.get(str(target), {}).get(axis)
-            found |= {} if value is None else {axis: value}
+            absolute |= {} if value is None else {axis: value}
         else:
-            found[axis] = target
-    return found
+            absolute[axis] = target
+    return absolute

@@ -43,10 +43,10 @@ class FileError(TuttiError, ValueError):
 
     def __init__(self, problems: Iterable[FileProblem]) -> None:
         self.problems = tuple(dict.fromkeys(sorted(problems, key=lambda each: each.line)))
-        shown = [str(problem) for problem in self.problems[:MAX_PROBLEMS]]
+        shown_lines = [str(problem) for problem in self.problems[:MAX_PROBLEMS]]
         if len(self.problems) > MAX_PROBLEMS:
-            shown.append(f"… and {len(self.problems) - MAX_PROBLEMS} more")
-        super().__init__("\n".join(shown))
+            shown_lines.append(f"… and {len(self.problems) - MAX_PROBLEMS} more")
+        super().__init__("\n".join(shown_lines))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +73,12 @@ def load_fleet(path: Path | str) -> Fleet:
 
 def locate_point_files(job: Job, folder: Path) -> Job:
     """The job with files of points below `folder`, unless their paths are absolute."""
-    found: dict[int, Scan] = {}
+    scans: dict[int, Scan] = {}
     for scan in find_scans(job.steps):
         if scan.points is not None and scan.points.file is not None:
             table = scan.points.model_copy(update={"file": str(folder / scan.points.file)})
-            found[id(scan)] = scan.model_copy(update={"points": table})
-    return job.model_copy(update={"steps": [step.replace_steps(found) for step in job.steps]}) if found else job
+            scans[id(scan)] = scan.model_copy(update={"points": table})
+    return job.model_copy(update={"steps": [step.replace_steps(scans) for step in job.steps]}) if scans else job
 
 
 def read_file(path: Path) -> LoadedFile:
@@ -113,10 +113,10 @@ def parse_document(text: str, model: type[M], name: str) -> M:
 def parse_file(file: LoadedFile, model: type[M]) -> M:
     """Make a model of what was read. Raises `FileError` with every mistake."""
     require_mapping(file, model)
-    found, problems = validate_value(file.root.value, model)
-    if found is None:
-        raise FileError(file.problem(each.place, each.text) for each in problems)
-    return found
+    found_file, problems = validate_value(file.root.value, model)
+    if found_file is None:
+        raise FileError(file.problem(problem.place, problem.text) for problem in problems)
+    return found_file
 
 
 def require_mapping(file: LoadedFile, model: type[Model]) -> None:
@@ -128,10 +128,10 @@ def require_mapping(file: LoadedFile, model: type[Model]) -> None:
 
 def validate_value(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:
     """Make a model of the plain value of a whole file; or None, and every mistake."""
-    found, problems = validate_part(value, model)
+    found_value, problems = validate_part(value, model)
     if "schema" not in value:  # in Python a job needs none: there its version is that of the program
         return None, [Problem(("schema",), "is missing"), *problems]
-    return found, problems
+    return found_value, problems
 
 
 def validate_part(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:
@@ -144,7 +144,9 @@ def validate_part(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, l
 
 
 def _make_file_error(error: YamlError, name: str) -> FileError:
-    return FileError([FileProblem(name, each.line, format_place(each.path), each.text) for each in error.problems])
+    return FileError(
+        [FileProblem(name, problem.line, format_place(problem.path), problem.text) for problem in error.problems]
+    )
 
 
 def _example_line(model: type[Model]) -> str:
@@ -172,17 +174,17 @@ def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, st
     """
     node, path = root, list[str | int]()
     absent: str | int | None = None
-    tagged: YamlNode | None = None
+    tagged_node: YamlNode | None = None
     for part in location:
-        if node is not tagged and part in _find_tags(node):
-            tagged = node  # `output` is the kind of a step, and also one of its fields
+        if node is not tagged_node and part in _find_tags(node):
+            tagged_node = node  # `output` is the kind of a step, and also one of its fields
             continue
-        below = next((child for key, child in node.entries() if key == part or str(key) == str(part)), None)
-        if below is None:
+        entry_below = next((child for key, child in node.entries() if key == part or str(key) == str(part)), None)
+        if entry_below is None:
             absent = part
             continue
         absent = None
-        node = below
+        node = entry_below
         path.append(part if isinstance(part, int) else str(part))
     if isinstance(absent, str) and not absent.startswith("[") and isinstance(node.children, dict):
         path.append(absent)

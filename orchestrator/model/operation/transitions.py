@@ -94,10 +94,10 @@ def set_out_of_service(before: AlarmRecord, why: str) -> AlarmRecord:
 
 def _annunciate(before: AlarmRecord, changes: dict[str, str | None]) -> AlarmRecord:
     """`before` with `changes`; if nothing else sets it aside, its state follows."""
-    after = before.model_copy(update=changes)
-    if after.is_suppressed:
-        return after
+    record_after = before.model_copy(update=changes)
+    if record_after.is_suppressed:
+        return record_after
     state = TRANSITIONS[before.state, "annunciate"]
     if before.state == "acknowledged":
-        after = after.model_copy(update={"acknowledged_by": None, "acknowledged_utc": None})
-    return after.model_copy(update={"state": state})
+        record_after = record_after.model_copy(update={"acknowledged_by": None, "acknowledged_utc": None})
+    return record_after.model_copy(update={"state": state})

@@ -22,7 +22,7 @@ class PositionResolver:
     def __init__(self, fleet: Fleet, entries: Iterable[PositionEntry], *, keep_unknown: bool = False) -> None:
         """keep_unknown: names that no entry has stay as they are, instead of a refusal."""
         self._fleet = fleet
-        self._entries = {each.name: each for each in entries}
+        self._entries = {entry.name: entry for entry in entries}
         self._keep_unknown = keep_unknown
         self.used: dict[str, dict[str, str]] = {}
 
@@ -38,8 +38,8 @@ class PositionResolver:
         """The order of `steps`, run `repeat` times, with quantities for the names in what is left from step number
         `first` on: positions that only steps before it name are not needed. Raises `Refusal`."""
         left = {each.number for each in StepOrder(steps, repeat).list_remaining(first)}
-        resolved = [self.resolve_step(step) if number in left else step for number, step in enumerate(steps)]
-        return StepOrder(resolved, repeat)
+        resolved_steps = [self.resolve_step(step) if number in left else step for number, step in enumerate(steps)]
+        return StepOrder(resolved_steps, repeat)
 
     def find_target(self, axis: str, target: Quantity) -> Quantity:
         """The quantity of one target of `axis`: itself, or the value of the position that it names.
@@ -74,9 +74,9 @@ class PositionResolver:
 
     def make_unknown(self, name: str) -> Refusal:
         """The refusal of a name that no position has, with the near ones."""
-        known = list(self._entries)
-        there = list_names(known, "position") if known else "it has no positions"
-        text = f"the fleet has no position {name[:80]}; {suggest_name(name, known)}{there}"
+        known_entries = list(self._entries)
+        known_names = list_names(known_entries, "position") if known_entries else "it has no positions"
+        text = f"the fleet has no position {name[:80]}; {suggest_name(name, known_entries)}{known_names}"
         return Refusal("unknown-name", text, REMEDY)
 
     def _take_value(self, entry: PositionEntry, axis: str) -> Quantity:

@@ -112,7 +112,7 @@ class PointFile:
         # NaN is not below anything.
         for row, column in np.argwhere(~(np.abs(block) <= MAX_QUANTITY)).tolist():
             text, number = texts[row][column].strip()[:MAX_TEXT], lines[row]
-            if number not in {each.line for each in self._problems}:
+            if number not in {problem.line for problem in self._problems}:
                 what = "must be finite" if not np.isfinite(block[row, column]) else f"must be within ±{MAX_QUANTITY:g}"
                 self._note_problem(number, column, f"found {text!r}; the number {what}")
         return block

@@ -44,9 +44,9 @@ class ColumnSummary:
         self._most = [
             max(pair, key=lambda each: (each[0], -each[1])) for pair in zip(self._most or most, most, strict=True)
         ]
-        joined = rows if self._last is None else np.vstack((self._last, rows))
-        if len(joined) > 1:
-            steps = np.abs(np.diff(joined, axis=0))
+        joined_rows = rows if self._last is None else np.vstack((self._last, rows))
+        if len(joined_rows) > 1:
+            steps = np.abs(np.diff(joined_rows, axis=0))
             least_step, most_step = steps.min(axis=0), steps.max(axis=0)
             if self._steps is not None:
                 least_step, most_step = np.minimum(self._steps[0], least_step), np.maximum(self._steps[1], most_step)

@@ -23,7 +23,7 @@ class SpecPoints:
             timed = parsed.duration() is not None
         except Exception as error:  # whatever another project raises for a spec that it cannot read
             raise Refusal("bad-scanspec", f"scanspec cannot read the spec: {error}", "correct the spec") from None
-        names = [str(each) for each in parsed.axes()]
+        names = [str(axis) for axis in parsed.axes()]
         unknown = [name for name in names if name not in units]
         if unknown:
             text = f"the fleet has no axis {', '.join(unknown)}; its axes are: {', '.join(units)}"
@@ -40,7 +40,7 @@ class SpecPoints:
         """The points, `ROWS_AT_ONCE` at a time."""
         while len(self._path):
             chunk = self._path.consume(ROWS_AT_ONCE)
-            yield np.column_stack([chunk.midpoints[each.axis] for each in self.axes]).astype(np.float64)
+            yield np.column_stack([chunk.midpoints[axis.axis] for axis in self.axes]).astype(np.float64)
 
 
 def _import_scanspec() -> tuple[Any, Any]:

@@ -101,9 +101,9 @@ class Move(MotionOptions, MoveTargets):
         for axis, target in self.to.items():
             if axis != ALL_AXES:
                 targets[axis] = resolver.find_target(axis, target)
-        twice = sorted(targets.keys() & self.by.keys())
-        if twice:
-            text = f"{', '.join(twice)} is in `by` and in position {whole}; an axis has one target"
+        targets_twice = sorted(targets.keys() & self.by.keys())
+        if targets_twice:
+            text = f"{', '.join(targets_twice)} is in `by` and in position {whole}; an axis has one target"
             raise Refusal("bad-step", text, NAME_AXES)
         return self.model_copy(update={"to": targets})
 

@@ -144,9 +144,9 @@ class _Block:
             done, inside = divmod(inside, block.size)
             if inside:
                 yield from ((number, each, size) for _, each, size in block.list_rest(inside))
-            left = step.times - done - bool(inside)
-            if left:
-                yield number, step.model_copy(update={"times": left}), left * block.size
+            times_left = step.times - done - bool(inside)
+            if times_left:
+                yield number, step.model_copy(update={"times": times_left}), times_left * block.size
         else:
             yield number, step, step.step_count - inside
         for later, each in list(enumerate(self.steps))[number + 1 :]:

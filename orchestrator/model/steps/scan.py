@@ -72,15 +72,15 @@ class Scan(MotionOptions, ScanPoints):
     @classmethod
     def _allowed_at_points(cls, value: Any) -> Any:
         steps: list[Any] = list(value) if isinstance(value, list | tuple) else []  # pyright: ignore[reportUnknownArgumentType]
-        for number, each in enumerate(steps):
-            kind = str(each.get("do") if isinstance(each, dict) else getattr(each, "do", ""))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+        for number, step in enumerate(steps):
+            kind = str(step.get("do") if isinstance(step, dict) else getattr(step, "do", ""))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
             if kind in _NOT_AT_EACH:
                 raise ValueError(f"step {number}: `do: {kind}` cannot stand in `at_each`: {_NOT_AT_EACH[kind]}")
         return value  # pyright: ignore[reportUnknownVariableType]
 
     @model_validator(mode="after")
     def _one_source(self) -> "Scan":
-        if sum(bool(each) for each in (self.axes, self.points, self.scanspec)) != 1:
+        if sum(bool(axis) for axis in (self.axes, self.points, self.scanspec)) != 1:
             raise ValueError("a scan needs one of `axes`, `points` and `scanspec`")
         for number, twice in find_moved_twice(self.axis_names, self.at_each):
             raise ValueError(
@@ -144,7 +144,7 @@ class Scan(MotionOptions, ScanPoints):
     def iterate_targets(self) -> Iterator[tuple[str, Target]]:
         for name, axis in self.axes.items():
             ends = [each for each in (axis.from_, axis.to) if each is not None]
-            yield from ((name, each) for each in axis.values or ends)
+            yield from ((name, value) for value in axis.values or ends)
         if self.points is not None:
             for row in self.points.rows or []:
                 yield from zip(self.points.axis_names, row, strict=True)
@@ -166,8 +166,8 @@ class Scan(MotionOptions, ScanPoints):
         axes: dict[str, ScanAxis] = {}
         for name, axis in self.axes.items():
             ends = {"from_": axis.from_, "to": axis.to}
-            found = {end: None if target is None else find_target(name, target) for end, target in ends.items()}
-            axes[name] = axis.model_copy(update={**found, "values": find_listed(name, axis.values)})
+            found_targets = {end: None if target is None else find_target(name, target) for end, target in ends.items()}
+            axes[name] = axis.model_copy(update={**found_targets, "values": find_listed(name, axis.values)})
         table = self.points
         if table is not None and table.rows is not None:
             names = table.axis_names
@@ -197,8 +197,8 @@ def _describe_axis(axis: ScanAxis) -> str:
 def find_moved_twice(axes: Iterable[str], at_each: Iterable[Step]) -> Iterator[tuple[int, list[str]]]:
     """The steps at the points of a scan that move what the scan positions: the number of each, and those axes. axes: of
     the scan."""
-    scanned = set(axes)
+    scanned_axes = set(axes)
     for number, step in enumerate(at_each):
-        twice = sorted(scanned & set(step.named_axes))
-        if twice:
-            yield number, twice
+        axes_twice = sorted(scanned_axes & set(step.named_axes))
+        if axes_twice:
+            yield number, axes_twice

@@ -33,4 +33,4 @@ def find_scans(steps: Iterable[Step]) -> list[Scan]:
 def find_digests(steps: Iterable[Step]) -> list[str]:
     """The digests of stored points that steps name, each once."""
     tables = [scan.points for scan in find_scans(steps)]
-    return list(dict.fromkeys(each.digest for each in tables if each is not None and each.digest is not None))
+    return list(dict.fromkeys(table.digest for table in tables if table is not None and table.digest is not None))

@@ -13,10 +13,10 @@ _SELECTS_KIND = {"do", "schema"}  # they select what the other fields are: writt
 def make_job_file_schema() -> dict[str, Any]:
     """The schema of `tutti schema job`."""
     schema, declarations = Job.model_json_schema(), ParameterDeclarations.model_json_schema()
-    below = schema["$defs"]
-    for each in (schema, *below.values()):
+    schema_below = schema["$defs"]
+    for each in (schema, *schema_below.values()):
         _accept_references(each)
-    below |= declarations["$defs"]
+    schema_below |= declarations["$defs"]
     schema["properties"]["parameters"] = declarations["properties"]["parameters"]
     return schema
 
@@ -31,26 +31,26 @@ def _accept_references(model: dict[str, Any]) -> None:
 
 def _widen(field: dict[str, Any]) -> dict[str, Any]:
     """The schema of a value, or of what is inside a list or a mapping, that may also be a reference."""
-    changed = dict(field)
+    changed_field = dict(field)
     if "items" in field:
-        changed["items"] = _widen(field["items"])
+        changed_field["items"] = _widen(field["items"])
     for below in ("additionalProperties", "patternProperties"):
         inner = field.get(below)
         if below == "patternProperties" and inner is not None:
-            changed[below] = {pattern: _widen(each) for pattern, each in inner.items()}
+            changed_field[below] = {pattern: _widen(each) for pattern, each in inner.items()}
         elif isinstance(inner, dict):
-            changed[below] = _widen(cast(dict[str, Any], inner))
+            changed_field[below] = _widen(cast(dict[str, Any], inner))
     options = field.get("anyOf")
     if options is not None:
-        widened = [_widen(each) if each.get("type") not in _SCALARS else each for each in options]
-        scalar = any(each.get("type") in _SCALARS or "enum" in each for each in options)
-        any_text = any(_takes_any_text(each) for each in options)
-        changed["anyOf"] = [*widened, REFERENCE] if scalar and not any_text else widened
-        return changed
+        widened = [_widen(option) if option.get("type") not in _SCALARS else option for option in options]
+        scalar = any(option.get("type") in _SCALARS or "enum" in option for option in options)
+        any_text = any(_takes_any_text(option) for option in options)
+        changed_field["anyOf"] = [*widened, REFERENCE] if scalar and not any_text else widened
+        return changed_field
     if field.get("type") not in _SCALARS or _takes_any_text(field):
-        return changed
-    about = {key: changed.pop(key) for key in ("description", "default", "title") if key in changed}
-    return {**about, "anyOf": [changed, REFERENCE]}
+        return changed_field
+    about = {key: changed_field.pop(key) for key in ("description", "default", "title") if key in changed_field}
+    return {**about, "anyOf": [changed_field, REFERENCE]}
 
 
 def _takes_any_text(schema: dict[str, Any]) -> bool:

@@ -241,8 +241,8 @@ class TextParameter(ParameterBase):
 
     @model_validator(mode="after")
     def _check_choices(self) -> "TextParameter":
-        twice = sorted({each for each in self.choices if self.choices.count(each) > 1})
-        problems = [Problem(("choices",), f"{twice[0]} is listed twice; list it once")] if twice else []
+        choices_twice = sorted({choice for choice in self.choices if self.choices.count(choice) > 1})
+        problems = [Problem(("choices",), f"{choices_twice[0]} is listed twice; list it once")] if choices_twice else []
         if self.default is not None and self.choices and self.default not in self.choices:
             text = f"the default is not allowed: found {self.default!r}; allowed: {', '.join(self.choices)}"
             problems.append(Problem(("default",), text, self.default))

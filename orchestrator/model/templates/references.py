@@ -35,8 +35,8 @@ def find_references(text: str) -> Iterator[Reference]:
 
 def find_whole(text: str) -> tuple[str, bool] | None:
     """The parameter that the whole text stands for, and whether it has a minus; None for any other text."""
-    found = _WHOLE.fullmatch(text)
-    return None if found is None else (found[2], bool(found[1]))
+    match = _WHOLE.fullmatch(text)
+    return None if match is None else (match[2], bool(match[1]))
 
 
 def replace_references(text: str, text_of: Callable[[str], str]) -> str:

@@ -101,10 +101,10 @@ class Template:
     def fill_settings(self, settings: Mapping[str, ParameterSetting]) -> FilledJob:
         """The job with these settings, by name. Raises `FileError` with every mistake."""
         values, problems = self._read_settings(settings)
-        more, filled = self._fill_values(values)
-        if filled is None or problems:
+        more, filled_job = self._fill_values(values)
+        if filled_job is None or problems:
             raise FileError([*problems, *more])
-        return filled
+        return filled_job
 
     def list_extremes(
         self, settings: Mapping[str, ParameterSetting]
@@ -117,11 +117,11 @@ class Template:
 
     def list_unused(self) -> list[FileProblem]:
         """Parameters that are declared and that no value refers to."""
-        used = {each.name for node in self._list_values() for each in find_references(str(node.value))}
+        used_names = {reference.name for node in self._list_values() for reference in find_references(str(node.value))}
         return [
             self._file.problem((DECLARATIONS, name), f"is declared and not used; write ${{{name}}}, or remove it")
             for name in self.parameters
-            if name not in used
+            if name not in used_names
         ]
 
     # Declarations and settings
@@ -139,13 +139,13 @@ class Template:
             return
         # One by one, so that a mistake in one does not hide the others.
         for name, value in declared.items():
-            found = self._add_declaration_problems({name: value})
-            self.parameters |= {} if found is None else found.parameters
+            problems = self._add_declaration_problems({name: value})
+            self.parameters |= {} if problems is None else problems.parameters
 
     def _add_declaration_problems(self, value: Any) -> ParameterDeclarations | None:
-        found, problems = validate_part({DECLARATIONS: value}, ParameterDeclarations)
-        self._problems += [self._file.problem(each.place, each.text) for each in problems]
-        return found
+        declarations, problems = validate_part({DECLARATIONS: value}, ParameterDeclarations)
+        self._problems += [self._file.problem(problem.place, problem.text) for problem in problems]
+        return declarations
 
     def _read_settings(
         self, settings: Mapping[str, ParameterSetting]
@@ -187,8 +187,8 @@ class Template:
 
     def _explain_unknown(self, name: str) -> str:
         known = self._declared
-        there = list_names(known, "parameter") if known else "it declares none (`parameters:`)"
-        return f"the job file has no parameter {name[:80]}; {suggest_name(name, known)}{there}"
+        known_names = list_names(known, "parameter") if known else "it declares none (`parameters:`)"
+        return f"the job file has no parameter {name[:80]}; {suggest_name(name, known)}{known_names}"
 
     # Values
 
@@ -202,11 +202,11 @@ class Template:
         for place, unknown, text in filler.problems:
             if unknown is None or unknown not in self._declared:
                 problems.append(self._file.problem(place, text or self._explain_unknown(unknown or "")))
-        job, found = validate_value(plain, Job)
-        for each in found:
+        job, found_problems = validate_value(plain, Job)
+        for problem in found_problems:
             # What stands for a value that is wrong itself says nothing.
-            if id(self._file.find_node(each.place)) not in filler.failed:
-                problems.append(_describe_problem(self._file, filler.origins, each.place, each.text))
+            if id(self._file.find_node(problem.place)) not in filler.failed:
+                problems.append(_describe_problem(self._file, filler.origins, problem.place, problem.text))
         if job is None or problems or filler.failed:
             return problems, None
         # Relative names of files are of those beside the job file.
@@ -257,8 +257,8 @@ class _ValueFiller:
         text = cast(str, node.value)
         references = list(find_references(text))
         wrong = [each for each in references if not each.is_well_formed]
-        for each in wrong:
-            words = f"{each} is no reference; write ${{name}} with a-z, 0-9 and _, or $${{ for the text ${{ itself"
+        for reference in wrong:
+            words = f"{reference} is no reference; write ${{name}} with a-z, 0-9 and _, or $${{ for the text ${{ itself"
             self.problems.append((place, None, words))
         names = list(dict.fromkeys(each.name for each in references if each.is_well_formed))
         self.problems += [(place, name, "") for name in names if name not in self._parameters]

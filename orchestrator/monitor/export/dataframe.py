@@ -22,12 +22,12 @@ def make_dataframe(table: DataTable, library: str | None = None) -> Any:
     """
     if library is not None and library not in LIBRARIES:
         raise NoDataFrames(f"{library!r} is no library for data frames here; choose {' or '.join(LIBRARIES)}")
-    found = [each for each in ([library] if library else LIBRARIES) if find_spec(each) is not None]
-    if not found:
+    libraries = [each for each in ([library] if library else LIBRARIES) if find_spec(each) is not None]
+    if not libraries:
         what = library or " or ".join(LIBRARIES)
         raise NoDataFrames(f"{what} is not installed; install it: pip install {library or LIBRARIES[0]}")
     columns = {name: list(values) for name, values in table.columns.items()}
-    if found[0] == "polars":
+    if libraries[0] == "polars":
         import polars
 
         return polars.DataFrame(columns, strict=False)

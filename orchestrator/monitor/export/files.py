@@ -110,11 +110,11 @@ def _hdf5_values(values: Column) -> Any:
 
     if isinstance(values, np.ndarray):
         return values
-    kinds = {type(each) for each in values if each is not None}
+    kinds = {type(value) for value in values if value is not None}
     if kinds <= {bool} and None not in values:
         return np.array(values, dtype=bool)
     if kinds == {str}:
-        return np.array([each or "" for each in values], dtype=h5py.string_dtype())
+        return np.array([value or "" for value in values], dtype=h5py.string_dtype())
     if kinds <= {int} and None not in values:
         return np.array(values, dtype=np.int64)
-    return np.array([np.nan if each is None else each for each in values], dtype=np.float64)
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

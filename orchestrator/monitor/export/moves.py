@@ -34,15 +34,15 @@ COLUMNS = (
     "skew_predicted_ns",
     "skew_allowed_ns",
 )
-UNITS = {each: each.rpartition("_")[2] for each in COLUMNS if each.endswith(("_ns", "_s"))}
+UNITS = {column: column.rpartition("_")[2] for column in COLUMNS if column.endswith(("_ns", "_s"))}
 
 
 def make_moves_table(report: JobReport, events: Sequence[ControllerEvent] = ()) -> DataTable:
     """The moves of a job. events: those recorded of its controllers; with them there are rows for the points of scans,
     of which the report has only a summary."""
-    known = {step.index: step for step in report.steps if step.members}
-    rows = [row for step in known.values() for row in _list_rows(report, step)]
-    rows += _list_event_rows(report, [each for each in events if each.step not in known])
+    known_steps = {step.index: step for step in report.steps if step.members}
+    rows = [row for step in known_steps.values() for row in _list_rows(report, step)]
+    rows += _list_event_rows(report, [event for event in events if event.step not in known_steps])
     rows.sort(key=lambda row: (row["step"], row["axis"]))
     return make_table("moves", rows, COLUMNS, UNITS)
 

@@ -45,7 +45,7 @@ class RecordedRun:
     @property
     def utc_offset_ns(self) -> int:
         """UTC less fleet time, ns; 0 without a reading."""
-        first = next((each[0] for each in self.readings.values() if each), None)
+        first = next((reading[0] for reading in self.readings.values() if reading), None)
         return 0 if first is None else first.utc_ns - first.fleet_ns
 
 

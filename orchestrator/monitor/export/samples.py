@@ -48,7 +48,9 @@ class ExportTooLarge(TuttiError):
 def make_samples_table(run: RecordedRun) -> DataTable:
     """Every reading of every axis as it came, in order of time: one row each. Positions in the unit of their row."""
     rows = [
-        (each.fleet_ns, each.utc_ns, name, *each[2:]) for name, readings in run.readings.items() for each in readings
+        (reading.fleet_ns, reading.utc_ns, name, *reading[2:])
+        for name, readings in run.readings.items()
+        for reading in readings
     ]
     rows.sort(key=lambda row: (row[0], row[2]))
     columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_SAMPLE_COLUMNS)}
@@ -59,13 +61,21 @@ def make_device_table(run: RecordedRun) -> DataTable:
     """Positions that controllers have sampled by themselves (motor positions): one row each, with the interval that
     certainly contains its instant, `t_lo_ns` to `t_hi_ns`, fleet time."""
     offset_ns, rows = run.utc_offset_ns, list[tuple[Any, ...]]()
-    for each in run.samples:
-        for name, axis in each.axes.items():
-            for at_ns, counts in zip(each.fleet_ns, axis.counts, strict=True):
-                interval = at_ns - each.bound_ns, at_ns + each.bound_ns
+    for sample in run.samples:
+        for name, axis in sample.axes.items():
+            for at_ns, counts in zip(sample.fleet_ns, axis.counts, strict=True):
+                interval = at_ns - sample.bound_ns, at_ns + sample.bound_ns
                 position = counts / axis.counts_per_unit
                 rows.append(
-                    (at_ns, at_ns + offset_ns, *interval, each.step, f"{each.controller}.{name}", position, axis.unit)
+                    (
+                        at_ns,
+                        at_ns + offset_ns,
+                        *interval,
+                        sample.step,
+                        f"{sample.controller}.{name}",
+                        position,
+                        axis.unit,
+                    )
                 )
     rows.sort(key=lambda row: (row[0], row[5]))
     columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_DEVICE_COLUMNS)}
@@ -95,12 +105,12 @@ def make_grid_table(run: RecordedRun, period_ns: int | None = None) -> DataTable
     columns: dict[str, Any] = {"fleet_ns": grid, "utc_ns": grid + run.utc_offset_ns}
     columns["step"] = _mark_steps(run.plans, grid)
     units = {"fleet_ns": "ns", "utc_ns": "ns"}
-    for name, each in readings.items():
-        unit = each[-1].unit
+    for name, reading in readings.items():
+        unit = reading[-1].unit
         found = {
-            f"{name}.position": _interpolate(grid, each, [one.position for one in each]),
-            f"{name}.commanded": _interpolate(grid, each, [one.commanded for one in each]),
-            f"{name}.velocity": _interpolate(grid, each, [one.velocity for one in each]),
+            f"{name}.position": _interpolate(grid, reading, [one.position for one in reading]),
+            f"{name}.commanded": _interpolate(grid, reading, [one.commanded for one in reading]),
+            f"{name}.velocity": _interpolate(grid, reading, [one.velocity for one in reading]),
         }
         planned = _sample_plans(run.plans, name, grid)
         if planned is not None:
@@ -113,35 +123,37 @@ def make_grid_table(run: RecordedRun, period_ns: int | None = None) -> DataTable
 def _find_period_ns(readings: Mapping[str, Sequence[RecordedReading]]) -> int:
     """The median time between readings of the axis that is read most often."""
     medians = [
-        median(later.fleet_ns - earlier.fleet_ns for earlier, later in pairwise(each))
-        for each in readings.values()
-        if len(each) > 1
+        median(
+            reading_later.fleet_ns - earlier_reading.fleet_ns for earlier_reading, reading_later in pairwise(reading)
+        )
+        for reading in readings.values()
+        if len(reading) > 1
     ]
     return round(min(max(min(medians, default=MOST_PERIOD_NS), LEAST_PERIOD_NS), MOST_PERIOD_NS))
 
 
 def _interpolate(grid: Array, readings: Sequence[RecordedReading], values: Sequence[float]) -> Array:
-    at_ns = np.array([each.fleet_ns for each in readings], dtype=np.int64)
+    at_ns = np.array([reading.fleet_ns for reading in readings], dtype=np.int64)
     # Relative to the first instant: doubles have no room for ns of weeks.
     known = np.array(values, dtype=np.float64)
-    found: Array = np.interp(grid - at_ns[0], at_ns - at_ns[0], known, left=np.nan, right=np.nan)
+    on_grid: Array = np.interp(grid - at_ns[0], at_ns - at_ns[0], known, left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(at_ns, grid), 1, max(1, len(at_ns) - 1))
     if len(at_ns) > 1:
-        found[(at_ns[after] - at_ns[after - 1] > MAX_GAP_NS) & (grid != at_ns[after])] = np.nan
-    return found
+        on_grid[(at_ns[after] - at_ns[after - 1] > MAX_GAP_NS) & (grid != at_ns[after])] = np.nan
+    return on_grid
 
 
 def _mark_steps(plans: Sequence[StepRecording], grid: Array) -> Array:
     steps: Array = np.full(len(grid), -1, dtype=np.int64)
     for plan in plans:
-        longest_s = max((each.profile.duration_s for each in plan.axes.values()), default=0.0)
+        longest_s = max((axis.profile.duration_s for axis in plan.axes.values()), default=0.0)
         steps[(grid >= plan.t0_fleet_ns) & (grid <= plan.t0_fleet_ns + longest_s * NS_PER_S)] = plan.step
     return steps
 
 
 def _sample_plans(plans: Sequence[StepRecording], name: str, grid: Array) -> Array | None:
     """The planned motor position of an axis on the grid; None: it has no plan."""
-    mine = [each for each in plans if name in each.axes]
+    mine = [recording for recording in plans if name in recording.axes]
     if not mine:
         return None
     planned: Array = np.full(len(grid), np.nan)

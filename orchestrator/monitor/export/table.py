@@ -29,4 +29,4 @@ def make_table(
     name: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str], units: Mapping[str, str] | None = None
 ) -> DataTable:
     """A table from rows. columns: their names, in order, also without any row."""
-    return DataTable(name, {each: [row.get(each) for row in rows] for each in columns}, units or {})
+    return DataTable(name, {column: [row.get(column) for row in rows] for column in columns}, units or {})

@@ -15,7 +15,7 @@ COLUMNS = (
     "seen_t_lo_ns",
     "seen_t_hi_ns",
 )
-UNITS = {each: "ns" for each in COLUMNS if each.endswith("_ns")}
+UNITS = {column: "ns" for column in COLUMNS if column.endswith("_ns")}
 
 
 def make_triggers_table(run: RecordedRun) -> DataTable:

@@ -93,10 +93,10 @@ class LogTail:
                 yield self._parse(self.name, line.decode("utf-8", "replace"))
 
     def _note(self, lines: Iterator[LogLine]) -> list[LogLine]:
-        found = list(lines)
-        both = (line for line in reversed(found) if line.utc_ns is not None and line.fleet_ns is not None)
-        self.anchor = next(both, self.anchor)
-        return found
+        found_lines = list(lines)
+        both_lines = (line for line in reversed(found_lines) if line.utc_ns is not None and line.fleet_ns is not None)
+        self.anchor = next(both_lines, self.anchor)
+        return found_lines
 
 
 class LogFolder:
@@ -128,9 +128,9 @@ class LogFolder:
         return list(new.values())
 
     def _read(self, before: dict[str, list[LogLine]], anchors: dict[str, LogLine | None]) -> list[PlacedLine]:
-        known = {name: [anchor] for name, anchor in anchors.items() if anchor is not None}
+        known_anchors = {name: [anchor] for name, anchor in anchors.items() if anchor is not None}
         read = {tail.name: before.get(tail.name, []) + tail.read_added() for tail in self._tails.values()}
         written = {tail.name: tail.written_ns for tail in self._tails.values()}
-        placed = place_lines({name: known.get(name, []) + lines for name, lines in read.items()}, written)
-        old = {id(line) for each in known.values() for line in each}
-        return [each for each in placed if id(each.line) not in old]
+        placed_lines = place_lines({name: known_anchors.get(name, []) + lines for name, lines in read.items()}, written)
+        old = {id(line) for each in known_anchors.values() for line in each}
+        return [each for each in placed_lines if id(each.line) not in old]

@@ -38,16 +38,16 @@ class LogLine:
     @property
     def controller(self) -> str | None:
         """The controller that it is about."""
-        found = self.fields.get("controller")
-        if found is None and self.fields.get("role") == "controller":
-            found = self.fields.get("id")  # a line that was too long has lost its further fields
-        return found if isinstance(found, str) else None
+        field = self.fields.get("controller")
+        if field is None and self.fields.get("role") == "controller":
+            field = self.fields.get("id")  # a line that was too long has lost its further fields
+        return field if isinstance(field, str) else None
 
     @property
     def job(self) -> str | None:
         """The job that it is about, or that holds the axes that it is about."""
-        found = self.fields.get("job") or self.fields.get("holder")
-        return found if isinstance(found, str) else None
+        field = self.fields.get("job") or self.fields.get("holder")
+        return field if isinstance(field, str) else None
 
 
 def parse_line(file: str, text: str) -> LogLine:

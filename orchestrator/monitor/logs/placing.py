@@ -41,7 +41,7 @@ class _ScalePart:
 
     def agrees(self, other: "_ScalePart") -> bool:
         """Whether the two are of one scale: on one computer, both had the same offset at some time."""
-        return any(abs(one - two) <= SAME_OFFSET_NS for one in self.offsets for two in other.offsets)
+        return any(abs(offset - two) <= SAME_OFFSET_NS for offset in self.offsets for two in other.offsets)
 
 
 def place_lines(files: Mapping[str, Sequence[LogLine]], fallback_ns: Mapping[str, int]) -> list[PlacedLine]:
@@ -52,13 +52,13 @@ def place_lines(files: Mapping[str, Sequence[LogLine]], fallback_ns: Mapping[str
     """
     parts = {name: _split_scales(lines) for name, lines in files.items()}
     _join_scales([part for each in parts.values() for part in each])
-    placed = [
+    placed_lines = [
         PlacedLine(at_ns, line)
         for name, lines in files.items()
         for at_ns, line in zip(_place_file(lines, parts[name], fallback_ns.get(name, 0)), lines, strict=True)
     ]
-    placed.sort(key=lambda each: each.at_ns)
-    return placed
+    placed_lines.sort(key=lambda each: each.at_ns)
+    return placed_lines
 
 
 def _split_scales(lines: Sequence[LogLine]) -> list[_ScalePart]:
@@ -79,9 +79,9 @@ def _join_scales(parts: Iterable[_ScalePart]) -> None:
     """Give the parts of one scale one offset: the newest one."""
     scales: list[list[_ScalePart]] = []
     for part in parts:
-        same = [scale for scale in scales if any(part.agrees(other) for other in scale)]
-        scales = [scale for scale in scales if scale not in same]
-        scales.append([part, *(other for scale in same for other in scale)])
+        same_scales = [scale for scale in scales if any(part.agrees(other_part) for other_part in scale)]
+        scales = [scale for scale in scales if scale not in same_scales]
+        scales.append([part, *(other_part for scale in same_scales for other_part in scale)])
     for scale in scales:
         newest = max(scale, key=lambda part: part.newest_ns)
         for part in scale:
@@ -98,14 +98,14 @@ class _Anchor(NamedTuple):
 def _place_file(lines: Sequence[LogLine], parts: Sequence[_ScalePart], fallback_ns: int) -> list[int]:
     """The instant of each line."""
     anchors = _find_anchors(lines, parts)
-    before, after = _carry_on(anchors), _carry_on(reversed(anchors))
-    found = [
+    anchors_before, anchors_after = _carry_on(anchors), _carry_on(reversed(anchors))
+    found_at_ns = [
         anchor.at_ns if anchor is not None else _place_between(line.utc_ns, low, high)
-        for line, anchor, low, high in zip(lines, anchors, before, reversed(after), strict=True)
+        for line, anchor, low, high in zip(lines, anchors, anchors_before, reversed(anchors_after), strict=True)
     ]
-    last_ns = next((at_ns for at_ns in found if at_ns is not None), fallback_ns)
+    last_ns = next((at_ns for at_ns in found_at_ns if at_ns is not None), fallback_ns)
     instants: list[int] = []
-    for at_ns in found:
+    for at_ns in found_at_ns:
         last_ns = last_ns if at_ns is None else at_ns
         instants.append(last_ns)
     return instants
@@ -114,11 +114,11 @@ def _place_file(lines: Sequence[LogLine], parts: Sequence[_ScalePart], fallback_
 def _carry_on(anchors: Iterable[_Anchor | None]) -> list[_Anchor | None]:
     """For each line the last anchor up to it."""
     last: _Anchor | None = None
-    carried: list[_Anchor | None] = []
-    for each in anchors:
-        last = each or last
-        carried.append(last)
-    return carried
+    carried_anchors: list[_Anchor | None] = []
+    for anchor in anchors:
+        last = anchor or last
+        carried_anchors.append(last)
+    return carried_anchors
 
 
 def _find_anchors(lines: Sequence[LogLine], parts: Sequence[_ScalePart]) -> list[_Anchor | None]:
@@ -138,7 +138,7 @@ def _place_between(utc_ns: int | None, before: _Anchor | None, after: _Anchor | 
     """The instant of a line without fleet time, not outside its neighbours; None without any time."""
     if utc_ns is None:
         return None
-    wanted = [utc_ns + each.shift_ns for each in (before, after) if each is not None] or [utc_ns]
+    wanted = [utc_ns + anchor.shift_ns for anchor in (before, after) if anchor is not None] or [utc_ns]
     low_ns = before.at_ns if before is not None else min(wanted)
     high_ns = after.at_ns if after is not None else max(wanted)
     fitting = [at_ns for at_ns in wanted if low_ns <= at_ns <= high_ns]

@@ -21,8 +21,8 @@ class LineLayout:
 
     def __init__(self, lines: Iterable[PlacedLine]) -> None:
         self._widths = [0, 0, 0]
-        for each in lines:
-            sizes = (cell_len(cell) for cell in _make_cells(each.line))
+        for line in lines:
+            sizes = (cell_len(cell) for cell in _make_cells(line.line))
             self._widths = [max(width, size) for width, size in zip(self._widths, sizes, strict=True)]
 
     def format_line(self, placed: PlacedLine) -> Text:

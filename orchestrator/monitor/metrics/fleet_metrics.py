@@ -92,7 +92,7 @@ class FleetMetrics(Collector):
         """The values that are gauges now."""
         now_ns = self._clock.now_ns()
         with self._lock:
-            self._states = {name: each for name, each in self._states.items() if now_ns - each[0] < FORGET_NS}
+            self._states = {name: state for name, state in self._states.items() if now_ns - state[0] < FORGET_NS}
             states, mappings, links = dict(self._states), dict(self._mappings), dict(self._links)
             queue, leader, alarms = self._queue, self._leader, list(self._alarms.values())
         yield from _collect_controllers(now_ns, states)
@@ -140,7 +140,7 @@ def _gauge(name: str, text: str, value: float) -> GaugeMetricFamily:
 def _collect_controllers(now_ns: int, states: dict[str, tuple[int, ControllerState]]) -> Iterator[GaugeMetricFamily]:
     age = GaugeMetricFamily("tutti_controller_state_age_seconds", "Age of the last state.", labels=["controller"])
     online = GaugeMetricFamily("tutti_controller_online", "1: its link is open.", labels=["controller"])
-    latched = GaugeMetricFamily("tutti_estop_latched", "1: an e-stop is latched.", labels=["controller"])
+    latched_family = GaugeMetricFamily("tutti_estop_latched", "1: an e-stop is latched.", labels=["controller"])
     faults = GaugeMetricFamily("tutti_controller_faults", "Faults that stand.", labels=["controller"])
     bound = GaugeMetricFamily(
         "tutti_clock_bound_seconds", "Guaranteed error of the clock's estimate.", labels=["controller"]
@@ -148,11 +148,11 @@ def _collect_controllers(now_ns: int, states: dict[str, tuple[int, ControllerSta
     for name, (received_ns, state) in states.items():
         age.add_metric([name], (now_ns - received_ns) / NS_PER_S)
         online.add_metric([name], state.mode != "offline")
-        latched.add_metric([name], state.estop is not None)
+        latched_family.add_metric([name], state.estop is not None)
         faults.add_metric([name], len(state.faults))
         if state.clock is not None:
             bound.add_metric([name], state.clock.bound_ns / NS_PER_S)
-    yield from (age, online, latched, faults, bound)
+    yield from (age, online, latched_family, faults, bound)
 
 
 def _collect_clocks(mappings: dict[str, ClockMapping]) -> Iterator[GaugeMetricFamily]:
@@ -165,20 +165,20 @@ def _collect_clocks(mappings: dict[str, ClockMapping]) -> Iterator[GaugeMetricFa
 
 
 def _collect_links(links: dict[str, LinkTotals]) -> CounterMetricFamily:
-    found = CounterMetricFamily("tutti_link_bytes", "Bytes on the link.", labels=["controller", "direction"])
+    family = CounterMetricFamily("tutti_link_bytes", "Bytes on the link.", labels=["controller", "direction"])
     for name, totals in links.items():
-        found.add_metric([name, "out"], totals.bytes_out)
-        found.add_metric([name, "in"], totals.bytes_in)
-    return found
+        family.add_metric([name, "out"], totals.bytes_out)
+        family.add_metric([name, "in"], totals.bytes_in)
+    return family
 
 
 def _collect_alarms(alarms: Iterable[AlarmRecord]) -> GaugeMetricFamily:
-    found = GaugeMetricFamily("tutti_alarms", "Alarms that are not normal, by priority.", labels=["priority", "state"])
-    open_alarms = [each for each in alarms if each.state != "normal"]
-    counted = CountedValues((each.priority, each.state) for each in open_alarms)
-    for (priority, state), count in counted.items():
-        found.add_metric([priority, state], count)
-    return found
+    family = GaugeMetricFamily("tutti_alarms", "Alarms that are not normal, by priority.", labels=["priority", "state"])
+    open_alarms = [alarm for alarm in alarms if alarm.state != "normal"]
+    alarm_counts = CountedValues((alarm.priority, alarm.state) for alarm in open_alarms)
+    for (priority, state), count in alarm_counts.items():
+        family.add_metric([priority, state], count)
+    return family
 
 
 def _collect_fleet(

@@ -122,15 +122,15 @@ class RecordingFolder:
 
     def must_rotate(self) -> bool:
         """Whether the recording of the fleet is to go on in another file."""
-        rest = self.open.get(FLEET)
-        if rest is None:
+        rest_recording = self.open.get(FLEET)
+        if rest_recording is None:
             return False
-        limits, age_ns = self._limits, self._clock.now_ns() - rest.begun_ns
-        return rest.file.size >= limits.rotate_bytes or age_ns >= limits.rotate_ns
+        limits, age_ns = self._limits, self._clock.now_ns() - rest_recording.begun_ns
+        return rest_recording.file.size >= limits.rotate_bytes or age_ns >= limits.rotate_ns
 
     def keep_quota(self) -> None:
         """Delete the oldest recordings beyond the quota."""
-        open_files = {each.file.path for each in self.open.values()}
+        open_files = {recording.file.path for recording in self.open.values()}
         try:
             used = delete_oldest(self._path, self._limits.quota, open_files)
         except OSError as error:
@@ -195,10 +195,10 @@ def _shorten_name(text: str) -> str:
 
 
 def _list_versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for name in ("tutti", "eclipse-zenoh", "mcap", "ruckig"):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions

@@ -62,9 +62,9 @@ class JobTracker:
         elif isinstance(message, LeaseState):
             self._take_lease(message)
         elif isinstance(message, QueueState):
-            listed = {each.id for each in message.jobs}
+            listed_jobs = {entry.id for entry in message.jobs}
             for job in self.running.values():
-                job.missing = job.job_id not in listed
+                job.missing = job.job_id not in listed_jobs
         elif isinstance(message, ControllerEvent) and message.kind == "started" and message.job in self.running:
             return self._begin_step(self.running[message.job], message)
         return []
@@ -77,19 +77,19 @@ class JobTracker:
         if parts[0] == "job":
             return [parts[1]] if parts[1] in self.running else []
         if parts[0] in ("ctl", "lease"):
-            return [each.job_id for each in self.running.values() if parts[1] in each.controllers]
+            return [job.job_id for job in self.running.values() if parts[1] in job.controllers]
         if isinstance(message, StepStart):
             return [message.job_id] if message.job_id in self.running else []
         return []
 
     def _list_readings(self, before_ns: int | None) -> dict[str, AxisReading]:
         """The last reading of every axis; before_ns: not later than this instant of fleet time."""
-        found: dict[str, AxisReading] = {}
+        readings: dict[str, AxisReading] = {}
         for controller, states in self._states.items():
             early = [text for read_ns, text in states if before_ns is None or read_ns <= before_ns]
             state = ControllerState.read_message((early or [states[0][1]])[-1])
             for name, axis in state.axes.items():
-                found[f"{controller}.{name}"] = AxisReading(
+                readings[f"{controller}.{name}"] = AxisReading(
                     position=axis.position,
                     commanded=axis.commanded,
                     raw_counts=axis.raw_counts,
@@ -98,14 +98,14 @@ class JobTracker:
                     referenced=axis.referenced,
                     read_fleet_ns=state.read_fleet_ns,
                 )
-        return found
+        return readings
 
     def _take_state(self, state: ControllerState, payload: bytes) -> None:
         # A start is reported some milliseconds after it: the readings before that are looked for.
-        kept = self._states.get(state.controller)
-        if kept is None:
-            kept = self._states[state.controller] = deque(maxlen=KEPT_READINGS)
-        kept.append((state.read_fleet_ns or 0, payload))
+        kept_state = self._states.get(state.controller)
+        if kept_state is None:
+            kept_state = self._states[state.controller] = deque(maxlen=KEPT_READINGS)
+        kept_state.append((state.read_fleet_ns or 0, payload))
         if self.running:
             for holder in {*state.leases.values(), state.job or ""} & set(self.running):
                 self.running[holder].controllers.add(state.controller)
@@ -146,10 +146,14 @@ class JobTracker:
         """The first axis of a step has started."""
         if event.step is None or event.step in job.begun_steps:
             return []
-        first = min((each.start for each in event.evidence.values()), key=lambda each: each.earliest_ns, default=None)
+        first = min(
+            (evidence.start for evidence in event.evidence.values()),
+            key=lambda interval: interval.earliest_ns,
+            default=None,
+        )
         # The start may come before the progress that shows it.
-        before = self._complete_step(job) if job.step != event.step else []
-        return [*before, self._make_start(job, event.step, first)]
+        lines_before = self._complete_step(job) if job.step != event.step else []
+        return [*lines_before, self._make_start(job, event.step, first)]
 
     def _complete_step(self, job: TrackedJob) -> list[StepStart]:
         """A step has ended in which nothing has started."""

@@ -75,7 +75,7 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, end.set)
-    left = list_unfinished(options.folder)  # before this recorder begins its own
+    paths_left = list_unfinished(options.folder)  # before this recorder begins its own
     folder = RecordingFolder(options.folder, options.fleet, clock, RecorderLimits(quota=options.quota))
     writer = RecordingWriter(folder, options.fleet, clock, options.fleet_file)
     metrics = FleetMetrics(clock, lambda: (writer.written, writer.dropped, writer.invalid))
@@ -92,18 +92,18 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
     await bus.announce(keys.live("recorder", uuid.uuid4().hex[:8], "1"))
     log.info(f"records fleet {options.fleet} in {options.folder}")
     on_ready(_serve_metrics(metrics, options.metrics_port, log))
-    repairing, running = (
-        loop.create_task(repair_left(left, log, ThreadExecutor("repair"))),
+    repairing, running_task = (
+        loop.create_task(repair_left(paths_left, log, ThreadExecutor("repair"))),
         loop.create_task(recorder.run()),
     )
-    ended = loop.create_task(end.wait())
+    ended_task = loop.create_task(end.wait())
     feeding = loop.create_task(ServiceManager().run_alone()) if options.service else None
     async with report_own_alarms(bus, keys, ("recorder", "own"), options.connect):
-        await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
-    for task in (ended, repairing, running, *([] if feeding is None else [feeding])):
+        await asyncio.wait([running_task, ended_task], return_when=asyncio.FIRST_COMPLETED)
+    for task in (ended_task, repairing, running_task, *([] if feeding is None else [feeding])):
         task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
-        await running  # raises a defect: then the process ends with it, and is started again
+        await running_task  # raises a defect: then the process ends with it, and is started again
     await recorder.close()
     log.info(f"{writer.written} messages recorded, {writer.dropped} left out, {writer.invalid} not valid")
 
@@ -136,7 +136,7 @@ def main() -> int:
     parser.add_argument("--service", action="store_true", help="a service of its own: announce that it is ready")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     options = parser.parse_args()
-    chosen = RecorderOptions(
+    chosen_options = RecorderOptions(
         fleet=options.fleet,
         connect=options.connect,
         folder=options.folder,
@@ -148,7 +148,7 @@ def main() -> int:
     )
     if options.parent:
         die_with_parent(options.parent)
-    return run_service(record_fleet(chosen, _print_ready), options.folder, {FolderInUse: BAD_INPUT})
+    return run_service(record_fleet(chosen_options, _print_ready), options.folder, {FolderInUse: BAD_INPUT})
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ class Recording:
 
     def read_attachments(self) -> dict[str, bytes]:
         """The attachments by name; of several with one name, the last. Raises `RecordingUnreadable`."""
-        return {each.name: each.data for each in self._read_records() if isinstance(each, Attachment)}
+        return {record.name: record.data for record in self._read_records() if isinstance(record, Attachment)}
 
     def _read_records(self) -> Iterator[object]:
         for group in read_frames(self._file, self._size):
@@ -107,9 +107,9 @@ def summarize_recording(path: Path) -> RecordingSummary:
                 if group.at == 0:
                     raise RecordingUnreadable(f"{path}: {group.text}; it is no recording")
                 break
-            found = [each for each in group.records if isinstance(each, Metadata) and each.name == METADATA]
-            if found:
-                summary.description = found[0].metadata
+            records = [record for record in group.records if isinstance(record, Metadata) and record.name == METADATA]
+            if records:
+                summary.description = records[0].metadata
                 break
     if index is not None and index.statistics is not None:
         figures = index.statistics
@@ -120,10 +120,10 @@ def summarize_recording(path: Path) -> RecordingSummary:
 
 def list_recordings(folder: Path) -> list[RecordingSummary]:
     """The recordings of a folder, oldest first; what is none is left out. Raises `OSError`."""
-    found: list[RecordingSummary] = []
+    recordings: list[RecordingSummary] = []
     for path in sorted(folder.glob(f"*{SUFFIX}"), key=lambda each: each.name.partition("-")[2]):
         try:
-            found.append(summarize_recording(path))
+            recordings.append(summarize_recording(path))
         except (RecordingUnreadable, FileNotFoundError):
             continue
-    return found
+    return recordings

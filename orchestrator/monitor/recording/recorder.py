@@ -81,4 +81,4 @@ class FleetRecorder:
             await self._execute(self._writer.write_messages, batch)
         # Only now: what a slow disk has not taken yet counts as well.
         with self._lock:
-            self._bytes -= sum(len(each.payload) for each in batch)
+            self._bytes -= sum(len(message.payload) for message in batch)

@@ -41,11 +41,11 @@ def repair_recording(path: Path) -> RepairResult:
     size = path.stat().st_size
     with path.open("rb") as file:
         damage, messages = None, 0
-        for each in read_frames(file, size):
-            if isinstance(each, Damage):
-                damage = each
+        for frame in read_frames(file, size):
+            if isinstance(frame, Damage):
+                damage = frame
             else:
-                messages += each.message_count
+                messages += frame.message_count
         if damage is None and read_index(file, size) is not None:
             return RepairResult(path, messages)
         if damage is not None and damage.at == 0:

@@ -12,22 +12,22 @@ from orchestrator.monitor.recording.repair import RepairFailed, repair_recording
 
 def list_unfinished(path: Path) -> list[Path]:
     """The recordings of a folder without an index, oldest first."""
-    found: list[Path] = []
+    paths: list[Path] = []
     for each in sorted(path.glob(f"*{SUFFIX}")):
         try:
             with each.open("rb") as file:
                 if not is_complete(file, each.stat().st_size):
-                    found.append(each)
+                    paths.append(each)
         except OSError:
             continue
-    return found
+    return paths
 
 
 async def repair_left(paths: Iterable[Path], log: ProcessLog, execute: Executor) -> None:
     """Repair what an earlier recorder has left."""
-    for each in paths:
+    for path in paths:
         try:
-            result = await execute(repair_recording, each)
-            log.info(f"repaired {each.name}: {result.messages} messages; {result.reason}")
+            result = await execute(repair_recording, path)
+            log.info(f"repaired {path.name}: {result.messages} messages; {result.reason}")
         except (RepairFailed, OSError) as error:
-            log.warning(f"{each} cannot be repaired: {error}")
+            log.warning(f"{path} cannot be repaired: {error}")

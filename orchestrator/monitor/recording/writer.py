@@ -140,19 +140,19 @@ class RecordingWriter:
         """Write a message to recordings; return why it is in none of them, or an empty text."""
         if self._folder.is_full and entry.channel.is_replaced:
             return FULL
-        received = entry.received
+        received_message = entry.received
         host_ns = None if entry.fleet_ns is None else self._scale.host_ns(entry.fleet_ns)
-        own_ns = received.received_ns if host_ns is None else host_ns
+        own_ns = received_message.received_ns if host_ns is None else host_ns
         written = False
         for name in recordings:
             recording = self._find_recording(name)
             if recording is None:
                 continue
             scale, written = recording.scale, True
-            times = max(0, scale.utc_ns(received.received_ns)), max(0, scale.utc_ns(own_ns))
+            times = max(0, scale.utc_ns(received_message.received_ns)), max(0, scale.utc_ns(own_ns))
 
             # What an error loses is counted with the rest of the file.
-            self._folder.write_message(name, entry.channel, received.payload, times, valid=entry.valid)
+            self._folder.write_message(name, entry.channel, received_message.payload, times, valid=entry.valid)
         self.written += written
         return "" if written else REFUSED
 
@@ -160,15 +160,15 @@ class RecordingWriter:
 
     def _find_recording(self, name: str) -> OpenRecording | None:
         """The open recording of a job, or of the fleet; it is begun with what explains it. None: the disk refuses."""
-        found = self._folder.open.get(name)
-        if found is None:
-            found = self._folder.begin_recording(name, self._jobs.running.get(name))
-            if found is not None:
+        recording = self._folder.open.get(name)
+        if recording is None:
+            recording = self._folder.begin_recording(name, self._jobs.running.get(name))
+            if recording is not None:
                 self._fleet_text = self._read_fleet_file() or self._fleet_text
                 if self._fleet_text:
                     self._attach("fleet.json", name, self._fleet_text)
                 self._attach_clocks(name)
-        return found
+        return recording
 
     def _attach_message(self, message: Model | None, received: ReceivedMessage) -> None:
         """What explains a recording is attached to it as well."""
@@ -180,13 +180,13 @@ class RecordingWriter:
             self._attach("report.json", message.job_id, received.payload)
 
     def _attach(self, name: str, recording: str, contents: bytes) -> None:
-        found = self._folder.open.get(recording)
-        if found is not None:
-            at_ns = found.scale.utc_ns(self._clock.now_ns())
+        found_recording = self._folder.open.get(recording)
+        if found_recording is not None:
+            at_ns = found_recording.scale.utc_ns(self._clock.now_ns())
             self._folder.write_safely(recording, lambda file: file.attach(name, contents, at_ns))
 
     def _attach_clocks(self, recording: str) -> None:
-        texts = [f'"{name}":'.encode() + each.to_json() for name, each in self._mappings.items()]
+        texts = [f'"{name}":'.encode() + mapping.to_json() for name, mapping in self._mappings.items()]
         self._attach("clocks.json", recording, b"{" + b",".join(texts) + b"}")
 
     def _read_fleet_file(self) -> bytes:
@@ -228,8 +228,8 @@ class RecordingWriter:
 
     def _note_wall_clock(self) -> None:
         """After the wall clock was set the fleet goes on in another file; recordings of jobs keep their scale."""
-        rest = self._folder.open.get(FLEET)
-        step_ns = 0 if rest is None else rest.scale.find_step_ns()
+        rest_recording = self._folder.open.get(FLEET)
+        step_ns = 0 if rest_recording is None else rest_recording.scale.find_step_ns()
         if step_ns:
             note = WallClockStepped(by_ns=step_ns)
             self._write_to(list(self._folder.open), self._make_entry("clock-stepped", note, self._clock.now_ns()))

@@ -55,9 +55,9 @@ def draw_step(step: StepTimeline, title: str) -> Figure:
     else:
         main = figure.subplots()
     _draw_main(main, rows)
-    found = dict(zip(*reversed(main.get_legend_handles_labels()), strict=True))
-    labels = sorted(found, key=lambda name: [*COLOURS, name, INTERVAL, T0].index(name))
-    handles = [found[name] for name in labels]
+    handle_by_label = dict(zip(*reversed(main.get_legend_handles_labels()), strict=True))
+    labels = sorted(handle_by_label, key=lambda name: [*COLOURS, name, INTERVAL, T0].index(name))
+    handles = [handle_by_label[name] for name in labels]
     figure.legend(handles, labels, loc="outside lower center", ncols=8, frameon=False, fontsize=8)
     return figure
 
@@ -98,7 +98,7 @@ def _draw_main(axes: Axes, rows: Sequence[Row]) -> None:
 
 def _draw_zoom(axes: Axes, rows: Sequence[Row], starts: Sequence[TimeInterval]) -> None:
     """The start intervals; a thin line is the evidence alone, where the promise makes it narrower."""
-    low_ns, high_ns = min(each.earliest_ns for each in starts), max(each.latest_ns for each in starts)
+    low_ns, high_ns = min(start.earliest_ns for start in starts), max(start.latest_ns for start in starts)
     low_ns, high_ns = min(low_ns, 0), max(high_ns, 0)
     margin_ns = max(ZOOM_MARGIN * (high_ns - low_ns), MIN_ZOOM_NS)
     unit, name = (1e-3, "µs") if high_ns - low_ns < US_BELOW_NS else (1 / NS_PER_MS, "ms")

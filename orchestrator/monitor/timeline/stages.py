@@ -75,9 +75,9 @@ class JobTimeline(Model):
 
 def make_timeline(report: JobReport) -> JobTimeline:
     """The timeline of all motion steps that were armed."""
-    armed = [step for step in report.steps if step.members and step.t0_fleet_ns is not None]
-    since_ns = [0, *(step.t0_fleet_ns or 0 for step in armed)]
-    steps = [_make_step(step, report.transitions, since) for step, since in zip(armed, since_ns, strict=False)]
+    armed_steps = [step for step in report.steps if step.members and step.t0_fleet_ns is not None]
+    since_ns = [0, *(step.t0_fleet_ns or 0 for step in armed_steps)]
+    steps = [_make_step(step, report.transitions, since) for step, since in zip(armed_steps, since_ns, strict=False)]
     return JobTimeline(job_id=report.job_id, name=report.name, steps=steps)
 
 
@@ -109,12 +109,12 @@ def _own_transitions(step: StepReport, transitions: Sequence[JobTransition], sin
 
     Of several starts of one step, after feed holds, these are the last."""
     t0_ns, found = step.t0_fleet_ns or 0, dict[JobState, int]()
-    for each in transitions:
-        if each.fleet_ns is None or not since_ns <= each.fleet_ns <= t0_ns:
+    for transition in transitions:
+        if transition.fleet_ns is None or not since_ns <= transition.fleet_ns <= t0_ns:
             continue
-        if each.state == "planning":
+        if transition.state == "planning":
             found = {}
-        found.setdefault(each.state, each.fleet_ns)
+        found.setdefault(transition.state, transition.fleet_ns)
     return found if "planning" in found else {}
 
 
@@ -134,7 +134,12 @@ def _make_coordinator(step: StepReport, went: dict[JobState, int], remarks: list
         stages += [("decide", settled_ns), ("go", went["committed"]), ("fire", went["running"])]
     else:
         stages.append(("fire", settled_ns))
-    ends = [each.end.latest_ns for member in step.members.values() for each in member.evidence.values() if each.end]
+    ends = [
+        evidence.end.latest_ns
+        for member in step.members.values()
+        for evidence in member.evidence.values()
+        if evidence.end
+    ]
     bounds = [*stages, ("run", t0_ns), ("", max(ends, default=t0_ns))]
     return [
         TimelineStage(name=name, begin_ns=begin_ns - t0_ns, end_ns=max(begin_ns, end_ns) - t0_ns)
@@ -144,7 +149,7 @@ def _make_coordinator(step: StepReport, went: dict[JobState, int], remarks: list
 
 def _last_armed_ns(step: StepReport, arming_ns: int, settled_ns: int) -> int:
     """When the last member was armed, by their reports."""
-    ends = [(each.arming_fleet_ns or arming_ns) + each.armed_in_ns for each in step.members.values()]
+    ends = [(member.arming_fleet_ns or arming_ns) + member.armed_in_ns for member in step.members.values()]
     return min(max(ends), settled_ns)
 
 
@@ -161,7 +166,7 @@ def _make_member(member: MemberReport, step: StepReport, t0_ns: int, remarks: li
     for name, took_ns in {"prepare": rest_ns, **member.stages_ns}.items():
         stages.append(TimelineStage(name=name, begin_ns=at_ns, end_ns=at_ns + took_ns))
         at_ns += took_ns
-    axes = {name: _make_axis(each, t0_ns) for name, each in member.evidence.items()}
+    axes = {name: _make_axis(evidence, t0_ns) for name, evidence in member.evidence.items()}
     return TimelineMember(start_class=member.start_class, stages=stages, axes=axes)
 
 

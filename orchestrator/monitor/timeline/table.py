@@ -26,9 +26,9 @@ def _describe_step(step: StepTimeline) -> str:
 
 
 def _list_remarks(step: StepTimeline) -> list[str]:
-    holds = [f"paused by {each.by} at {format_time(each.utc)}: this is the last part" for each in step.feed_holds]
-    broken = [f"from rest: {localize_times(step.chain.broken)}"] if step.chain and step.chain.broken else []
-    return [*broken, *holds, *step.remarks]
+    holds = [f"paused by {hold.by} at {format_time(hold.utc)}: this is the last part" for hold in step.feed_holds]
+    breaks = [f"from rest: {localize_times(step.chain.broken)}"] if step.chain and step.chain.broken else []
+    return [*breaks, *holds, *step.remarks]
 
 
 def _make_table(step: StepTimeline) -> RenderableType:

@@ -22,16 +22,16 @@ def forecast_home(state: ForecastState, at: ForecastContext, step: Home) -> Span
     except Refusal as error:
         state.add_problem(at, (), Refusal(error.code, error.text, error.remedy))
         return Span()
-    for axis, others in waits.items():
-        for other in sorted(others - waits.keys()):
-            text = f"{axis} must be homed after {other} (homing.after), which is not referenced"
-            state.require_referenced(at, other, (), text)
+    for axis, others_wait in waits.items():
+        for other_wait in sorted(others_wait - waits.keys()):
+            text = f"{axis} must be homed after {other_wait} (homing.after), which is not referenced"
+            state.require_referenced(at, other_wait, (), text)
     for axis in waits:
         state.require_enabled(at, axis, ())
-        before = state.find_state(at, axis)
-        state.note_room(axis, before)
-        kind = "unknown" if before.offset_kind == "start" else before.offset_kind
-        state.axes[axis] = before.model_copy(
+        state_before = state.find_state(at, axis)
+        state.note_room(axis, state_before)
+        kind = "unknown" if state_before.offset_kind == "start" else state_before.offset_kind
+        state.axes[axis] = state_before.model_copy(
             update={"motor": Fraction(0), "known": True, "referenced": True, "offset_kind": kind}
         )
     entries = [*order.entries, *([axis] for axis in order.loners)]

@@ -64,15 +64,15 @@ def forecast_job(
     number of steps done."""
     forecaster = JobForecaster(fleet)
     resolver = PositionResolver(fleet, list_file_positions(fleet), keep_unknown=True)
-    found: list[StepForecast] = []
+    forecasts: list[StepForecast] = []
     for _ in range(repeat):
         for index, step in enumerate(steps):
             try:
-                known = resolver.resolve_step(step)
+                known_step = resolver.resolve_step(step)
             except Refusal as error:
                 forecaster.add_refusal(index, error)
-                known = step
-            found.append(forecaster.take(index, known))
+                known_step = step
+            forecasts.append(forecaster.take(index, known_step))
             if on_step is not None:
-                on_step(len(found))
-    return forecaster.finish(found)
+                on_step(len(forecasts))
+    return forecaster.finish(forecasts)

@@ -36,10 +36,10 @@ def check_record(state: ForecastState, at: ForecastContext, step: Motion) -> Non
 def check_triggers(state: ForecastState, at: ForecastContext, step: Motion) -> None:
     """Check outputs and units of triggers, and their instants where the motion is known."""
     try:
-        resolved = resolve_triggers(state.fleet, step.triggers, lambda axis: state.find_state(at, axis).offset)
+        resolved_triggers = resolve_triggers(state.fleet, step.triggers, lambda axis: state.find_state(at, axis).offset)
         if state.motion is not None:
-            for trigger in resolved:
+            for trigger in resolved_triggers:
                 trigger.find_instants_ns(state.motion.plan)
-            state.motion = replace(state.motion, triggers=resolved)
+            state.motion = replace(state.motion, triggers=resolved_triggers)
     except Refusal as error:
         state.add_problem(at, ("triggers",), Refusal(error.code, error.text, error.remedy))

@@ -17,8 +17,8 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
     if unknown:
         named = [axis for axis in unknown if axis != ALL_AXES and state.find_axis(at, axis, ("to", axis)) is not None]
         state.lose_positions(at, list(state.axes) if ALL_AXES in unknown else named)
-        known = step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in unknown}})
-        return Span(forecast_move(state, at, known).least if known.to or known.by else 0.0, None)
+        known_move = step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in unknown}})
+        return Span(forecast_move(state, at, known_move).least if known_move.to or known_move.by else 0.0, None)
     ways = MoveWays()
     for name, value in (step.to | step.by).items():
         place = ("by" if name in step.by else "to", name)

@@ -41,12 +41,12 @@ class LaterTarget(NamedTuple):
 
 def find_later_targets(second: Sequence[TargetCheck], third: Sequence[TargetCheck]) -> list[LaterTarget]:
     """The targets of all passes after the third; none if the passes differ in more than positions."""
-    if [each[:2] for each in second] != [each[:2] for each in third]:
+    if [check[:2] for check in second] != [check[:2] for check in third]:
         return []
     return [
-        LaterTarget(after, after.target - before.target, after.offset - before.offset)
-        for before, after in zip(second, third, strict=True)
-        if before.known == after.known
+        LaterTarget(check_after, check_after.target - check_before.target, check_after.offset - check_before.offset)
+        for check_before, check_after in zip(second, third, strict=True)
+        if check_before.known == check_after.known
     ]
 
 
@@ -63,8 +63,8 @@ def find_first_pass(times: int, leaves: Callable[[int], bool]) -> int | None:
 
 def find_range(state: AxisForecast, targets: Sequence[LaterTarget], number: int) -> tuple[Fraction, Fraction]:
     """The lowest and highest distance from an unknown beginning up to a pass. state: after the third."""
-    reached = [each.in_pass(number).target for each in targets]
-    return min([state.lowest, *reached]), max([state.highest, *reached])
+    reached_targets = [target.in_pass(number).target for target in targets]
+    return min([state.lowest, *reached_targets]), max([state.highest, *reached_targets])
 
 
 def find_last_state(
@@ -87,7 +87,7 @@ def find_last_state(
 
 def group_by_axis(targets: Sequence[LaterTarget]) -> Mapping[str, list[LaterTarget]]:
     """The targets of each axis."""
-    grouped: dict[str, list[LaterTarget]] = {}
-    for each in targets:
-        grouped.setdefault(each.check.axis, []).append(each)
-    return grouped
+    grouped_targets: dict[str, list[LaterTarget]] = {}
+    for target in targets:
+        grouped_targets.setdefault(target.check.axis, []).append(target)
+    return grouped_targets

@@ -18,11 +18,11 @@ from orchestrator.plan.shape import PlanError
 def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -> Span:
     """Run a path forward."""
     check_record(state, at, step)
-    named = {name: state.find_axis(at, name, ("axes", number)) for number, name in enumerate(step.axes)}
-    axes = {name: axis for name, axis in named.items() if axis is not None}
+    named_axes = {name: state.find_axis(at, name, ("axes", number)) for number, name in enumerate(step.axes)}
+    axes = {name: axis for name, axis in named_axes.items() if axis is not None}
     for name in axes:
         state.require_ready(at, name, ("axes",))
-    if len(axes) < len(named):
+    if len(axes) < len(named_axes):
         return Span()
     try:
         path = plan_path_step(step, _find_starts(state, at, step, axes), state.fleet.frames)
@@ -47,12 +47,12 @@ def _find_starts(
     starts: list[PathStart] = []
     begin = find_start(step, [axis.unit for axis in axes.values()], state.fleet.frames)
     for value, point, (name, axis) in zip(step.start, begin, axes.items(), strict=True):
-        before = state.find_state(at, name)
-        here = before.motor
-        if not before.known or before.offset_kind != "motor":
+        state_before = state.find_state(at, name)
+        motor_here = state_before.motor
+        if not state_before.known or state_before.offset_kind != "motor":
             where = value if step.frame is None else f"{float(point):.6g} {axis.unit}"
             state.notes[f"{name} stands at {where} when the path begins"] = None
-            here = point - before.offset
+            motor_here = point - state_before.offset
         order = state.orders.get(controller_of(name), 3)
-        starts.append(PathStart(name, axis, here, axis.to_counts(here), before.offset, order))
+        starts.append(PathStart(name, axis, motor_here, axis.to_counts(motor_here), state_before.offset, order))
     return starts

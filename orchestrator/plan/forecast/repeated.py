@@ -72,46 +72,50 @@ def _run_passes(state: ForecastState, at: ForecastContext, inner: InnerSteps) ->
     if not any(target.drift or target.offset_drift for target in targets):
         return whole.followed_by(third, times - RUN_PASSES)
     last = (yield from _run_pass(state, at, inner, describe_pass(times))).span
-    between = third
+    span_between = third
     if last != third:
         # A way that changes from pass to pass is longest at one end; it may be nothing in between.
         most = None if third.most is None or last.most is None else max(third.most, last.most)
-        between = Span(0.0, most)
-    return whole.followed_by(between, times - RUN_PASSES - 1).followed_by(last)
+        span_between = Span(0.0, most)
+    return whole.followed_by(span_between, times - RUN_PASSES - 1).followed_by(last)
 
 
 def _run_pass(state: ForecastState, at: ForecastContext, inner: InnerSteps, when: str) -> Generator[None, None, _Pass]:
     """Run steps forward once."""
-    within, problems, span = at.in_pass(when), len(state.problems), Span()
+    context_within, problems, span = at.in_pass(when), len(state.problems), Span()
     for number, step in enumerate(inner.steps):
-        span = span.followed_by((yield from forecast_in_parts(state, within.at_inner(inner.key, number), step)))
-    at.checks.extend(within.checks)
-    return _Pass(within.checks, dict(state.axes), span, len(state.problems) - problems)
+        span = span.followed_by((yield from forecast_in_parts(state, context_within.at_inner(inner.key, number), step)))
+    at.checks.extend(context_within.checks)
+    return _Pass(context_within.checks, dict(state.axes), span, len(state.problems) - problems)
 
 
 def _skip_passes(
     state: ForecastState, at: ForecastContext, passes: Sequence[_Pass], times: int, describe_pass: Callable[[int], str]
 ) -> None:
     """Go on from the third pass to pass `times`."""
-    _, (second, before, _, _), (third, after, _, _) = passes
+    _, (second, forecasts_before, _, _), (third, forecasts_after, _, _) = passes
     for name, targets in group_by_axis(find_later_targets(second, third)).items():
-        axis, reached = state.fleet.axis(name), after[name]
+        axis, reached_forecast = state.fleet.axis(name), forecasts_after[name]
         problems = len(state.problems)
         for number, check in _find_leaving_targets(axis, targets, times).values():
-            there, field = _find_field(at, axis, check, describe_pass(number))
-            check_target(state, there, field, check.target, check.offset)
+            context_there, field = _find_field(at, axis, check, describe_pass(number))
+            check_target(state, context_there, field, check.target, check.offset)
         # A position that was lost in each pass is no common beginning.
-        lost = reached.since > at.index
-        apart = [target for target in targets if not target.check.known and not lost]
-        number = find_first_pass(times, partial(_leaves_room, axis, reached, apart)) if apart else None
+        lost = reached_forecast.since > at.index
+        targets_apart = [target for target in targets if not target.check.known and not lost]
+        number = (
+            find_first_pass(times, partial(_leaves_room, axis, reached_forecast, targets_apart))
+            if targets_apart
+            else None
+        )
         if number is not None:
-            there, field = _find_field(at, axis, apart[-1].check, describe_pass(number))
-            lowest, highest = find_range(reached, apart, number)
-            farther = reached.model_copy(update={"lowest": lowest, "highest": highest})
-            check_room(state, there, field, farther)
-        state.axes[name] = find_last_state(before[name], reached, apart, times)
+            context_there, field = _find_field(at, axis, targets_apart[-1].check, describe_pass(number))
+            lowest, highest = find_range(reached_forecast, targets_apart, number)
+            farther_forecast = reached_forecast.model_copy(update={"lowest": lowest, "highest": highest})
+            check_room(state, context_there, field, farther_forecast)
+        state.axes[name] = find_last_state(forecasts_before[name], reached_forecast, targets_apart, times)
         if len(state.problems) > problems:
-            state.axes[name] = reached.model_copy(update=unknown_position(at))
+            state.axes[name] = reached_forecast.model_copy(update=unknown_position(at))
         at.checks.extend(target.in_pass(times) for target in targets)
 
 
@@ -135,8 +139,8 @@ def _find_leaving_targets(
 
 def _leaves_limits(axis: Axis, target: LaterTarget, number: int) -> bool:
     check = target.in_pass(number)
-    beyond = explain_beyond_limits(check.axis, axis, check.target, check.offset)
-    return (beyond or explain_beyond_range(check.axis, axis, check.target)) is not None
+    beyond_limits = explain_beyond_limits(check.axis, axis, check.target, check.offset)
+    return (beyond_limits or explain_beyond_range(check.axis, axis, check.target)) is not None
 
 
 def _leaves_room(axis: Axis, state: AxisForecast, targets: Sequence[LaterTarget], number: int) -> bool:

@@ -20,9 +20,9 @@ from orchestrator.plan.targets import make_axis_move
 
 def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span:
     """Run the ways between the points of a scan forward, by their kinds."""
-    named = {name: state.find_axis(at, name, ("axes", name)) for name in step.axis_names}
-    axes = {name: axis for name, axis in named.items() if axis is not None}
-    if len(axes) < len(named):
+    named_axes = {name: state.find_axis(at, name, ("axes", name)) for name in step.axis_names}
+    axes = {name: axis for name, axis in named_axes.items() if axis is not None}
+    if len(axes) < len(named_axes):
         return Span()
     units = [axis.unit for axis in axes.values()]
     for column in step.points.columns if step.points is not None else ():
@@ -53,8 +53,10 @@ def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span
 
 def _describe_corners(corners: Sequence[ScanCorner], points: int) -> list[tuple[Fraction, str]]:
     """The position of each corner, and which point it is in words."""
-    named = [(corner, ", ".join(f"{axis} {value:g}" for axis, value in corner.positions.items())) for corner in corners]
-    return [(corner.position, f", at point {corner.point} of {points} ({words})") for corner, words in named]
+    named_corners = [
+        (corner, ", ".join(f"{axis} {value:g}" for axis, value in corner.positions.items())) for corner in corners
+    ]
+    return [(corner.position, f", at point {corner.point} of {points} ({words})") for corner, words in named_corners]
 
 
 def _take_corners(

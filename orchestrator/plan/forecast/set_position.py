@@ -18,9 +18,9 @@ def forecast_set_position(state: ForecastState, at: ForecastContext, step: SetPo
         amount = Fraction(0) if value is None else state.parse_amount(at, value, TargetField(*place, axis))
         if amount is None:
             continue
-        before = state.find_state(at, name)
+        state_before = state.find_state(at, name)
         update: dict[str, object] = {"offset": Fraction(0), "offset_kind": "motor"}
         if value is not None:
-            update = {"offset": amount - before.motor, "offset_kind": "motor" if before.known else "start"}
-        state.axes[name] = before.model_copy(update=update)
+            update = {"offset": amount - state_before.motor, "offset_kind": "motor" if state_before.known else "start"}
+        state.axes[name] = state_before.model_copy(update=update)
     return Span()

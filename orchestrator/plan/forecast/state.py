@@ -44,12 +44,12 @@ class ForecastState:
         return self.orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)
 
     def find_state(self, at: ForecastContext, name: str) -> AxisForecast:
-        known = self.axes.get(name)
-        if known is None:
+        known_axis = self.axes.get(name)
+        if known_axis is None:
             # Axes that the job enables by itself need no step for it.
             enabled = None if self.fleet.axis(name).enable == "manual" else True
-            known = self.axes[name] = AxisForecast(enabled=enabled, since=at.index)
-        return known
+            known_axis = self.axes[name] = AxisForecast(enabled=enabled, since=at.index)
+        return known_axis
 
     def require_ready(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> None:
         """The axis must be enabled and referenced. place: of the axis in the step."""
@@ -109,15 +109,15 @@ class ForecastState:
 
     def add_problem(self, at: ForecastContext, place: tuple[str | int, ...], problem: Refusal) -> None:
         """Add a problem, each one once. place: of it in the step."""
-        found = StepProblem(
+        found_problem = StepProblem(
             place=[*at.place, *place],
             code=problem.code,
             text=problem.text + at.when,
             remedy=problem.remedy,
             controller=problem.controller,
         )
-        if found not in self.problems:
-            self.problems.append(found)
+        if found_problem not in self.problems:
+            self.problems.append(found_problem)
 
     def note_room(self, name: str, state: AxisForecast) -> None:
         """The condition that moves by a distance set on the position where they begin."""
@@ -140,8 +140,8 @@ class ForecastState:
         return text is None
 
     def lose_positions(self, at: ForecastContext, axes: Iterable[str]) -> None:
-        for each in axes:
-            self.axes[each] = self.find_state(at, each).model_copy(update=unknown_position(at))
+        for axis in axes:
+            self.axes[axis] = self.find_state(at, axis).model_copy(update=unknown_position(at))
 
     def note_unknown_positions(self, step: Step) -> list[str]:
         """Note the positions that only the running fleet knows; return the axes that the step moves there."""

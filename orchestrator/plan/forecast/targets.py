@@ -18,17 +18,17 @@ def take_target(
 ) -> None:
     """Move one axis, and add its way."""
     name, axis = field.name, field.axis
-    before = state.find_state(at, name)
-    after, distance_known = _find_target(state, at, field, amount)
-    state.axes[name] = after
+    state_before = state.find_state(at, name)
+    forecast_after, distance_known = _find_target(state, at, field, amount)
+    state.axes[name] = forecast_after
     order = state.order_of(name, axis)
     if distance_known:
-        start, target = axis.to_counts(before.motor), axis.to_counts(after.motor)
+        start, target = axis.to_counts(state_before.motor), axis.to_counts(forecast_after.motor)
         ways.add_known(make_axis_move(name, axis, start, target, order))
-        if before.known and after.known:
-            ways.exact[name] = (after.motor, target)
+        if state_before.known and forecast_after.known:
+            ways.exact[name] = (forecast_after.motor, target)
     else:
-        ways.add_unknown(_longest_move(name, axis, after, order))
+        ways.add_unknown(_longest_move(name, axis, forecast_after, order))
 
 
 def _find_target(
@@ -36,32 +36,32 @@ def _find_target(
 ) -> tuple[AxisForecast, bool]:
     """The state after a move, and whether the distance is known."""
     name, axis, relative = field.name, field.axis, field.key == "by"
-    before = state.find_state(at, name)
+    state_before = state.find_state(at, name)
     if relative:
-        target = before.motor + amount
-    elif before.offset_kind == "unknown":
+        target = state_before.motor + amount
+    elif state_before.offset_kind == "unknown":
         state.conditions[f"the target of {name} in step {at.index} depends on its user offset"] = None
-        return before.model_copy(update=unknown_position(at)), False
-    elif before.offset_kind == "motor" and not before.known:
-        state.note_room(name, before)
-        target = choose_turn(axis, amount - before.offset, amount - before.offset, before.offset)
-        _note_check(at, field, target, before.offset, known=True)
-        check_target(state, at, field, target, before.offset)
+        return state_before.model_copy(update=unknown_position(at)), False
+    elif state_before.offset_kind == "motor" and not state_before.known:
+        state.note_room(name, state_before)
+        target = choose_turn(axis, amount - state_before.offset, amount - state_before.offset, state_before.offset)
+        _note_check(at, field, target, state_before.offset, known=True)
+        check_target(state, at, field, target, state_before.offset)
         state.conditions["user offsets (`set-position`) are 0 where no step sets them"] = None
-        return before.model_copy(update={"motor": target, "known": True}), False
+        return state_before.model_copy(update={"motor": target, "known": True}), False
     else:
-        target = choose_turn(axis, before.motor, amount - before.offset, before.offset)
+        target = choose_turn(axis, state_before.motor, amount - state_before.offset, state_before.offset)
     update: dict[str, object] = {"motor": target}
-    _note_check(at, field, target, before.offset, known=before.known)
-    if before.known:
-        if not check_target(state, at, field, target, before.offset) and relative:
+    _note_check(at, field, target, state_before.offset, known=state_before.known)
+    if state_before.known:
+        if not check_target(state, at, field, target, state_before.offset) and relative:
             update |= unknown_position(at)  # further moves by a distance would repeat the same mistake
     else:
-        update |= {"lowest": min(before.lowest, target), "highest": max(before.highest, target)}
-        after = before.model_copy(update=update)
-        if not check_room(state, at, field, after):
+        update |= {"lowest": min(state_before.lowest, target), "highest": max(state_before.highest, target)}
+        forecast_after = state_before.model_copy(update=update)
+        if not check_room(state, at, field, forecast_after):
             update |= unknown_position(at)
-    return before.model_copy(update=update), True
+    return state_before.model_copy(update=update), True
 
 
 def _note_check(at: ForecastContext, field: TargetField, target: Fraction, offset: Fraction, *, known: bool) -> None:

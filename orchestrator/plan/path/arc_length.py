@@ -101,10 +101,10 @@ def find_parameters(coefficients: Array, table: LengthTable, row: Index, length:
         from_knot = cell / CELLS
         width = u - from_knot
         inside = (from_knot[:, None] + width[:, None] * POINTS).ravel()
-        many = np.repeat(row, len(POINTS))
-        speed = np.linalg.norm(evaluate_slopes(coefficients, many, inside), axis=1).reshape(-1, len(POINTS))
-        missing = length - begin - width * (speed @ WEIGHTS)
-        u += missing / np.linalg.norm(evaluate_slopes(coefficients, row, u), axis=1)
+        many_repeat = np.repeat(row, len(POINTS))
+        speed = np.linalg.norm(evaluate_slopes(coefficients, many_repeat, inside), axis=1).reshape(-1, len(POINTS))
+        missing_length = length - begin - width * (speed @ WEIGHTS)
+        u += missing_length / np.linalg.norm(evaluate_slopes(coefficients, row, u), axis=1)
     return np.clip(u, 0.0, 1.0)
 
 

@@ -148,17 +148,17 @@ def insert_peaks(ladder: Ladder, squares: Array) -> tuple[Array, Array, Index]:
         fall = (top - squares[1:]) / (2 * acceleration)
         level = h - rise - fall
         small = 1e-9 * h
-        found = np.flatnonzero(
+        corners = np.flatnonzero(
             (rise > -small)
             & (fall > -small)
             & (rise + fall > small)
             & ((np.minimum(rise, fall) > small) | (level > small))
         )
-    flat = found[level[found] > small[found]]
-    new_s = np.concatenate([s, s[found] + rise[found], s[flat + 1] - fall[flat]])
-    new_squares = np.concatenate([squares, top[found], top[flat]])
-    source = np.concatenate([np.arange(len(s)), found, flat])
-    rank = np.concatenate([np.zeros(len(s)), np.ones(len(found)), np.full(len(flat), 2.0)])
+    flat = corners[level[corners] > small[corners]]
+    new_s = np.concatenate([s, s[corners] + rise[corners], s[flat + 1] - fall[flat]])
+    new_squares = np.concatenate([squares, top[corners], top[flat]])
+    source = np.concatenate([np.arange(len(s)), corners, flat])
+    rank = np.concatenate([np.zeros(len(s)), np.ones(len(corners)), np.full(len(flat), 2.0)])
     order = np.lexsort((rank, source))
     return new_s[order], new_squares[order], source[order]
 
@@ -195,10 +195,10 @@ def _find_plateaus(motion: CoarseMotion, begin: Array, end: Array, width: Array)
         # A window that is wider than the whole rise and fall has no level, which would be a stop for ever.
         if k >= PLATEAU_ROUNDS and (level > 0.0).all():
             break
-        covered = motion.positions_at(left + window) - motion.positions_at(left)
+        covered_positions = motion.positions_at(left + window) - motion.positions_at(left)
         longest = np.where(level > 0.0, longest, window / 2)
         narrower = np.clip(
-            window * width * level / np.maximum(covered, 1e-300), np.minimum(end - begin, longest), longest
+            window * width * level / np.maximum(covered_positions, 1e-300), np.minimum(end - begin, longest), longest
         )
         narrower = np.where(level > 0.0, narrower, longest)
         moved = np.abs(window - narrower)

@@ -157,13 +157,13 @@ _FROM_BERNSTEIN: Array = np.array(
 
 def _find_distances(outline: Outline, at: Index, trims: Array, curves: Array) -> Array:
     """The greatest distance of blends from the outline, point by point at equal fractions of u and of length."""
-    many = np.repeat(np.arange(len(at)), COMPARED)
+    many_repeat = np.repeat(np.arange(len(at)), COMPARED)
     fraction = np.tile(_AT, len(at))
-    on_blend = evaluate_polys(curves, many, fraction).q
+    on_blend = evaluate_polys(curves, many_repeat, fraction).q
     late = fraction > 0.5
-    along = (2 * fraction - 1) * trims[many]
-    span = at[many] + late
-    local = np.where(late, along, outline.length[at[many]] + along)
+    along = (2 * fraction - 1) * trims[many_repeat]
+    span = at[many_repeat] + late
+    local = np.where(late, along, outline.length[at[many_repeat]] + along)
     on_outline = evaluate_ends(outline, span, local, QUICK).q
     return np.linalg.norm(on_blend - on_outline, axis=1).reshape(len(at), COMPARED).max(axis=1)
 

@@ -198,7 +198,7 @@ class OutlineBuilder:
         return Outline(shapes, kind, row, table[:, 2], piece, table[:, 4], table[:, 5])
 
     def _scale(self, *points: Array) -> float:
-        return max(1e-3, float(np.abs(self.position).max()), *(float(np.abs(each).max()) for each in points))
+        return max(1e-3, float(np.abs(self.position).max()), *(float(np.abs(point).max()) for point in points))
 
     def _check_length(self, end: PieceEnd, word: str, length: float) -> None:
         if not length > SHORTEST * self._scale():

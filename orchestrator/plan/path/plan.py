@@ -83,9 +83,9 @@ class PathPlan:
         t = np.asarray(t, dtype=np.float64)
         which = self._find_parts(self.starts_s, t)
         rows = [np.zeros((len(t), len(self.axes))) for _ in range(4)]
-        for k, planned in enumerate(self.parts):
+        for k, planned_part in enumerate(self.parts):
             at = np.flatnonzero(which == k)
-            for whole, part in zip(rows, planned.evaluate(t[at] - self.starts_s[k]), strict=True):
+            for whole, part in zip(rows, planned_part.evaluate(t[at] - self.starts_s[k]), strict=True):
                 whole[at] = part
         return MotionRows(*rows)
 
@@ -94,22 +94,22 @@ class PathPlan:
         s = np.asarray(s, dtype=np.float64)
         which = self._find_parts(self.starts, s)
         positions = np.zeros((len(s), len(self.axes)))
-        for k, planned in enumerate(self.parts):
+        for k, planned_part in enumerate(self.parts):
             at = np.flatnonzero(which == k)
-            positions[at] = planned.find_positions(s[at] - self.starts[k])
+            positions[at] = planned_part.find_positions(s[at] - self.starts[k])
         return positions
 
     def find_stretches(self) -> list[Stretch]:
         """The stretches of the path, in order: neighbours differ in the limit that binds, or in the piece."""
-        found: list[Stretch] = []
+        stretches: list[Stretch] = []
         for part, t0, s0 in zip(self.parts, self.starts_s.tolist(), self.starts.tolist(), strict=False):
             if isinstance(part, TableRun):
-                found.append(
+                stretches.append(
                     Stretch(t0, t0 + part.duration_s, s0, s0 + part.length, part.piece + 1, corner=False, order=0)
                 )
             else:
-                found += _list_stretches(part, self.axes, t0, s0)
-        return found
+                stretches += _list_stretches(part, self.axes, t0, s0)
+        return stretches
 
     def _find_parts(self, starts: Array, at: Array) -> Index:
         return np.clip(np.searchsorted(starts, at, side="right") - 1, 0, len(self.parts) - 1)
@@ -155,10 +155,10 @@ def plan_path(
     """
     if isinstance(path, PathSpec):
         frame = None if path.frame is None else find_frame(path, frames or {})
-        resolved = resolve_path(path, axes, frame)
+        resolved_path = resolve_path(path, axes, frame)
     else:
-        resolved = ResolvedPath([path], None, along or AlongLimits())
-    return _plan_parts(resolved, list(axes))
+        resolved_path = ResolvedPath([path], None, along or AlongLimits())
+    return _plan_parts(resolved_path, list(axes))
 
 
 def find_frame(path: PathSpec, frames: Mapping[str, FrameSpec]) -> FrameSpec:

@@ -70,12 +70,12 @@ def resolve_path(spec: PathSpec, axes: Sequence[PathAxis], frame: FrameSpec | No
     """
     units = [axis.unit for axis in axes]
     if frame is None:
-        coordinates, mapped = _Coordinates(spec.axes, units), None
+        coordinates, mapped_frame = _Coordinates(spec.axes, units), None
     else:
         coordinates = _Coordinates(frame.coordinates, [frame.unit] * len(units))
-        mapped = Frame(frame.make_matrix(), frame.make_offset(units))
+        mapped_frame = Frame(frame.make_matrix(), frame.make_offset(units))
     parts = _Collector(spec, coordinates).collect()
-    return ResolvedPath(parts, mapped, parse_along(spec, coordinates.units[0]))
+    return ResolvedPath(parts, mapped_frame, parse_along(spec, coordinates.units[0]))
 
 
 def parse_along(spec: PathSpec, unit: Unit) -> AlongLimits:
@@ -172,6 +172,6 @@ class _Collector:
     def _add_table(self, number: int, piece: TablePiece) -> None:
         place = f"piece {number + 1} (table)"
         rows = np.array([self._coordinates.parse_point(point, place) for point in piece.positions])
-        before = self._builder.position
+        position_before = self._builder.position
         self._end_outline(rows[-1])
-        self._parts.append(TimedTable(number, np.array(piece.t, dtype=np.float64), rows, before))
+        self._parts.append(TimedTable(number, np.array(piece.t, dtype=np.float64), rows, position_before))

@@ -62,15 +62,15 @@ def plan_run(outline: Outline, frame: Frame | None, limits: PathLimits) -> Run:
     that of the next is faster with a stop, the third plan stops. The fastest of the three is taken.
     """
     corners = fit_corners(outline, even=limits.third_order)
-    rounded = make_track(outline, frame, corners)
-    plans = [(rounded, plan_law(rounded, limits))]
-    if rounded.blend.any():
-        stopped = make_track(outline, frame, corners, np.ones(len(outline.kind), dtype=bool))
-        plans.append((stopped, plan_law(stopped, limits)))
+    rounded_track = make_track(outline, frame, corners)
+    plans = [(rounded_track, plan_law(rounded_track, limits))]
+    if rounded_track.blend.any():
+        stopped_track = make_track(outline, frame, corners, np.ones(len(outline.kind), dtype=bool))
+        plans.append((stopped_track, plan_law(stopped_track, limits)))
         stops = _choose_stops(outline, *plans)
         if stops.any():
-            mixed = make_track(outline, frame, corners, stops)
-            plans.append((mixed, plan_law(mixed, limits)))
+            mixed_track = make_track(outline, frame, corners, stops)
+            plans.append((mixed_track, plan_law(mixed_track, limits)))
     plans.sort(key=lambda plan: plan[1].duration_s)
     best = _hold_limits(*plans[0], limits)
     # The check may have stretched it behind the next one.

@@ -91,11 +91,11 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array, section: Index) -> P
     number -= section[0]
     window = coarse.t[first][number], coarse.t[np.append(first[1:], len(section)) - 1][number]
     begin, dt = knots[:-1], np.diff(knots)
-    late, soon = _Window(coarse, *window, begin + half), _Window(coarse, *window, begin - half)
-    ahead, behind = _Window(coarse, *window, middle + half), _Window(coarse, *window, middle - half)
-    j = np.where(sharp, 0.0, (ahead.accelerations - behind.accelerations) / width)
-    v = np.where(sharp, late.speeds, np.maximum(late.positions - soon.positions, 0.0) / width)
-    a = np.where(sharp, ahead.accelerations, (late.speeds - soon.speeds) / width)
+    late, soon_window = _Window(coarse, *window, begin + half), _Window(coarse, *window, begin - half)
+    window_ahead, window_behind = _Window(coarse, *window, middle + half), _Window(coarse, *window, middle - half)
+    j = np.where(sharp, 0.0, (window_ahead.accelerations - window_behind.accelerations) / width)
+    v = np.where(sharp, late.speeds, np.maximum(late.positions - soon_window.positions, 0.0) / width)
+    a = np.where(sharp, window_ahead.accelerations, (late.speeds - soon_window.speeds) / width)
     s = _sum_sections(dt * (v + dt * (a / 2 + dt * j / 6)), number, coarse.s[np.append(first, len(section) - 1)])
     return PathMotion(begin - knots[0], s, v, a, j, number, float(knots[-1] - knots[0]), float(coarse.s[-1]))
 

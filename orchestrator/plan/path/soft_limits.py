@@ -27,13 +27,13 @@ def check_track(track: Track, axes: list[PathAxis]) -> None:
         # An axis moves by at most its row's norm for each unit of length.
         rate = 1.0 if track.frame is None else float(np.linalg.norm(track.frame.matrix[k]))
         for sign, limit in zip((-1.0, 1.0), axis.soft_limits, strict=True):
-            allowed = sign * limit + ROUNDING * (axis.soft_limits[1] - axis.soft_limits[0])
+            allowed_sign = sign * limit + ROUNDING * (axis.soft_limits[1] - axis.soft_limits[0])
             reach = (sign * (q[:-1, k] + q[1:, k]) + rate * h) / 2
             ends = np.maximum(sign * q[:-1, k], sign * q[1:, k])
             reach = np.where(track.kind[span[:-1]] == LINE, ends, reach)
-            for cell in np.flatnonzero(reach > allowed):
+            for cell in np.flatnonzero(reach > allowed_sign):
                 place, value = _find_extreme(track, span[cell], (local[cell], local[cell] + h[cell]), (k, sign))
-                if sign * value > allowed:
+                if sign * value > allowed_sign:
                     _refuse(int(track.piece[span[cell]]), axis, (place, value), limit)
 
 
@@ -79,8 +79,8 @@ def _find_turns(run: TableRun, axis: int) -> Array:
     h = np.diff(run.knots)
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c2**2 - 3 * c1 * c3)
-        found = [(-c2 + root) / (3 * c3), (-c2 - root) / (3 * c3), -c1 / (2 * c2)]
-    inside = [run.knots[:-1][(x > 0) & (x < h)] + x[(x > 0) & (x < h)] for x in found]
+        roots = [(-c2 + root) / (3 * c3), (-c2 - root) / (3 * c3), -c1 / (2 * c2)]
+    inside = [run.knots[:-1][(x > 0) & (x < h)] + x[(x > 0) & (x < h)] for x in roots]
     return np.concatenate([run.knots, *inside])
 
 

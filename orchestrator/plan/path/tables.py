@@ -66,11 +66,11 @@ class TableRun:
         """The positions of the axes after lengths `s` of the way."""
         ends = np.cumsum(self.lengths.lengths[:, -1])
         gap = np.clip(np.searchsorted(ends, s, side="left"), 0, len(ends) - 1)
-        inside = s - (ends[gap] - self.lengths.lengths[gap, -1])
+        way_inside = s - (ends[gap] - self.lengths.lengths[gap, -1])
         low, high = np.zeros(len(s)), np.ones(len(s))
         for _ in range(BISECTIONS):  # not Newton: speeds are zero at rests
             middle = (low + high) / 2
-            beyond = find_lengths(self.curves, self.lengths, gap, middle) > inside
+            beyond = find_lengths(self.curves, self.lengths, gap, middle) > way_inside
             low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
         steps = np.diff(self.knots)
         return self.evaluate(self.knots[gap] + low * steps[gap])[0]
@@ -127,9 +127,9 @@ def _fit_cubics(knots: Array, values: Array) -> Array:
     h = np.diff(knots)
     n = len(knots)
     lower, upper, diagonal = h[:-1].copy(), h[1:].copy(), 2 * (h[:-1] + h[1:])
-    known = values.copy()
-    known[1], known[-2] = values[0], values[-1]
-    right = 6 * np.diff(np.diff(known, axis=0) / h[:, None], axis=0)
+    known_values = values.copy()
+    known_values[1], known_values[-2] = values[0], values[-1]
+    right = 6 * np.diff(np.diff(known_values, axis=0) / h[:, None], axis=0)
     # Equations k = 1 … n-2 stand in rows 0 … n-3.
     diagonal[0] += h[0] + h[0] ** 2 / h[1]
     lower[1] -= h[0] ** 2 / h[1]
@@ -142,11 +142,11 @@ def _fit_cubics(knots: Array, values: Array) -> Array:
         right[k] -= factor * right[k - 1]
     for k in range(n - 3, -1, -1):
         second[k + 1] = (right[k] - upper[k] * second[k + 2]) / diagonal[k]
-    known[1] += second[1] * h[0] ** 2 / 6
-    known[-2] += second[-2] * h[-1] ** 2 / 6
+    known_values[1] += second[1] * h[0] ** 2 / 6
+    known_values[-2] += second[-2] * h[-1] ** 2 / 6
     step = h[:, None]
-    slopes = np.diff(known, axis=0) / step - step * (2 * second[:-1] + second[1:]) / 6
-    return np.stack([known[:-1], slopes, second[:-1] / 2, np.diff(second, axis=0) / (6 * step)], axis=1)
+    slopes = np.diff(known_values, axis=0) / step - step * (2 * second[:-1] + second[1:]) / 6
+    return np.stack([known_values[:-1], slopes, second[:-1] / 2, np.diff(second, axis=0) / (6 * step)], axis=1)
 
 
 def _find_stretch(table: TimedTable, h: Array, cubics: Array, judged: tuple[PathLimits, list[str], Index]) -> float:
@@ -161,9 +161,11 @@ def _find_stretch(table: TimedTable, h: Array, cubics: Array, judged: tuple[Path
     velocity = np.maximum(np.maximum(np.abs(c1), np.abs(end)), np.abs(top))
     acceleration = np.maximum(np.abs(2 * c2), np.abs(2 * c2 + 6 * c3 * step))
     jerk = np.abs(6 * c3)
-    found = (velocity, acceleration, jerk)
-    allowed = (limits.velocity, limits.acceleration, limits.jerk)
-    needed = np.stack([(f / a) ** (1 / (k + 1)) for k, (f, a) in enumerate(zip(found, allowed, strict=True))])
+    velocities = (velocity, acceleration, jerk)
+    allowed_velocities = (limits.velocity, limits.acceleration, limits.jerk)
+    needed = np.stack(
+        [(f / a) ** (1 / (k + 1)) for k, (f, a) in enumerate(zip(velocities, allowed_velocities, strict=True))]
+    )
     worst = float(needed.max())
     if worst <= MOST_STRETCH:
         return max(1.0, worst)
@@ -172,6 +174,6 @@ def _find_stretch(table: TimedTable, h: Array, cubics: Array, judged: tuple[Path
     n = table.piece + 1
     text = (
         f"piece {n} (table): between rows {row[gap]} and {row[gap] + 1} {names[axis]} needs a {word} of "
-        f"{found[order][gap, axis]:.6g}, and its limit is {allowed[order][axis]:.6g}"
+        f"{velocities[order][gap, axis]:.6g}, and its limit is {allowed_velocities[order][axis]:.6g}"
     )
     raise PathRefusal("table-limit", text, f"give the table {worst:.3g} times its time, or remove the jump there", n)

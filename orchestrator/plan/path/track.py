@@ -69,5 +69,5 @@ class Track:
     def evaluate_spans(self, span: Index, local: Array, rounds: int = NEWTON_ROUNDS) -> Derivatives:
         """The same, at `local` lengths from the starts of spans."""
         local = np.clip(local, 0.0, self.length[span])
-        found = self.shapes.evaluate(self.kind[span], self.row[span], self.low[span] + local, rounds)
-        return found if self.frame is None else self.frame.apply(found)
+        shape = self.shapes.evaluate(self.kind[span], self.row[span], self.low[span] + local, rounds)
+        return shape if self.frame is None else self.frame.apply(shape)

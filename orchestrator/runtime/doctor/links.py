@@ -10,18 +10,18 @@ from orchestrator.runtime.doctor.findings import Finding
 
 def check_links(fleet: Fleet, hosts: Iterable[str], root: Path = Path("/")) -> list[Finding]:
     """The serial ports and CAN interfaces of the controllers of these adapter hosts. root: of the file system."""
-    chosen, found = set(hosts), dict[str, Finding]()
+    chosen, findings = set(hosts), dict[str, Finding]()
     for name, config in fleet.controllers.items():
         link = config.link
         if config.host not in chosen:
             continue
         if isinstance(link, SerialLink):
-            found.setdefault(link.device, _check_serial(name, link.device, root))
+            findings.setdefault(link.device, _check_serial(name, link.device, root))
         elif isinstance(link, CanBusLink) and link.channel.startswith("/"):
-            found.setdefault(link.channel, _check_serial(name, link.channel, root))
+            findings.setdefault(link.channel, _check_serial(name, link.channel, root))
         elif isinstance(link, CanBusLink) and link.interface == "socketcan":
-            found.setdefault(link.channel, _check_can(name, link.channel, root))
-    return list(found.values())
+            findings.setdefault(link.channel, _check_can(name, link.channel, root))
+    return list(findings.values())
 
 
 def _check_serial(name: str, device: str, root: Path) -> Finding:

@@ -20,19 +20,19 @@ async def check_parts(endpoint: str) -> list[Finding]:
     `RouterUnreachable`."""
     bus = await open_bus(endpoint)
     try:
-        return [each for fleet in await find_fleets(bus) for each in await find_versions(bus, FleetKeys(fleet))]
+        return [version for fleet in await find_fleets(bus) for version in await find_versions(bus, FleetKeys(fleet))]
     finally:
         await bus.close()
 
 
 async def find_versions(bus: Bus, keys: FleetKeys) -> list[Finding]:
     """The versions of the parts of one fleet."""
-    stated: dict[str, PartVersion] = {}
+    stated_versions: dict[str, PartVersion] = {}
     for key, payload in (await _ask(bus, keys.leader_answer())).items():
-        stated[f"coordinator {key.rpartition('/')[2][:8]}"] = _read_version(LeaderHeartbeat, payload)
+        stated_versions[f"coordinator {key.rpartition('/')[2][:8]}"] = _read_version(LeaderHeartbeat, payload)
     for key, payload in sorted((await _ask(bus, keys.info())).items()):
-        stated[f"the adapter of {key.split('/')[-2]}"] = _read_version(ControllerInfo, payload)
-    return [_judge(f"{name} of fleet {keys.fleet}", version) for name, version in stated.items()]
+        stated_versions[f"the adapter of {key.split('/')[-2]}"] = _read_version(ControllerInfo, payload)
+    return [_judge(f"{name} of fleet {keys.fleet}", version) for name, version in stated_versions.items()]
 
 
 async def _ask(bus: Bus, key: str) -> dict[str, bytes]:
@@ -45,10 +45,10 @@ async def _ask(bus: Bus, key: str) -> dict[str, bytes]:
 def _read_version(model: type[LeaderHeartbeat] | type[ControllerInfo], payload: bytes) -> PartVersion:
     """What a part states; of an answer that cannot be read, nothing."""
     try:
-        found = model.read_message(payload)
+        message = model.read_message(payload)
     except ValidationError:
         return PartVersion("", "")
-    return PartVersion(found.tutti, found.protocol)
+    return PartVersion(message.tutti, message.protocol)
 
 
 def _judge(name: str, stated: PartVersion) -> Finding:

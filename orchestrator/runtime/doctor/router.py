@@ -45,10 +45,10 @@ async def check_openness(endpoint: str) -> Finding:
 
 async def list_alarms(bus: Bus) -> list[AlarmRecord]:
     """The alarms of all fleets on a bus, as their leaders serve them; one that cannot be read is left out."""
-    found: list[AlarmRecord] = []
+    alarms: list[AlarmRecord] = []
     for fleet in await find_fleets(bus):
         with suppress(BusError):
             for payload in (await bus.request_all(FleetKeys(fleet).alarm(), b"", ANSWER_S)).values():
                 with suppress(ValidationError):
-                    found.append(AlarmRecord.read_message(payload))
-    return found
+                    alarms.append(AlarmRecord.read_message(payload))
+    return alarms

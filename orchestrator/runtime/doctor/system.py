@@ -73,7 +73,7 @@ def check_clock_source(root: Path = Path("/")) -> Finding:
 
 def check_usb_latency(root: Path = Path("/")) -> list[Finding]:
     """The latency timers of FTDI adapters: by default they keep received bytes for up to 16 ms."""
-    found: list[Finding] = []
+    latency: list[Finding] = []
     for path in sorted((root / "sys/bus/usb-serial/devices").glob("*/latency_timer")):
         name = path.parent.name
         try:
@@ -82,15 +82,15 @@ def check_usb_latency(root: Path = Path("/")) -> list[Finding]:
             continue
         if timer_ms > 1:
             remedy = "`sudo tutti service udev` sets it to 1 whenever an adapter is plugged in"
-            found.append(Finding("USB latency", "warning", f"{name} keeps received bytes for {timer_ms} ms", remedy))
+            latency.append(Finding("USB latency", "warning", f"{name} keeps received bytes for {timer_ms} ms", remedy))
         else:
-            found.append(Finding("USB latency", "ok", f"{name}: {timer_ms} ms"))
-    return found
+            latency.append(Finding("USB latency", "ok", f"{name}: {timer_ms} ms"))
+    return latency
 
 
 def check_disk(folder: Path) -> Finding:
     """How long a write to the disk of the state folder takes, and how much is free there."""
-    place = next(each for each in (folder, *folder.parents) if each.exists())
+    place = next(path for path in (folder, *folder.parents) if path.exists())
     took: list[float] = []
     try:
         with NamedTemporaryFile(dir=place) as file:
@@ -119,7 +119,7 @@ def check_disk(folder: Path) -> Finding:
 
 def check_ports(ports: Sequence[tuple[str, int]]) -> list[Finding]:
     """Whether ports of 127.0.0.1 are free, each with what would use it."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for what, port in ports:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -127,9 +127,9 @@ def check_ports(ports: Sequence[tuple[str, int]]) -> list[Finding]:
                 probe.bind(("127.0.0.1", port))
             except OSError as error:
                 text = f"port {port} ({what}) is in use: {error.strerror}"
-                found.append(
+                findings.append(
                     Finding("ports", "warning", text, "fine if a fleet runs here; else choose another: --port")
                 )
             else:
-                found.append(Finding("ports", "ok", f"port {port} ({what}) is free"))
-    return found
+                findings.append(Finding("ports", "ok", f"port {port} ({what}) is free"))
+    return findings

@@ -181,7 +181,7 @@ def _list_web_options(place: ServicePlace) -> list[str]:
 def _list_devices(part: str, place: ServicePlace) -> list[str]:
     """What the links of the controllers here need; all others get no device."""
     hosts = {"host": [place.host], "coordinator": list(place.local)}.get(part, [])
-    links = [each.link for each in place.fleet.controllers.values() if each.host in hosts]
+    links = [controller.link for controller in place.fleet.controllers.values() if controller.host in hosts]
     serial = any(
         isinstance(link, SerialLink) or (isinstance(link, CanBusLink) and link.channel.startswith("/"))
         for link in links

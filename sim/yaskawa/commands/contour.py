@@ -18,8 +18,8 @@ def _compile_contour_mode(text: str) -> Runner:
     names = parse_axes(text)
 
     def run_command(c: CommandContext) -> Outcome:
-        chosen = {c.machine.find_axis(name).name for name in names} or set(c.machine.letters)
-        axes = tuple(name for name in c.machine.letters if name in chosen)
+        chosen_names = {c.machine.find_axis(name).name for name in names} or set(c.machine.letters)
+        axes = tuple(name for name in c.machine.letters if name in chosen_names)
         c.machine.motion.contouring.enter_contour(axes, c.machine.current_sample())
         return None
 

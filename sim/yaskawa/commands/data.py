@@ -99,32 +99,32 @@ def _compile_message(text: str) -> Runner:
 
 def _split_pieces(piece: str) -> list[str]:
     """Split a field of MG where braces follow it without a separator (`{^07}{^255}`, `V{F4.2}{N}`)."""
-    found: list[str] = []
-    rest = piece
-    while rest:
-        if rest.startswith("{"):
-            end = rest.find("}")
+    pieces: list[str] = []
+    rest_piece = piece
+    while rest_piece:
+        if rest_piece.startswith("{"):
+            end = rest_piece.find("}")
             if end < 0:
                 raise CommandError(53)
-            found.append(rest[: end + 1])
-            rest = rest[end + 1 :]
+            pieces.append(rest_piece[: end + 1])
+            rest_piece = rest_piece[end + 1 :]
             continue
-        if rest.startswith('"'):
-            end = rest.find('"', 1)
+        if rest_piece.startswith('"'):
+            end = rest_piece.find('"', 1)
             if end < 0:
                 raise CommandError(52)
-            found.append(rest[: end + 1])
-            rest = rest[end + 1 :]
+            pieces.append(rest_piece[: end + 1])
+            rest_piece = rest_piece[end + 1 :]
             continue
-        end = rest.find("{")
-        value = rest if end < 0 else rest[:end]
-        rest = "" if end < 0 else rest[end:]
-        match = _BRACES.match(rest)
+        end = rest_piece.find("{")
+        value = rest_piece if end < 0 else rest_piece[:end]
+        rest_piece = "" if end < 0 else rest_piece[end:]
+        match = _BRACES.match(rest_piece)
         if match is not None and match[0][1:2] in ("F", "$", "S"):
             value += match[0]
-            rest = rest[match.end() :]
-        found.append(value)
-    return found
+            rest_piece = rest_piece[match.end() :]
+        pieces.append(value)
+    return pieces
 
 
 def _compile_part(text: str) -> Part:
@@ -245,9 +245,9 @@ def _compile_upload_array(text: str) -> Runner:
         if c.machine.motion.is_active():
             raise CommandError(7)
         array = c.machine.data.get_array(name)
-        given = [*fields(c), None, None]
-        first, last = element_span(c, len(array), given)
-        comma = given[2] is not None and fixed.to_integer(given[2]) == 1
+        given_fields = [*fields(c), None, None]
+        first, last = element_span(c, len(array), given_fields)
+        comma = given_fields[2] is not None and fixed.to_integer(given_fields[2]) == 1
         numbers = [c.machine.position_format.format_value(raw, c.machine.layout) for raw in array[first : last + 1]]
         written = (",".join(numbers) if comma else "\r".join(numbers)) + ("" if comma else "\r") + END_OF_TEXT
         if c.port is None:

@@ -220,20 +220,20 @@ def _compile_input_interrupt(text: str) -> Runner:
         if first is not None:
             if not 0 <= first <= 8 or (last is not None and not 2 <= last <= 8):
                 raise CommandError(6)
-            selected = 0
+            selected_mask = 0
             if first:
                 for number in range(first, (last or first) + 1):
-                    selected |= 1 << (number - 1)
+                    selected_mask |= 1 << (number - 1)
         elif mask is not None:
             if not 1 <= mask <= 255:
                 raise CommandError(6)
-            selected = mask
+            selected_mask = mask
         else:
-            selected = high or 0
+            selected_mask = high or 0
         if high is not None and not 1 <= high <= 255:
             raise CommandError(6)
-        programs.interrupts, programs.active_high = selected, high or 0
-        programs.interrupts_on = selected != 0
+        programs.interrupts, programs.active_high = selected_mask, high or 0
+        programs.interrupts_on = selected_mask != 0
         return None
 
     return run_command

@@ -119,9 +119,9 @@ def _compile_cam_enable(text: str) -> Runner:
                 raise CommandError(103)
             motion.camming.set_modulus(cam.effective_cycle)
         else:
-            now = c.machine.timebase.next_sample()
+            sample_now = c.machine.timebase.next_sample()
             for name in tuple(cam.followers):
-                motion.camming.disengage_slave(motion.axes[name], now)
+                motion.camming.disengage_slave(motion.axes[name], sample_now)
             cam.waiting.clear()
             motion.camming.set_modulus(0)
         cam.enabled = bool(wanted)
@@ -156,16 +156,16 @@ def _compile_cam_interval(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         cam = c.machine.motion.cam
-        given = [*fields(c), None]
+        given_fields = [*fields(c), None]
         if cam.followers:
             raise CommandError(100)
-        if given[0] is not None:
-            interval = fixed.to_integer(given[0])
+        if given_fields[0] is not None:
+            interval = fixed.to_integer(given_fields[0])
             if not 1 <= interval <= 32767:
                 raise CommandError(6)
             cam.interval = interval
-        if given[1] is not None:
-            cam.start = fixed.to_integer(given[1])
+        if given_fields[1] is not None:
+            cam.start = fixed.to_integer(given_fields[1])
         return None
 
     return run_command

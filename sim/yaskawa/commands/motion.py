@@ -35,10 +35,10 @@ def _compile_begin(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
         machine, motion = c.machine, c.machine.motion
         now, at = machine.current_sample(), machine.timebase.next_sample()
-        wanted = resolve_names(c, names)
-        systems = [motion.systems[name] for name in wanted if name in motion.systems]
+        wanted_names = resolve_names(c, names)
+        systems = [motion.systems[name] for name in wanted_names if name in motion.systems]
         if names:
-            axes = [machine.find_axis(name) for name in wanted if name not in motion.systems]
+            axes = [machine.find_axis(name) for name in wanted_names if name not in motion.systems]
         else:
             axes = [axis for axis in motion.real if not axis.motor_off and not axis.is_moving]
             if not axes:
@@ -88,8 +88,8 @@ def _compile_stop(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
         machine, motion = c.machine, c.machine.motion
         at = machine.timebase.next_sample()
-        wanted = resolve_names(c, names) or [*motion.axes, *motion.systems]
-        for name in wanted:
+        wanted_names = resolve_names(c, names) or [*motion.axes, *motion.systems]
+        for name in wanted_names:
             if name in motion.systems:
                 system = motion.systems[name]
                 if system.running:
@@ -125,13 +125,13 @@ def _compile_servo_here(text: str) -> Runner:
     names = parse_axes(text)
 
     def run_command(c: CommandContext) -> Outcome:
-        now = c.machine.current_sample()
+        sample_now = c.machine.current_sample()
         axes = chosen_axes(c, names)
         for axis in axes:
             if axis.is_moving:
                 raise busy_refusal(axis)
         for axis in axes:
-            c.machine.motion.switch_motor_on(axis, now)
+            c.machine.motion.switch_motor_on(axis, sample_now)
         return None
 
     return run_command

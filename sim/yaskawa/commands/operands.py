@@ -356,7 +356,7 @@ def _compile_response(suffix: str) -> Evaluator:
 
     def read_value(c: CommandContext) -> int:
         peer = c.machine.ports.outgoing.get(name)
-        found = peer.fields if peer is not None else []
-        return found[item] if item < len(found) else fixed.from_integer(UNUSED)
+        fields = peer.fields if peer is not None else []
+        return fields[item] if item < len(fields) else fixed.from_integer(UNUSED)
 
     return read_value

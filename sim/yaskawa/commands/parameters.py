@@ -71,13 +71,13 @@ def parameter_writer(op: str, check: Checked | None = None, applied: Applied | N
 
     def write_values(c: CommandContext, given: list[tuple[ServoAxis, int]]) -> None:
         parameter = c.machine.model.parameters[op]
-        accepted = [(axis, accept_value(parameter, axis, raw)) for axis, raw in given]
-        for axis, raw in accepted:
+        accepted_axis = [(axis, accept_value(parameter, axis, raw)) for axis, raw in given]
+        for axis, raw in accepted_axis:
             if axis.is_moving and not parameter.moving:
                 raise CommandError(18 if axis.mode == "contour" else 29 if axis.mode == "sequence" else 7)
             if check is not None:
                 check(c, axis, op, raw)
-        for axis, raw in accepted:
+        for axis, raw in accepted_axis:
             axis.registers[op] = raw
             if applied is not None:
                 applied(c, axis, op)

@@ -127,9 +127,9 @@ def _compile_linear_segment(text: str) -> Runner:
             raise CommandError(33)
         if system.ended:
             restart_system(system)
-        given = fields(c)
+        given_fields = fields(c)
         steps: dict[str, int] = {}
-        for letter, raw in zip(LETTERS, given, strict=False):
+        for letter, raw in zip(LETTERS, given_fields, strict=False):
             if raw is None:
                 continue
             step = fixed.to_integer(raw)
@@ -179,11 +179,11 @@ def _compile_vector_point(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         system = _require_plane(c)
-        given = fields(c)
+        given_fields = fields(c)
         start, scale = system.queue_end(), system.ellipse
         end = tuple(
             start[index] if raw is None else fixed.to_integer(raw) * scale[index]
-            for index, raw in enumerate([*given, None][:2])
+            for index, raw in enumerate([*given_fields, None][:2])
         )
         if start == end and c.machine.options.zero_segments:
             return None
@@ -204,10 +204,10 @@ def _compile_circle(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         system = _require_plane(c)
-        given = [raw for raw in fields(c) if raw is not None]
-        if len(given) != 3:
+        given_fields = [raw for raw in fields(c) if raw is not None]
+        if len(given_fields) != 3:
             raise CommandError(50)
-        radius, angle, sweep = (raw / fixed.ONE for raw in given)
+        radius, angle, sweep = (raw / fixed.ONE for raw in given_fields)
         if not 10 <= radius <= 6_000_000 or abs(angle) > 32000 or not 0.0001 <= abs(sweep) <= 32000:
             raise CommandError(6)
         if radius * abs(sweep) > 4.5e8:
@@ -288,13 +288,13 @@ def _register_parameter(op: str, parameter: SystemParameter, write: Callable[[Co
             names = [name for name, part in zip("ST", parts, strict=False) if part]
 
         def run_command(c: CommandContext) -> Outcome:
-            given = [(find_system(c, name), field(c)) for name, field in zip(names, fields, strict=True)]
-            for system, raw in given:
+            given_systems = [(find_system(c, name), field(c)) for name, field in zip(names, fields, strict=True)]
+            for system, raw in given_systems:
                 if not fixed.from_real(parameter.low) <= raw <= fixed.from_real(parameter.high):
                     raise CommandError(6)
                 if system.running and not parameter.moving:
                     raise CommandError(7)
-            for system, raw in given:
+            for system, raw in given_systems:
                 write(system, parameter.accept_value(raw))
                 if system.running:
                     system.replan_speed(c.machine.timebase.next_sample())
@@ -346,10 +346,10 @@ def _compile_ellipse(text: str) -> Runner:
     fields = compile_values(parse_fields(text, 2))
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [raw for raw in fields(c) if raw is not None]
-        if len(given) != 2:
+        given_fields = [raw for raw in fields(c) if raw is not None]
+        if len(given_fields) != 2:
             raise CommandError(50)
-        m, n = (fixed.to_integer(raw) for raw in given)
+        m, n = (fixed.to_integer(raw) for raw in given_fields)
         if not (1 <= m <= 65535 and 1 <= n <= 65535):
             raise CommandError(6)
         system = find_system(c)
@@ -368,16 +368,16 @@ def compile_tangent(text: str) -> Runner:
     fields = compile_values(parse_fields(text, 2))
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [*fields(c), None]
+        given_fields = [*fields(c), None]
         system = find_system(c)
-        if given[0] is not None:
-            if abs(given[0]) > 127 * fixed.ONE:
+        if given_fields[0] is not None:
+            if abs(given_fields[0]) > 127 * fixed.ONE:
                 raise CommandError(6)
-            system.tangent_scale = given[0] // 256 * 256 / fixed.ONE
-        if given[1] is not None:
-            if abs(given[1]) > 2_000_000_000 * fixed.ONE:
+            system.tangent_scale = given_fields[0] // 256 * 256 / fixed.ONE
+        if given_fields[1] is not None:
+            if abs(given_fields[1]) > 2_000_000_000 * fixed.ONE:
                 raise CommandError(6)
-            system.tangent_zero = float(fixed.to_integer(given[1]))
+            system.tangent_zero = float(fixed.to_integer(given_fields[1]))
         return None
 
     return run_command

@@ -65,8 +65,8 @@ def latched_position(c: CommandContext, axis: ServoAxis) -> int:
 
 def average_velocity(c: CommandContext, axis: ServoAxis) -> int:
     """`TV`: counts/s, averaged over 256 samples."""
-    now = c.machine.current_sample()
-    return _average_speed(axis, now, axis.command_at(now))
+    sample_now = c.machine.current_sample()
+    return _average_speed(axis, sample_now, axis.command_at(sample_now))
 
 
 def _average_speed(axis: ServoAxis, now: int, position: float) -> int:
@@ -95,8 +95,8 @@ def torque_volts(c: CommandContext, axis: ServoAxis) -> int:
 
 def switch_states(c: CommandContext, axis: ServoAxis) -> int:
     """`TS` (L10906)."""
-    now = c.machine.current_sample()
-    return _switch_bits(c, axis, now, axis.reference_at(now), axis.actual_at(now))
+    sample_now = c.machine.current_sample()
+    return _switch_bits(c, axis, sample_now, axis.reference_at(sample_now), axis.actual_at(sample_now))
 
 
 def _switch_bits(c: CommandContext, axis: ServoAxis, now: int, command_now: int, encoder_now: int) -> int:
@@ -310,13 +310,13 @@ def _general_block(c: CommandContext) -> bytes:
 
 
 def _system_block(c: CommandContext, system: CoordinateSystem) -> bytes:
-    now = c.machine.current_sample()
+    sample_now = c.machine.current_sample()
     status = 0
     if system.running and system.profile is not None:
-        acceleration = system.profile.acceleration_at(now)
+        acceleration = system.profile.acceleration_at(sample_now)
         status = 1 << 15 | (acceleration == 0) << 5 | system.stopping << 4 | (acceleration < 0) << 3
     return _SYSTEM_BLOCK.pack(
-        system.segment_index(now) & 0xFFFF, status, fixed.wrap_counts(int(system.travelled_distance(now)))
+        system.segment_index(sample_now) & 0xFFFF, status, fixed.wrap_counts(int(system.travelled_distance(sample_now)))
     )
 
 
@@ -329,8 +329,8 @@ def axis_values(c: CommandContext, axis: ServoAxis, now: int) -> tuple[int, ...]
     """Return the nine values of an axis block: status, switches, stop code, positions (reference, motor, error,
     auxiliary), velocity, torque. The command is evaluated once for all of them: the record is the one that hosts
     poll."""
-    here = axis.command_at(now)
-    command_now = fixed.wrap_counts(fixed.round_half_up(here))
+    command_here = axis.command_at(now)
+    command_now = fixed.wrap_counts(fixed.round_half_up(command_here))
     encoder_now = axis.actual_at(now)
     return (
         _axis_status(axis, now),
@@ -340,7 +340,7 @@ def axis_values(c: CommandContext, axis: ServoAxis, now: int) -> tuple[int, ...]
         axis.report_counts(encoder_now),
         fixed.wrap_counts(command_now - encoder_now),
         auxiliary_position(c, axis),
-        fixed.wrap_counts(_average_speed(axis, now, here) * 64),
+        fixed.wrap_counts(_average_speed(axis, now, command_here) * 64),
         max(min(round(torque_volts(c, axis) / fixed.ONE / 10.0 * 32767), 32767), -32767),
     )
 
@@ -352,8 +352,8 @@ def _axis_bytes(c: CommandContext) -> int:
 
 def _axis_switches(c: CommandContext, axis: ServoAxis, state: int) -> int:
     latch_input = axis.index < 8 and c.machine.environment.inputs[axis.index]
-    captured = not axis.latch_armed and axis.latch_used
-    return captured << 7 | latch_input << 6 | state & 0x0E
+    captured_latch = not axis.latch_armed and axis.latch_used
+    return captured_latch << 7 | latch_input << 6 | state & 0x0E
 
 
 def _axis_status(axis: ServoAxis, now: int) -> int:

@@ -73,12 +73,12 @@ def _compile_analog_output(text: str) -> Runner:
     fields = compile_values(parse_fields(text, 2))
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [raw for raw in fields(c) if raw is not None]
-        if len(given) != 2:
+        given_fields = [raw for raw in fields(c) if raw is not None]
+        if len(given_fields) != 2:
             raise CommandError(50)
-        if abs(given[1]) > fixed.from_real(9.9982):
+        if abs(given_fields[1]) > fixed.from_real(9.9982):
             raise CommandError(6)
-        c.machine.io.set_analog(fixed.to_integer(given[0]), given[1] / fixed.ONE)
+        c.machine.io.set_analog(fixed.to_integer(given_fields[0]), given_fields[1] / fixed.ONE)
         return None
 
     return run_command

@@ -64,13 +64,15 @@ def _compile_after_move(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
-        wanted = resolve_names(c, names)
-        systems = [motion.systems[name] for name in wanted if name in motion.systems]
-        axes = [c.machine.find_axis(name) for name in wanted if name not in motion.systems]
+        wanted_names = resolve_names(c, names)
+        systems = [motion.systems[name] for name in wanted_names if name in motion.systems]
+        axes = [c.machine.find_axis(name) for name in wanted_names if name not in motion.systems]
         if not names:
             axes, systems = list(motion.real), list(motion.systems.values())
         return when_passed(
-            lambda machine, now: not any(axis.is_moving for axis in axes) and not any(one.running for one in systems)
+            lambda machine, now: (
+                not any(axis.is_moving for axis in axes) and not any(system.running for system in systems)
+            )
         )
 
     return run_command
@@ -82,9 +84,9 @@ def _compile_after_speed(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
-        wanted = resolve_names(c, names)
-        systems = [motion.systems[name] for name in wanted if name in motion.systems]
-        axes = [c.machine.find_axis(name) for name in wanted if name not in motion.systems]
+        wanted_names = resolve_names(c, names)
+        systems = [motion.systems[name] for name in wanted_names if name in motion.systems]
+        axes = [c.machine.find_axis(name) for name in wanted_names if name not in motion.systems]
         return at_speed(axes if names else list(motion.real), systems)
 
     return run_command

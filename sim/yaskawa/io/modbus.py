@@ -97,10 +97,10 @@ class RemotePoints:
 
     def _read_reply(self, number: int, function: int) -> bytes:
         peer, unit, point = self._locate_point(number)
-        found: list[bytes] = []
+        registers: list[bytes] = []
         send_request(
-            peer, build_request(unit, function, struct.pack(">HH", point, 1)), lambda data: found.append(data[1:])
+            peer, build_request(unit, function, struct.pack(">HH", point, 1)), lambda data: registers.append(data[1:])
         )
-        if peer.send_state == WAITING or peer.send_state != ACCEPTED or not found or not found[0]:
+        if peer.send_state == WAITING or peer.send_state != ACCEPTED or not registers or not registers[0]:
             raise CommandError(121)
-        return found[0]
+        return registers[0]

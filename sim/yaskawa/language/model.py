@@ -33,13 +33,13 @@ class LanguageModel(ModelProperties):
 
     def compile_operand(self, text: str) -> Evaluator:
         """Return the function that reads `_XX…`; 58 when there is no such operand."""
-        found = self._compiled_operands.get(text)
-        if found is None:
+        operand = self._compiled_operands.get(text)
+        if operand is None:
             entry = self.operands.get(text[1:3])
             if entry is None:
                 raise CommandError(58)
-            found = self._compiled_operands[text] = entry(text[3:])
-        return found
+            operand = self._compiled_operands[text] = entry(text[3:])
+        return operand
 
     def allowed_suffixes(self, op: str) -> str:
         """Return the letters that may follow `op` in `XXa=value` (axes in their X Y Z W names)."""

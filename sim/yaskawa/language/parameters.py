@@ -37,8 +37,8 @@ class AxisParameter:
         if not self.low <= raw <= self.high:
             return None
         size = abs(raw) + (self.quantum // 2 if self.nearest else 0)
-        kept = size // self.quantum * self.quantum
-        return kept if raw >= 0 else -kept
+        kept_size = size // self.quantum * self.quantum
+        return kept_size if raw >= 0 else -kept_size
 
 
 def make_parameter(

@@ -61,17 +61,17 @@ def is_comment(text: str, model: LanguageModel) -> bool:
 def compile_line(line: str, model: LanguageModel) -> tuple[CompiledStatement, ...]:
     """Compile the statements of a line. An error in one of them is raised when it runs."""
     statements: list[CompiledStatement] = []
-    rest = line
+    remainder = line
     while True:
-        stripped = rest.lstrip()
+        stripped = remainder.lstrip()
         if is_comment(stripped, model):
-            head, found, rest = stripped.partition(model.comment_end) if model.comment_end else (stripped, "", "")
+            head, found, remainder = stripped.partition(model.comment_end) if model.comment_end else (stripped, "", "")
             runner = _do_nothing if len(head) <= LONGEST_LINE else _refuse_with(5)
             statements.append(CompiledStatement("NO", head, runner, quiet=len(head) <= LONGEST_LINE))
             if not found:
                 break
             continue
-        text, found, rest = _cut_statement(rest)
+        text, found, remainder = _cut_statement(remainder)
         statements.append(compile_statement(text.strip(), model))
         if not found:
             break

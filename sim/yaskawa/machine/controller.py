@@ -69,22 +69,24 @@ class YaskawaController:
         """The home input of an axis; True is high."""
         machine = self.machine
         machine.advance_to_now()
-        found = self._find_axis(axis)
-        changed = machine.environment.home_level(found.name, found.physical_at(machine.current_sample())) != level
-        machine.environment.home[found.name] = level
+        found_axis = self._find_axis(axis)
+        changed = (
+            machine.environment.home_level(found_axis.name, found_axis.physical_at(machine.current_sample())) != level
+        )
+        machine.environment.home[found_axis.name] = level
         if changed:
-            machine.motion.homing.input_changed(found, machine.timebase.next_sample())
+            machine.motion.homing.input_changed(found_axis, machine.timebase.next_sample())
         machine.run_ready()
 
     def set_stalled(self, axis: str, *, stalled: bool) -> None:
         machine = self.machine
         machine.advance_to_now()
-        found = self._find_axis(axis)
-        found.stalled = stalled
+        found_axis = self._find_axis(axis)
+        found_axis.stalled = stalled
         if stalled:
-            found.freeze_motor(machine.current_sample())
+            found_axis.freeze_motor(machine.current_sample())
         else:
-            found.thaw_motor()
+            found_axis.thaw_motor()
         machine.run_ready()
 
     def push_axis(self, axis: str, counts: int) -> None:
@@ -92,13 +94,13 @@ class YaskawaController:
         modelled (L14141)."""
         machine = self.machine
         machine.advance_to_now()
-        found = self._find_axis(axis)
-        if found.frozen is None or found.stalled:
+        found_axis = self._find_axis(axis)
+        if found_axis.frozen is None or found_axis.stalled:
             raise ValueError(f"axis {axis}: its motor keeps torque, or it is stuck; switch the motor off first")
-        if found.is_stepper:
-            found.physical_zero -= counts
+        if found_axis.is_stepper:
+            found_axis.physical_zero -= counts
         else:
-            found.frozen += counts
+            found_axis.frozen += counts
         machine.run_ready()
 
     def output_level(self, number: int) -> bool:
@@ -112,10 +114,10 @@ class YaskawaController:
         """Commanded position now, in counts: on the profile while it moves, a whole count at rest."""
         machine = self.machine
         machine.advance_to_now()
-        found, instant = self._find_axis(axis), machine.timebase.current_instant()
-        if found.modulus or found.turned is not None or found.command_velocity(instant) == 0.0:
-            return float(found.report_counts(found.reference_at(machine.current_sample())))
-        return found.command_at(instant)
+        found_axis, instant = self._find_axis(axis), machine.timebase.current_instant()
+        if found_axis.modulus or found_axis.turned is not None or found_axis.command_velocity(instant) == 0.0:
+            return float(found_axis.report_counts(found_axis.reference_at(machine.current_sample())))
+        return found_axis.command_at(instant)
 
     def physical_position(self, axis: str) -> float:
         self.machine.advance_to_now()
@@ -132,8 +134,8 @@ class YaskawaController:
     def is_moving(self, axis: str) -> bool:
         machine = self.machine
         machine.advance_to_now()
-        found = self._find_axis(axis)
-        return found.is_moving or found.command_velocity(machine.current_sample()) != 0.0
+        found_axis = self._find_axis(axis)
+        return found_axis.is_moving or found_axis.command_velocity(machine.current_sample()) != 0.0
 
     def at_rest(self) -> bool:
         machine = self.machine

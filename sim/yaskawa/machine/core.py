@@ -136,13 +136,13 @@ class ControllerCore:
         """Advance motion, recording and trippoints to the present sample."""
         if not self.powered:
             return
-        now = self.current_sample()
-        if self.schedule.is_quiet(now):
+        sample_now = self.current_sample()
+        if self.schedule.is_quiet(sample_now):
             return  # changes after that computation have started from there
-        if self.recorder.due <= now:
-            self.recorder.record_due(now)
-        self.motion.settle_motion(now)
-        self.interpreter.resume_waiting(now)
+        if self.recorder.due <= sample_now:
+            self.recorder.record_due(sample_now)
+        self.motion.settle_motion(sample_now)
+        self.interpreter.resume_waiting(sample_now)
 
     def run_ready(self) -> None:
         """Run all that is ready, then schedule the next sample with an event."""
@@ -180,20 +180,23 @@ class ControllerCore:
 
     def reset_controller(self) -> None:
         """`RS` and power-up: restore the burned state (L9643)."""
-        now = self.current_sample()
-        self.motion.freeze_motion(now, ABORT_CODE)
+        sample_now = self.current_sample()
+        self.motion.freeze_motion(sample_now, ABORT_CODE)
         for axis in self.motion.all_axes():
-            self.motion.record.note_end(axis, now)
-        kept, physical = self.motion.record.motions, {axis.name: axis.physical_at(now) for axis in self.motion.real}
-        stalled = {axis.name for axis in self.motion.real if axis.stalled}
+            self.motion.record.note_end(axis, sample_now)
+        kept_motions, physical = (
+            self.motion.record.motions,
+            {axis.name: axis.physical_at(sample_now) for axis in self.motion.real},
+        )
+        stalled_names = {axis.name for axis in self.motion.real if axis.stalled}
         self.interpreter.reset_threads()
         self.handle_rescheduling()
         self.timebase.reset_samples()
         self.motion = self._new_motion()
-        self.motion.record.motions = kept
+        self.motion.record.motions = kept_motions
         for axis in self.motion.real:
             axis.physical_zero = -physical[axis.name]
-            axis.stalled = axis.name in stalled
+            axis.stalled = axis.name in stalled_names
         self._reset_state()
         self.memory.restore_burned()
 
@@ -229,14 +232,14 @@ class ControllerCore:
     def abort_motion(self, code: int, *, halt: bool) -> None:
         """`AB` and the abort input: everything freezes, amplifiers with OE switch off (L2191)."""
         at = self.timebase.next_sample()
-        moved = [axis for axis in self.motion.real if axis.is_moving]
+        moved_axes = [axis for axis in self.motion.real if axis.is_moving]
         self.motion.freeze_motion(at, code)
         for axis in self.motion.real:
             if axis.registers["OE"]:
                 self.motion.switch_motor_off(axis, at)
         if self.motion.contouring.running is not None:
             self.motion.contouring.leave_contour(at, code)
-        for axis in moved:
+        for axis in moved_axes:
             axis.stop_code = code
         if halt:
             self.programs.halt_all()

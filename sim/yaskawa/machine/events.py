@@ -30,15 +30,15 @@ class AutomaticEvents:
         machine = self.machine
         if not machine.programs.threads[0].running:
             return
-        now = machine.current_sample()
+        sample_now = machine.current_sample()
         labels = machine.program.labels
         if "LIMSWI" in labels and self.limit_reached:
-            if self._is_limit_active(now):
+            if self._is_limit_active(sample_now):
                 machine.programs.raise_event("LIMSWI")
             elif machine.programs.raise_event("LIMSWI"):
                 self.limit_reached = False
-        wanted = "POSERR" in labels and (self.error_reached or self._is_error_active(now))
-        if wanted and machine.programs.raise_event("POSERR"):
+        has_handler = "POSERR" in labels and (self.error_reached or self._is_error_active(sample_now))
+        if has_handler and machine.programs.raise_event("POSERR"):
             self.error_reached = False
 
     def _is_limit_active(self, now: int) -> bool:

@@ -131,7 +131,7 @@ class SharedInterpreter:
         self._decoding = (port, thread)
 
     def _leeway_ns(self, port: PortSession | None, thread: ProgramThread | None, delay_ns: int) -> int:
-        if any(each.queue for each in self.machine.ports.open_ports() if each is not port):
+        if any(session.queue for session in self.machine.ports.open_ports() if session is not port):
             return 0
         if port is not None:
             # Commands that arrived together are answered together.
@@ -183,9 +183,9 @@ class SharedInterpreter:
                     break
                 done = True
                 if thread.trip is not None:
-                    now = machine.current_sample()
-                    due = thread.trip.due(machine, now)
-                    wake_ns = NEVER_NS if due == inf else timebase.true_ns(int(max(due, now)))
+                    sample_now = machine.current_sample()
+                    due = thread.trip.due(machine, sample_now)
+                    wake_ns = NEVER_NS if due == inf else timebase.true_ns(int(max(due, sample_now)))
                 elif thread.is_ready:
                     self._choose_next()
                     self._begin_decoding(None, thread, self._delay.draw_ns(program=True))

@@ -90,7 +90,7 @@ class ProgramThreads:
 
     def only_waits(self, thread: ProgramThread) -> bool:
         """Return whether the rest of its line only waits and jumps."""
-        return all(each.op in _WAITING_OPS for each in self.compiled_line(thread.line)[thread.index :])
+        return all(statement.op in _WAITING_OPS for statement in self.compiled_line(thread.line)[thread.index :])
 
     def compiled_line(self, number: int) -> tuple[CompiledStatement, ...]:
         """Return the compiled statements of a program line."""
@@ -155,12 +155,12 @@ class ProgramThreads:
 
     def count_loop(self, thread: ProgramThread) -> None:
         """Count a loop of `thread` in this sample."""
-        now = self.machine.current_sample()
-        if thread.spin_sample != now:
-            thread.spin_sample, thread.spins = now, 0
+        sample_now = self.machine.current_sample()
+        if thread.spin_sample != sample_now:
+            thread.spin_sample, thread.spins = sample_now, 0
         thread.spins += 1
         if thread.spins > _LOOPS_PER_SAMPLE and thread.trip is None and self._delay.is_instant:
-            thread.trip, thread.resting = at_sample(now + 1), True
+            thread.trip, thread.resting = at_sample(sample_now + 1), True
 
     def _reaches_break(self, thread: ProgramThread) -> bool:
         if self.break_at == (thread.line, thread.number) and not self.break_hit and not thread.passed_break:

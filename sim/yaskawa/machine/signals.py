@@ -78,9 +78,9 @@ class SignalInputs:
                 self._machine.motion.independent.capture_latch(axis, self._machine.timebase.current_instant())
 
     def _react_to_input(self, number: int, *, level: bool) -> None:
-        now = self._machine.current_sample()
+        sample_now = self._machine.current_sample()
         if number > 4 and self._machine.polarity[3] and not level and number - 5 < len(self._machine.letters):
-            self._machine.motion.freeze_motion(now, SELECTIVE_CODE, (self._machine.motion.real[number - 5],))
+            self._machine.motion.freeze_motion(sample_now, SELECTIVE_CODE, (self._machine.motion.real[number - 5],))
         self._machine.events.inputs_changed(number, level=level)
 
     def limits_changed(self) -> None:

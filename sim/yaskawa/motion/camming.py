@@ -66,7 +66,7 @@ class CamFollowers:
 
     def poll_waiting(self, now: int) -> bool:
         """Engage and disengage the slaves whose master has reached their position; return whether there was one."""
-        cam, changed = self.control.cam, False
+        cam, changed_poll = self.control.cam, False
         waiting = dict(cam.waiting)
         for (name, what), place in waiting.items():
             if what == "EQ" and (name, "EG") in waiting:
@@ -75,6 +75,6 @@ class CamFollowers:
             cycle = cam.effective_cycle or inf
             if before // cycle != here // cycle or here == 0 or (cycle == inf and (before < 0) != (here < 0)):
                 del cam.waiting[name, what]
-                changed = True
+                changed_poll = True
                 (self.engage_slave if what == "EG" else self.disengage_slave)(self.control.axes[name], now)
-        return changed
+        return changed_poll

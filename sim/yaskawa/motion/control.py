@@ -167,13 +167,13 @@ class MotionControl:
         for axis in axes if axes is not None else self.all_axes():
             if not axis.is_moving and axis.mode != "cam" and not axis.gear.is_engaged:
                 continue
-            here = axis.path.position(at)
+            position_here = axis.path.position(at)
             if axis.mode == "sequence":
                 self.coordinated.drop_member(axis.name, at)
             if axis.mode == "contour":
                 self.contouring.running = None
             was_moving = axis.is_moving
-            axis.stand_at(at, fixed.round_half_up(here))
+            axis.stand_at(at, fixed.round_half_up(position_here))
             if was_moving:
                 axis.stop_code = code
             self.record.note_slowing(axis, at)
@@ -200,24 +200,24 @@ class MotionControl:
 
     def settle_motion(self, now: int) -> bool:
         """Advance everything to sample `now`; return whether anything has changed."""
-        changed = False
+        changed_motion = False
         for axis in self._all:
             while axis.watch <= now or axis.end <= now:
-                changed = True
+                changed_motion = True
                 if axis.watch < axis.end and axis.watch <= now:
                     self._handle_limit(axis, int(axis.watch))
                 else:
                     self._finish_axis(axis, int(axis.end))
         for system in self.systems.values():
             if system.running and system.end_sample() <= now:
-                changed = True
+                changed_motion = True
                 self.coordinated.finish_sequence(system, int(system.end_sample()))
         while self.contouring.running is not None and self.contouring.running.end <= now:
-            changed = True
+            changed_motion = True
             self.contouring.next_record(self.contouring.running, int(self.contouring.running.end))
         if self._needs_polling():
-            changed = self._poll_limits(now) or changed
-        return changed
+            changed_motion = self._poll_limits(now) or changed_motion
+        return changed_motion
 
     def _handle_limit(self, axis: ServoAxis, at: int) -> None:
         axis.watch = inf

@@ -31,8 +31,8 @@ class CoordinatedMotion:
                 raise CommandError(20)
             if axis.is_moving:
                 raise CommandError(21)
-        ahead = system.segments[0].point_at(min(1.0, system.segments[0].length))
-        for axis, start, near in zip(self.member_axes(system), system.segments[0].start, ahead, strict=False):
+        point_ahead = system.segments[0].point_at(min(1.0, system.segments[0].length))
+        for axis, start, near in zip(self.member_axes(system), system.segments[0].start, point_ahead, strict=False):
             if near != start and self.control.limits.is_blocked(axis, forward=near > start, now=now):
                 raise CommandError(22)
 
@@ -86,6 +86,6 @@ class CoordinatedMotion:
         """Empty the queue, keep the values of the status operands."""
         system.last_index = system.segment_index(self.control.timebase.current_sample())
         system.running = system.stopping = False
-        travelled = system.profile
+        travelled_profile = system.profile
         system.clear_queue()
-        system.profile = travelled
+        system.profile = travelled_profile

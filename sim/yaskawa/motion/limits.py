@@ -28,9 +28,9 @@ class TravelLimits:
         """Return whether the limit switch is pressed."""
         if axis.virtual:
             return False
-        pressed: LimitSwitch | None = self.environment.limits.get(axis.name)
-        if pressed is not None:
-            return pressed in ("both", "forward" if forward else "reverse")
+        pressed_switch: LimitSwitch | None = self.environment.limits.get(axis.name)
+        if pressed_switch is not None:
+            return pressed_switch in ("both", "forward" if forward else "reverse")
         travel = self.environment.travel.get(axis.name)
         if travel is None:
             return False
@@ -46,8 +46,8 @@ class TravelLimits:
     def limit_thresholds(self, axis: ServoAxis, *, forward: bool) -> list[int]:
         """Return the positions at which limits stop a motion in that direction."""
         limit = fixed.to_integer(axis.registers["FL" if forward else "BL"])
-        found = [limit + 1 if forward else limit - 1] if limit != (NO_FORWARD if forward else NO_REVERSE) else []
+        thresholds = [limit + 1 if forward else limit - 1] if limit != (NO_FORWARD if forward else NO_REVERSE) else []
         travel = self.environment.travel.get(axis.name)
         if travel is not None and axis.name not in self.environment.limits:
-            found.append(travel[1 if forward else 0] + axis.physical_zero)
-        return found
+            thresholds.append(travel[1 if forward else 0] + axis.physical_zero)
+        return thresholds

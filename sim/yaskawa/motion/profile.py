@@ -120,8 +120,8 @@ class VelocityProfile:
 
     def last_sample(self) -> float:
         """Return the sample at which the last position is commanded; infinite when the profile has no end."""
-        settled = self.settled_time()
-        return inf if settled == inf else ceil(settled - _TINY)
+        settle_time = self.settled_time()
+        return inf if settle_time == inf else ceil(settle_time - _TINY)
 
     def break_times(self, after: float) -> list[float]:
         """Return the times after which the profile may change direction, in order, the last one perhaps infinite."""

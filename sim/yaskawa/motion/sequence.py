@@ -117,12 +117,12 @@ class CoordinateSystem:
 
     def point_at(self, at: float) -> Point:
         """Return the coordinates of the sequence at a time; cached, because each axis reads the same instants."""
-        found = self._points.get(at)
-        if found is None:
+        point = self._points.get(at)
+        if point is None:
             if len(self._points) >= _KEPT_POINTS:
                 self._points.clear()
-            found = self._points[at] = self.point_along(self.travelled_distance(at))
-        return found
+            point = self._points[at] = self.point_along(self.travelled_distance(at))
+        return point
 
     def point_along(self, along: float) -> Point:
         index = self._index_of(along)
@@ -152,8 +152,8 @@ class CoordinateSystem:
         rate = self.deceleration * ACCELERATION_UNIT
         room = self._bounds[-1] - profile.end_position
         speed = profile.end_velocity
-        needed = speed * speed / (2 * rate)
-        if needed > room:
+        needed_speed = speed * speed / (2 * rate)
+        if needed_speed > room:
             time = (speed - sqrt(max(speed * speed - 2 * rate * room, 0.0))) / rate
             profile.append_piece(time, -rate)
         else:
@@ -175,8 +175,8 @@ class CoordinateSystem:
             segment = self.segments[number]
             if segment.entry_speed is not None and number > index:
                 speed = segment.entry_speed
-            wanted = speed * self.ratio * SPEED_UNIT
-            goal = _SegmentGoal(self._bounds[number + 1], wanted, limits[number - index])
+            wanted_speed = speed * self.ratio * SPEED_UNIT
+            goal = _SegmentGoal(self._bounds[number + 1], wanted_speed, limits[number - index])
             if not self._cross_segment(profile, goal, up, down):
                 return
         profile.land_at(self._bounds[-1])

@@ -63,8 +63,8 @@ def place_reached(axis: ServoAxis, place: float, *, upward: bool, commanded: boo
     delay = 0 if commanded else axis.lag
 
     def has_passed(machine: TripMachine, now: int) -> bool:
-        here = axis.reference_at(now) if commanded else axis.actual_at(now)
-        if here >= place if upward else here <= place:
+        reference_here = axis.reference_at(now) if commanded else axis.actual_at(now)
+        if reference_here >= place if upward else reference_here <= place:
             return True
         if not commanded:
             return False

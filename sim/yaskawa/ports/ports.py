@@ -225,9 +225,9 @@ class PortSession:
 
     def _end_statements(self, packet: int) -> None:
         """Run the statements ended by a semicolon, without waiting for the carriage return (L1624, L12230)."""
-        done = finished_length(self._line, self.machine.model) if ";" in self._line else 0
-        if done:
-            line, self._line = self._line[: done - 1], self._line[done:]
+        done_length = finished_length(self._line, self.machine.model) if ";" in self._line else 0
+        if done_length:
+            line, self._line = self._line[: done_length - 1], self._line[done_length:]
             self._queue_line(line, packet, ";")
         self._line = self._line[: LONGEST_LINE + 1]  # more would not be accepted either
 
@@ -246,7 +246,7 @@ class PortSession:
         for index, statement in enumerate(statements, start=1):
             self.queue.append((statement, packet))
             if statement.op in _TAKING:
-                tail = ";".join(later.text for later in statements[index:])
+                tail = ";".join(statement_later.text for statement_later in statements[index:])
                 rest, self._line = (tail + end if tail else "") + self._line, ""
                 if rest:
                     self._packets.appendleft((rest, packet))
@@ -383,22 +383,22 @@ class PortSet:
         if port == "serial":
             if self.serial is not None:
                 raise PortRefused("the serial port is in use; close the other connection first")
-            self.serial = opened = self._serial_port(self, "S", port, send, closed)
+            self.serial = opened_port = self._serial_port(self, "S", port, send, closed)
         elif port == "serial2":
             if self.second is not None:
                 raise PortRefused("the second serial port is in use; close the other connection first")
-            self.second = opened = self._second_port(self, "2", "serial", send, closed)
+            self.second = opened_port = self._second_port(self, "2", "serial", send, closed)
         else:
             self._forget_silent()
             name = self.first_handle or next(iter(self.free_handles()), "")
             if not name:
                 raise PortRefused("no Ethernet handle is free (L1777); close another connection first")
             self.first_handle = ""
-            self.handles[name] = opened = PortSession(self, name, port, send, closed)
-            opened.host = (self.host_address, self._next_port)
+            self.handles[name] = opened_port = PortSession(self, name, port, send, closed)
+            opened_port.host = (self.host_address, self._next_port)
             self._next_port += 1
         self._list_ports()
-        return opened
+        return opened_port
 
     def free_handles(self) -> list[str]:
         """Return the letters of the free handles."""
@@ -473,8 +473,8 @@ class PortSet:
                 port.close_from_controller()
 
     def _list_ports(self) -> None:
-        opened = [port for port in (self.serial, self.second) if port is not None]
-        self._all = (*opened, *self.handles.values())
+        opened_sessions = [port for port in (self.serial, self.second) if port is not None]
+        self._all = (*opened_sessions, *self.handles.values())
 
 
 def address_text(address: int) -> str:

@@ -64,8 +64,8 @@ class ProgramEditor:
         if not self._typed:
             self._line = min(line + 1, len(lines))
             return
-        kept = line if self._inserting else line + 1
-        if self._replace_program([*lines[:line], self._typed, *lines[kept:]]):
+        next_line = line if self._inserting else line + 1
+        if self._replace_program([*lines[:line], self._typed, *lines[next_line:]]):
             self._line = line + 1
 
     def _replace_program(self, lines: list[str]) -> bool:

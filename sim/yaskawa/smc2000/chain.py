@@ -144,12 +144,12 @@ class DaisyChain:
     @property
     def commanded_motions(self) -> Sequence[CommandedMotion]:
         """Motions of all controllers in order of start, axes by their names in the chain."""
-        found = [
+        texts = [
             replace(motion, axis=f"{unit.machine.address}{motion.axis}")
             for unit in self.units
             for motion in unit.commanded_motions
         ]
-        return sorted(found, key=lambda motion: motion.start_ns)
+        return sorted(texts, key=lambda motion: motion.start_ns)
 
     def _find_axis(self, name: str) -> tuple[YaskawaController, str]:
         return self._by_address[int(name[:1])], name[1:]
@@ -233,7 +233,7 @@ class ChainConnection:
 
     def _forward_to_host(self, place: int, data: bytes) -> None:
         """Send bytes from port 1 of the controller at `place` to the host."""
-        if self._live and all(self._chain.is_forwarding(before) for before in range(place)):
+        if self._live and all(self._chain.is_forwarding(previous) for previous in range(place)):
             self._spoke = place
             self._chain.call_after_hops(place, lambda: self._send_to_host(data))
 

@@ -32,8 +32,8 @@ def _format_word(c: CommandContext, bank: int) -> str:
 def _compile_output_port(text: str) -> Runner:
     """Outputs in words of 16; the first is a byte but on eight axes (L10693)."""
     if "?" in text:
-        queried = [bank for bank, mark in enumerate(split_fields(text)) if mark == "?"]
-        return lambda c: ",".join(_format_word(c, bank) for bank in queried)
+        queried_fields = [bank for bank, mark in enumerate(split_fields(text)) if mark == "?"]
+        return lambda c: ",".join(_format_word(c, bank) for bank in queried_fields)
     fields = compile_values(parse_fields(text, _BANKS))
 
     def run_command(c: CommandContext) -> Outcome:

@@ -33,9 +33,9 @@ def _compile_upload_array(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         array = c.machine.data.get_array(name)
-        given = [*fields(c), None, None]
-        first, last = element_span(c, len(array), given)
-        separator = "," if given[2] is not None and fixed.to_integer(given[2]) == 1 else "\r"
+        given_fields = [*fields(c), None, None]
+        first, last = element_span(c, len(array), given_fields)
+        separator = "," if given_fields[2] is not None and fixed.to_integer(given_fields[2]) == 1 else "\r"
         written = separator.join(c.machine.format_variable(raw) for raw in array[first : last + 1]) + END_OF_TEXT
         if c.port is None:
             c.machine.ports.send_message(written)
@@ -54,12 +54,12 @@ def _compile_mark_messages(text: str) -> Runner:
 @register_command("TC", table=SMC2000_COMMANDS)
 def _compile_tell_code(text: str) -> Runner:
     """`TC1{N}` leaves the end of the line to the next message, as the manual's programs use it (L13229)."""
-    reported = compile_tell_code(text.removesuffix("{N}"))
+    reported_code = compile_tell_code(text.removesuffix("{N}"))
     if not text.endswith("{N}"):
-        return reported
+        return reported_code
 
     def run_command(c: CommandContext) -> Outcome:
-        written = reported(CommandContext(c.machine, None, c.port))
+        written = reported_code(CommandContext(c.machine, None, c.port))
         if not isinstance(written, str):
             return None
         if c.thread is None:

@@ -179,7 +179,7 @@ class Smc2000Simulator:
         self, clock: Clock, devices: Sequence[DeviceSpec]
     ) -> tuple[DaisyChain, Sequence[YaskawaController]]:
         """Build a daisy chain, its controllers in their order from the host; port 2 of each is set up for it."""
-        built = [
+        built_controllers = [
             self.build_single(
                 clock,
                 dict(unit.options) | {"address": unit.address, "chained": True},
@@ -189,7 +189,7 @@ class Smc2000Simulator:
             )
             for unit in devices
         ]
-        return DaisyChain(clock, built, HOP_NS), built
+        return DaisyChain(clock, built_controllers, HOP_NS), built_controllers
 
     @staticmethod
     def build_single(
@@ -200,9 +200,9 @@ class Smc2000Simulator:
         seed: int = 0,
     ) -> YaskawaController:
         """Build one controller."""
-        chosen = Smc2000Options.model_validate(dict(options))
+        chosen_options = Smc2000Options.model_validate(dict(options))
         timebase = ServoTimebase(clock, oscillator or Oscillator())
-        machine = ControllerCore(timebase, MODEL, chosen, timing or FirmwareTiming(), seed)
+        machine = ControllerCore(timebase, MODEL, chosen_options, timing or FirmwareTiming(), seed)
         machine.run_ready()
         return YaskawaController(machine, MODEL.ports)
 
@@ -215,18 +215,23 @@ class Smc2000Simulator:
         seed: int = 0,
     ) -> DaisyChain:
         """Build a daisy chain; each controller has a crystal of its own, all of the kind of `oscillator`."""
-        chosen = ChainOptions.model_validate(dict(options))
+        chosen_options = ChainOptions.model_validate(dict(options))
         crystal = oscillator or Oscillator()
         units: list[YaskawaController] = []
-        for place, unit in enumerate(chosen.chain):
-            own = chosen.options | {"axes": unit.axes, "address": unit.address, "echo": chosen.echo, "chained": True}
+        for place, unit in enumerate(chosen_options.chain):
+            own = chosen_options.options | {
+                "axes": unit.axes,
+                "address": unit.address,
+                "echo": chosen_options.echo,
+                "chained": True,
+            }
             drift_ppm = crystal.drift_ppm if unit.drift_ppm is None else unit.drift_ppm
-            other = Oscillator(crystal.offset_ns, drift_ppm, crystal.wander_ppm, crystal.seed + place)
-            units.append(self.build_single(clock, own, other, timing, seed + place))
-        chain = DaisyChain(clock, units, chosen.hop_ns)
-        if chosen.shared_clock:
+            other_oscillator = Oscillator(crystal.offset_ns, drift_ppm, crystal.wander_ppm, crystal.seed + place)
+            units.append(self.build_single(clock, own, other_oscillator, timing, seed + place))
+        chain = DaisyChain(clock, units, chosen_options.hop_ns)
+        if chosen_options.shared_clock:
             chain.share_clock()
-        for unit, controller in zip(chosen.chain, units, strict=True):
+        for unit, controller in zip(chosen_options.chain, units, strict=True):
             if unit.external_clock:
                 controller.machine.memory.burn_period(EXTERNAL)
         return chain

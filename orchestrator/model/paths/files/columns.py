@@ -46,7 +46,7 @@ class ColumnReader:
         if len(points) > MAX_ROWS:
             self._problems.add(1, 0, f"the table has {len(points)} points; the maximum is {MAX_ROWS}")
         self._problems.raise_any()
-        axes = [self._given.get(each, each) for each in columns]
+        axes = [self._given.get(column, column) for column in columns]
         return [{"do": "path", "axes": axes, "start": points[0], "pieces": _make_pieces(points, times)}]
 
     def _check_header(self, names: Sequence[str], columns: Sequence[str]) -> None:
@@ -57,9 +57,11 @@ class ColumnReader:
         for number, name in enumerate(names, 1):
             if not name or names.index(name) != number - 1:
                 self._problems.add(1, number, f"column {number} needs a name of its own, found {name!r}")
-        unused = sorted(self._given.keys() - set(columns))
-        if unused:
-            self._problems.add(1, 0, f"no column is named {unused[0]}; there are: {', '.join(columns) or 'none'}")
+        unused_columns = sorted(self._given.keys() - set(columns))
+        if unused_columns:
+            self._problems.add(
+                1, 0, f"no column is named {unused_columns[0]}; there are: {', '.join(columns) or 'none'}"
+            )
 
     def _read_row(self, line: int, row: Sequence[str], width: int) -> list[str] | None:
         if len(row) != width:
@@ -84,4 +86,4 @@ def _make_pieces(points: Sequence[list[str]], times: Sequence[float]) -> list[di
     if times:
         begin = times[0]
         return [{"piece": "table", "t": [float(format_number(at - begin)) for at in times], "positions": list(points)}]
-    return [{"piece": "line", "to": point} for before, point in pairwise(points) if point != before]
+    return [{"piece": "line", "to": point} for point_before, point in pairwise(points) if point != point_before]

@@ -60,7 +60,7 @@ class GcodeReader:
     """
 
     def __init__(self, name: str, axes: Mapping[str, str], start: Mapping[str, float] | None = None) -> None:
-        self._letters = [each.upper() for each in axes]
+        self._letters = [axis.upper() for axis in axes]
         self._axes = list(axes.values())
         self._problems = ImportProblems(name)
         self._modes = _Modes()
@@ -102,21 +102,21 @@ class GcodeReader:
         elif self._moves(values):
             self._move(values)
         elif values.keys() - {"F", "P", "N"}:
-            word = next(iter(each for letter, each in values.items() if letter not in "FPN"))
+            word = next(iter(value for letter, value in values.items() if letter not in "FPN"))
             self._refuse(word, f"{word.letter} has no meaning without a move")
 
     def _read_words(self, text: str) -> Iterator[_Word]:
         at = 0
         while text[at:].strip():
-            found = _WORD.match(text, at)
-            if found is None:
+            match = _WORD.match(text, at)
+            if match is None:
                 column = at + 1 + len(text[at:]) - len(text[at:].lstrip())
                 self._problems.add(
                     self._line, column, f"{text[column - 1 :][:20]!r} is no word of a letter and a number"
                 )
                 return
-            yield _Word(found[1].upper(), float(found[2]), found.start(1) + 1)
-            at = found.end()
+            yield _Word(match[1].upper(), float(match[2]), match.start(1) + 1)
+            at = match.end()
 
     def _collect_values(self, words: Sequence[_Word]) -> dict[str, _Word]:
         """The words of a line by letter, without G and line numbers; mistakes are noted."""
@@ -232,9 +232,9 @@ class GcodeReader:
         here, there = (before[first], before[second]), (self._at[first], self._at[second])
         if "R" in values:
             return self._find_centre_of_radius(values["R"], here, there)
-        given = [values[each].value * self._modes.scale if each in values else 0.0 for each in offsets]
-        centre = here[0] + given[0], here[1] + given[1]
-        radius, other = hypot(*given), hypot(there[0] - centre[0], there[1] - centre[1])
+        given_values = [values[offset].value * self._modes.scale if offset in values else 0.0 for offset in offsets]
+        centre = here[0] + given_values[0], here[1] + given_values[1]
+        radius, other = hypot(*given_values), hypot(there[0] - centre[0], there[1] - centre[1])
         if radius == 0:
             self._problems.add(self._line, 0, f"an arc needs its centre: {offsets[0]} and {offsets[1]}, or R")
             return None

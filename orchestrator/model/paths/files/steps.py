@@ -27,10 +27,10 @@ def read_path_steps(job: Job, folder: Path | None = None) -> Job:
 
     Raises `FileError` with every mistake of a file, by line and column; nothing of it is taken then.
     """
-    made = {id(step): _read_file(step, step.file, folder) for step in find_paths(job.steps) if step.file is not None}
-    if not made:
+    files = {id(step): _read_file(step, step.file, folder) for step in find_paths(job.steps) if step.file is not None}
+    if not files:
         return job
-    read = job.model_copy(update={"steps": [step.replace_steps(made) for step in job.steps]})
+    read = job.model_copy(update={"steps": [step.replace_steps(files) for step in job.steps]})
     size = len(read.to_json())
     if size > MAX_JOB_BYTES:
         text = f"with its files of paths the job has {size / 1e6:.1f} MB; at most {MAX_JOB_BYTES / 1e6:g} MB are sent"
@@ -83,7 +83,7 @@ def _add_fields(step: FollowPath, each: dict[str, Any]) -> dict[str, Any]:
 def _choose_lower(speeds: Sequence[float | str]) -> float | str:
     """The lowest of speeds; one that has no sense is refused with the path."""
     try:
-        values = [parse_rate(each, Unit.MM, 1) if isinstance(each, str) else each for each in speeds]
+        values = [parse_rate(speed, Unit.MM, 1) if isinstance(speed, str) else speed for speed in speeds]
     except UnitError:
         return speeds[0]
     return speeds[values.index(min(values))]

@@ -23,7 +23,7 @@ class TrajectoryReader:
         """The step of a job. Raises `FileError` with every mistake."""
         plain = _read_object(self._file.root.value)
         names, points = plain.get("joint_names"), plain.get("points")
-        joints = [str(each) for each in cast(list[object], names)] if isinstance(names, list) else []
+        joints = [str(name) for name in cast(list[object], names)] if isinstance(names, list) else []
         if not joints:
             self._refuse(("joint_names",), "must be a list of names")
         rows = cast(list[object], points) if isinstance(points, list) else []
@@ -34,7 +34,7 @@ class TrajectoryReader:
         for number, row in enumerate(rows):
             self._read_point(number, row, len(joints), (times, positions))
         self._problems.raise_any()
-        axes = [self._given.get(each, each) for each in joints]
+        axes = [self._given.get(joint, joint) for joint in joints]
         begin = times[0]
         table = {"piece": "table", "t": [at - begin for at in times], "positions": positions}
         return [{"do": "path", "axes": axes, "start": positions[0], "pieces": [table]}]
@@ -65,7 +65,7 @@ def _read_numbers(value: object) -> list[float] | None:
     if not isinstance(value, list):
         return None
     numbers = [_read_number(each) for each in cast(list[object], value)]
-    return None if None in numbers else [each for each in numbers if each is not None]
+    return None if None in numbers else [number for number in numbers if number is not None]
 
 
 def _read_number(value: object) -> float | None:
