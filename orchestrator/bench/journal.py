@@ -12,7 +12,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, run_no_command
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
@@ -73,7 +73,7 @@ def _make_job(fleet: Fleet) -> Job:
 
 
 def _measure_fsync_ms(folder: Path) -> float:
-    journal = Journal(folder / "fsync.db")
+    journal = SqliteJournal(folder / "fsync.db")
     took_s: list[float] = []
     for seen in range(50):
         began_s = time.perf_counter()
@@ -83,7 +83,7 @@ def _measure_fsync_ms(folder: Path) -> float:
     return sorted(took_s)[len(took_s) // 2] * 1000
 
 
-def _make_coordinator(fleet: Fleet, clock: VirtualClock, journal: Journal) -> tuple[Coordinator, Tutti]:
+def _make_coordinator(fleet: Fleet, clock: VirtualClock, journal: SqliteJournal) -> tuple[Coordinator, Tutti]:
     net = MemoryNet(clock)
     numbers = iter(range(10**9))
 
@@ -109,7 +109,7 @@ def _make_coordinator(fleet: Fleet, clock: VirtualClock, journal: Journal) -> tu
 
 
 async def _measure_submit(fleet: Fleet, clock: VirtualClock, path: Path, job: Job, jobs: int) -> float:
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     coordinator, client = _make_coordinator(fleet, clock, journal)
     await coordinator.start()
     began_s = time.perf_counter()
@@ -127,7 +127,7 @@ async def _measure_submit(fleet: Fleet, clock: VirtualClock, path: Path, job: Jo
 
 def _fill_history(path: Path, job: Job, history: int) -> None:
     """Write finished jobs to the journal, as a coordinator does."""
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     for number in range(history):
         job_id = f"h{number:07}"
         journal.accept_job(job_id, job_id, job, EPOCH_UTC)
@@ -157,7 +157,7 @@ def _make_report(job: Job, job_id: str, number: int) -> JobReport:
 
 async def _measure_restart(fleet: Fleet, clock: VirtualClock, path: Path, history: int) -> float:
     began_s, began_ns = time.perf_counter(), clock.now_ns()
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     coordinator, client = _make_coordinator(fleet, clock, journal)
     await coordinator.start()
     total = (await client.list_jobs(20)).total

@@ -31,8 +31,8 @@ from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority,
 from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.coordinator.alarms.command_process import run_command_process
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.journal.journal import Journal, require_journal
 from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal, require_journal
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
@@ -88,7 +88,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
     loop = asyncio.get_running_loop()
     if options.existing_journal:
         require_journal(options.journal)
-    journal, runs = Journal(options.journal), ThreadExecutor("journal")
+    journal, runs = SqliteJournal(options.journal), ThreadExecutor("journal")
     court = CoordinatorEnvironment(
         bus=bus,
         keys=FleetKeys(fleet.fleet),

@@ -11,19 +11,17 @@ import io
 import os
 import re
 import shutil
-import sqlite3
 import tarfile
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO, Literal
 
 from pydantic import Field, ValidationError
 
-from orchestrator.coordinator.journal.portable import read_stored_epoch
 from orchestrator.coordinator.journal.records import BadBackup
-from orchestrator.coordinator.journal.transaction import make_unusable_error, open_read_only
+from orchestrator.coordinator.journal.sqlite.portable import read_stored_epoch
+from orchestrator.coordinator.journal.sqlite.transaction import copy_database
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.private_files import FILE_MODE, sync_folder, write_new_file
 from orchestrator.runtime.state_folder import ADAPTERS, FLEET_FILE, JOURNAL
@@ -64,7 +62,7 @@ def write_backup(folder: Path, target: Path, tutti: str, utc: str) -> BackupMani
         copies = Path(scratch)
         for name in DATABASES:
             if (folder / name).exists():
-                _copy_database(folder / name, copies / name)
+                copy_database(folder / name, copies / name)
         epoch = read_stored_epoch(copies / JOURNAL)
         for path in _find_plain_files(folder):
             copy = copies / path.relative_to(folder)
@@ -82,15 +80,6 @@ def write_backup(folder: Path, target: Path, tutti: str, utc: str) -> BackupMani
                 tar.add(copies / each, each, filter=_hide_owner)
         sync_folder(target.parent)
     return manifest
-
-
-def _copy_database(source: Path, copy: Path) -> None:
-    try:
-        with closing(open_read_only(source)) as db, closing(sqlite3.connect(copy)) as into:
-            db.backup(into)
-            into.execute("PRAGMA journal_mode=DELETE")
-    except sqlite3.Error as error:
-        raise make_unusable_error(str(source), error) from None
 
 
 def _find_plain_files(folder: Path) -> Iterator[Path]:

@@ -14,10 +14,10 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO, NamedTuple
 
 from adapters.controller.store import FileStore
-from orchestrator.coordinator.journal.inspection import JournalDamage, check_journal
-from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.journal.portable import import_journal, read_stored_epoch, set_epoch
 from orchestrator.coordinator.journal.records import BadBackup, JournalError
+from orchestrator.coordinator.journal.sqlite.inspection import JournalDamage, check_journal
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
+from orchestrator.coordinator.journal.sqlite.portable import import_journal, read_stored_epoch, set_epoch
 from orchestrator.model.messages import MAX_EPOCH
 from orchestrator.model.private_files import make_private_folder, sync_folder
 from orchestrator.model.queue import QueueStop
@@ -104,7 +104,7 @@ def _prepare_journal(path: Path, file: Path, epoch: int, wishes: ImportWishes) -
     """Migrate the journal, and put the epoch and the stop of the queue into it; return what is damaged in it."""
     try:
         damages = check_journal(path).damages
-        journal = Journal(path)
+        journal = SqliteJournal(path)
     except JournalError as error:
         text = error.text.replace(str(path), f"{file}: {JOURNAL}")
         raise BadBackup(text, "use another backup, or a newer Tutti if its schema is newer") from None

@@ -27,14 +27,14 @@ from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.journal.alarm_tables import AlarmTables
-from orchestrator.coordinator.journal.approval_table import ApprovalTable
-from orchestrator.coordinator.journal.command_table import CommandTable
-from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.journal.point_rows import PointRows
-from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.coordinator.journal.statistics_table import StatisticsTable
+from orchestrator.coordinator.journal.sqlite.alarm_tables import AlarmTables
+from orchestrator.coordinator.journal.sqlite.approval_table import ApprovalTable
+from orchestrator.coordinator.journal.sqlite.command_table import CommandTable
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
+from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
+from orchestrator.coordinator.journal.sqlite.point_store import PointStore
+from orchestrator.coordinator.journal.sqlite.statistics_table import StatisticsTable
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, RunCommand, run_no_command
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import wait_for_vacancy
@@ -57,15 +57,15 @@ MAX_WAKE_DELAY_NS = 60 * NS_PER_US  # largest wake-up delay of the firing proces
 READ_ONLY_JOURNAL_CALLS = frozenset(
     decision.__name__
     for decision in (
-        Journal.list_decisions,
-        Journal.find_jobs,
-        Journal.find_referenced_jobs,
-        Journal.load_job,
-        Journal.has_client_key,
-        Journal.load_recording,
-        Journal.load_report,
-        Journal.list_named_points,
-        Journal.require_latest_epoch,
+        SqliteJournal.list_decisions,
+        SqliteJournal.find_jobs,
+        SqliteJournal.find_referenced_jobs,
+        SqliteJournal.load_job,
+        SqliteJournal.has_client_key,
+        SqliteJournal.load_recording,
+        SqliteJournal.load_report,
+        SqliteJournal.list_named_points,
+        SqliteJournal.require_latest_epoch,
         PointRows.load_points,
         AlarmTables.load_alarms,
         AlarmTables.load_history,
@@ -74,11 +74,11 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         CommandTable.list_commands,
         StatisticsTable.read_rows,
         PointStore.read_rows,
-        Journal.list_reservations,
-        Journal.list_positions,
-        Journal.load_record,
-        Journal.list_transitions,
-        Journal.list_unfinished,
+        SqliteJournal.list_reservations,
+        SqliteJournal.list_positions,
+        SqliteJournal.load_record,
+        SqliteJournal.list_transitions,
+        SqliteJournal.list_unfinished,
     )
 )
 
@@ -119,7 +119,7 @@ class VirtualFleet:
         self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
         self.keys = FleetKeys(fleet.fleet)
         self.lines: list[str] = []
-        self.journal = Journal(":memory:")
+        self.journal = SqliteJournal(":memory:")
         self.controllers: dict[str, SimulatedController] = {}
         self.wires: dict[str, MemoryWire] = {}
         self.crystals: dict[str, Oscillator] = {}

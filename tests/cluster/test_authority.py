@@ -20,7 +20,7 @@ from orchestrator.bus.latch import FileLatchStore, LatchKeeper
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobSubmitted
 from orchestrator.model.messages import (
@@ -131,7 +131,7 @@ def test_an_adoption_with_a_far_epoch_is_refused() -> None:
 
 
 def test_a_far_epoch_of_an_adapter_is_not_taken_over() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     assert journal.take_epoch(0) == 1
     assert journal.take_epoch(2**53 - 1) == 2
     assert journal.take_epoch(100) == 101

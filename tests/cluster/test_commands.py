@@ -11,8 +11,8 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import RequestRefused
 from orchestrator.bus.service_verbs import SERVICE_VERBS
-from orchestrator.coordinator.journal import command_table
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.sqlite import command_table
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import SubmitJob
 from orchestrator.model.operation.commands import CommandRecord
@@ -123,7 +123,7 @@ def test_commands_are_found_page_by_page_and_by_user() -> None:
 
 def test_of_the_commands_the_newest_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command_table, "MAX_COMMANDS", 3)
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     for number in range(5):
         utc = f"2026-01-01T00:00:0{number}.000000Z"
         journal.commands.store_command(CommandRecord(utc=utc, actor="a", verb="stop", subject=str(number), refused=""))

@@ -33,7 +33,7 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue_gate import QueueGate
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion import report as motion_report
 from orchestrator.coordinator.motion import step
@@ -115,8 +115,8 @@ def jogs_on(patch: Patch) -> None:
 
 def lets_any_coordinator_end_a_job(patch: Patch) -> None:
     """Coordinators that are overtaken, too."""
-    patch.setattr(Journal, "require_latest_epoch", nothing)
-    patch.setattr(Journal, "_require_unended", nothing)
+    patch.setattr(SqliteJournal, "require_latest_epoch", nothing)
+    patch.setattr(SqliteJournal, "_require_unended", nothing)
 
 
 def stops_all_members(patch: Patch) -> None:

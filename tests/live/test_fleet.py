@@ -25,7 +25,7 @@ from fleet import (
 
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import RealtimePriority
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 
 pytestmark = pytest.mark.live
 
@@ -63,7 +63,7 @@ def test_the_demo_job_is_done_and_its_evidence_contains_the_truth(shared: Runnin
     assert done.returncode == 0, done.stdout + done.stderr
     report = json.loads(done.stdout)
     assert report["state"] == "done"
-    scale = Journal(shared.state / "journal.sqlite3")
+    scale = SqliteJournal(shared.state / "journal.sqlite3")
     try:
         _, origin_ns = scale.fleet_time_scale(Path("/proc/sys/kernel/random/boot_id").read_text().strip(), 0, "none")
     finally:

@@ -44,8 +44,8 @@ def check(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
 
     Exit 1 if something is damaged.
     """
-    from orchestrator.coordinator.journal.inspection import check_journal
-    from orchestrator.coordinator.journal.schema import VERSION
+    from orchestrator.coordinator.journal.sqlite.inspection import check_journal
+    from orchestrator.coordinator.journal.sqlite.schema import VERSION
 
     path = _find_journal(state, fleet)
     with _journal_errors():
@@ -97,7 +97,7 @@ def backup(state: Path | None, fleet: str | None, output: Path, *, force: bool, 
 @json_option
 def export(state: Path | None, fleet: str | None, output: Path, *, force: bool, as_json: bool) -> None:
     """Write the journal as text, one record a line, for programs and for moving it. The fleet may run."""
-    from orchestrator.coordinator.journal.portable import export_journal
+    from orchestrator.coordinator.journal.sqlite.portable import export_journal
     from orchestrator.model.private_files import write_new_file
     from orchestrator.model.version import find_own_version
 

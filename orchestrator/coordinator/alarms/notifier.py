@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from orchestrator.clock.base import sleep_ns
 from orchestrator.coordinator.alarms.store import AlarmStore
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.journal.alarm_tables import AlarmNotice
+from orchestrator.coordinator.journal.facts import AlarmNotice
 from orchestrator.coordinator.leadership.environment import RunCommand
 from orchestrator.model.alarm_rules import MINUTE_NS, NotifyCommand
 from orchestrator.model.operation.alarms import AlarmRecord

@@ -12,7 +12,7 @@ from orchestrator.bus.base import Bus, BusDeclaration, BusSample, Priority, Requ
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.coordinator.alarms.store import AlarmStore
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.journal.alarm_tables import AlarmChange
+from orchestrator.coordinator.journal.facts import AlarmChange
 from orchestrator.model.errors import Refusal
 from orchestrator.model.operation.alarms import (
     AcknowledgeAlarms,

@@ -5,8 +5,9 @@ from collections.abc import Callable
 
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.coordinator.fleet.positions import JournalCalls
-from orchestrator.coordinator.journal.alarm_tables import AlarmChange, AlarmTables
+from orchestrator.coordinator.journal.facts import AlarmChange
 from orchestrator.coordinator.journal.records import EpochOvertaken, JournalError
+from orchestrator.coordinator.journal.store import AlarmJournal
 from orchestrator.model.operation.alarms import AlarmRecord
 
 RETRY_NS = 2 * NS_PER_S
@@ -16,7 +17,7 @@ MAX_UNWRITTEN = 2_000  # changes; then the oldest are lost for the history
 class AlarmStore:
     """Writes changes of alarms, and what becomes of notices."""
 
-    def __init__(self, tables: AlarmTables, execute: JournalCalls, clock: Clock) -> None:
+    def __init__(self, tables: AlarmJournal, execute: JournalCalls, clock: Clock) -> None:
         self._tables = tables
         self._execute = execute
         self._clock = clock

@@ -15,8 +15,9 @@ from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseHold, LeaseRegistry, LeaseUser
 from orchestrator.coordinator.fleet.permits import PermitWatch
-from orchestrator.coordinator.journal.journal import Journal, Reservation
+from orchestrator.coordinator.journal.facts import Reservation
 from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import MAX_MANUAL_LEASE_S, AcquireAxes, AxesAcquired
 from orchestrator.model.queue import format_utc, parse_utc
@@ -25,7 +26,7 @@ from orchestrator.model.queue import format_utc, parse_utc
 class ManualLeases:
     """Grants axes for manual control, and ends the right to move them when it may no longer be used."""
 
-    def __init__(self, fleet: FleetAccess, leases: LeaseRegistry, journal: Journal, execute: Executor) -> None:
+    def __init__(self, fleet: FleetAccess, leases: LeaseRegistry, journal: JournalStore, execute: Executor) -> None:
         self._fleet = fleet
         self._leases = leases
         self._journal = journal

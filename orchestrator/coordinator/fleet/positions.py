@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 
 from orchestrator.bus.base import BusError
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import MAX_POSITIONS, Axis
 from orchestrator.model.fleet_names import explain_position_name
@@ -41,7 +41,7 @@ class JournalCalls(Protocol):
 class PositionBook:
     """The named positions of the fleet of `access`. on_change: called after one was saved or removed."""
 
-    def __init__(self, access: FleetAccess, journal: Journal, execute: JournalCalls) -> None:
+    def __init__(self, access: FleetAccess, journal: JournalStore, execute: JournalCalls) -> None:
         self._access = access
         self._journal = journal
         self._execute = execute

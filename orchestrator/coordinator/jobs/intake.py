@@ -10,7 +10,7 @@ from orchestrator.coordinator.jobs.point_intake import PointIntake
 from orchestrator.coordinator.jobs.queue import find_axes, find_needed_controllers
 from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
 from orchestrator.coordinator.jobs.start_places import StartPlaces
-from orchestrator.coordinator.journal import journal
+from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
@@ -69,7 +69,7 @@ class JobIntake:
         if request.dry_run:
             return reply
         fresh = job.model_copy(update={"actor": request.actor})
-        taken_job = await self._accept_job(request.client_key, fresh, terms, journal.RetryOrigin(record.id, from_step))
+        taken_job = await self._accept_job(request.client_key, fresh, terms, RetryOrigin(record.id, from_step))
         return reply.model_copy(update={"job_id": taken_job.job_id, "entry": taken_job.entry})
 
     async def prune_jobs(self, request: PruneJobs) -> int:
@@ -92,7 +92,7 @@ class JobIntake:
         services.fleet.certificates.require_until(members, least_s, terms.at)
 
     async def _accept_job(
-        self, client_key: str, job: Job, terms: QueueTerms, retried: journal.RetryOrigin | None
+        self, client_key: str, job: Job, terms: QueueTerms, retried: RetryOrigin | None
     ) -> JobSubmitted:
         services = self._services
         job_id, fresh = await services.execute(
@@ -101,7 +101,7 @@ class JobIntake:
             client_key,
             job,
             services.clock.utc(),
-            journal.QueueEntryOptions(terms, retried),
+            QueueEntryOptions(terms, retried),
         )
         row = await services.execute(services.journal.load_record, job_id)
         assert row is not None

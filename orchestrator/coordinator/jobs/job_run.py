@@ -22,8 +22,8 @@ from orchestrator.coordinator.jobs.point_readings import PointReadings
 from orchestrator.coordinator.jobs.queue import find_axes
 from orchestrator.coordinator.jobs.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.sequence import StepSequence
-from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord, JournalError
+from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
@@ -84,7 +84,7 @@ class JobServices:
     bus: Bus
     keys: FleetKeys
     clock: Clock
-    journal: Journal
+    journal: JournalStore
     execute: Executor
     view: FleetView
     fleet: FleetAccess

@@ -4,7 +4,7 @@ import base64
 import binascii
 
 from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.journal.point_store import UploadState
+from orchestrator.coordinator.journal.facts import UploadState
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import PointsPut, PutPoints

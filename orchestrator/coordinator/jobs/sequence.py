@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from orchestrator.clock.executor import Executor
-from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.journal.store import PointUploads
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.scan import GridPoints
 from orchestrator.model.steps.base import Step
@@ -32,7 +32,7 @@ class PointReader(Protocol):
 class StepSequence:
     """The steps of a job by their numbers. A point of a scan is a move, then the steps at it."""
 
-    def __init__(self, order: StepOrder, fleet: Fleet, store: PointStore, execute: Executor) -> None:
+    def __init__(self, order: StepOrder, fleet: Fleet, store: PointUploads, execute: Executor) -> None:
         self.order = order
         self._fleet = fleet
         self._store = store
@@ -114,7 +114,7 @@ class _ListedReader:
 class _StoredReader:
     """Reads stored points in blocks, and keeps two of them."""
 
-    def __init__(self, store: PointStore, execute: Executor, digest: str, count: int) -> None:
+    def __init__(self, store: PointUploads, execute: Executor, digest: str, count: int) -> None:
         self._store = store
         self._execute = execute
         self._digest = digest

@@ -1,1 +1,1 @@
-"""The journal: accepted jobs, decisions and reports in SQLite."""
+"""The journal: what was accepted, decided and done. `store.py` says what it keeps, `sqlite/` keeps it."""

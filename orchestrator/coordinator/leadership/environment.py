@@ -10,7 +10,7 @@ from orchestrator.bus.latch import LatchStore
 from orchestrator.bus.log import LogSink
 from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor, run_inline
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.state import CertificateEnd
 
@@ -45,7 +45,7 @@ class CoordinatorEnvironment:
     bus: Bus
     keys: FleetKeys
     clock: Clock
-    journal: Journal
+    journal: JournalStore
     execute: Executor
     new_id: Callable[[], str]
     sink: LogSink

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
 from orchestrator.coordinator.motion.publisher import StepPublisher
@@ -27,7 +27,7 @@ class MotionServices:
 
     fleet: FleetAccess
     leadership: Leadership
-    journal: Journal
+    journal: JournalStore
     execute: Executor
     publisher: StepPublisher
     plan: Executor = run_inline

@@ -12,7 +12,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.fleet.requests import ANSWER_S
-from orchestrator.coordinator.journal.journal import StepDecision
+from orchestrator.coordinator.journal.facts import StepDecision
 from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_NS
 from orchestrator.coordinator.motion.lead_time import ArmKind
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation

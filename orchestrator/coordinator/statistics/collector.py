@@ -12,8 +12,9 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.listening import keep_apart
 from orchestrator.coordinator.fleet.positions import JournalCalls
+from orchestrator.coordinator.journal.facts import WORST, StatisticsRow
 from orchestrator.coordinator.journal.records import EpochOvertaken, JournalError
-from orchestrator.coordinator.journal.statistics_table import WORST, StatisticsRow, StatisticsTable
+from orchestrator.coordinator.journal.store import StatisticsStore
 from orchestrator.coordinator.motion.budget import measure_skew
 from orchestrator.coordinator.statistics.availability import AvailabilityClock
 from orchestrator.coordinator.statistics.periods import make_periods
@@ -37,7 +38,7 @@ FigureKey = tuple[str, str, str, str]
 class StatisticsCollector:
     """Counts what the fleet does."""
 
-    def __init__(self, access: FleetAccess, table: StatisticsTable, execute: JournalCalls) -> None:
+    def __init__(self, access: FleetAccess, table: StatisticsStore, execute: JournalCalls) -> None:
         self._access = access
         self._table = table
         self._execute = execute

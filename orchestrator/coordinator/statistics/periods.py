@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from orchestrator.coordinator.journal.statistics_table import WORST, StatisticsRow
+from orchestrator.coordinator.journal.facts import WORST, StatisticsRow
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.operation.statistics import AxisFigures, ControllerFigures, PairFigures, PeriodFigures
 

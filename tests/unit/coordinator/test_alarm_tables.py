@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.coordinator.journal import alarm_tables
-from orchestrator.coordinator.journal.alarm_tables import AlarmChange, AlarmNotice
-from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.journal.statistics_table import StatisticsRow
+from orchestrator.coordinator.journal.facts import AlarmChange, AlarmNotice, StatisticsRow
+from orchestrator.coordinator.journal.sqlite import alarm_tables
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.operation.alarms import AlarmCause, AlarmRecord
 from orchestrator.model.operation.transitions import raise_alarm
 
@@ -19,12 +18,12 @@ def record(subject: str, change: str) -> AlarmRecord:
 
 
 def test_alarms_and_notices_are_kept_and_a_damaged_one_is_named(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "j.db")
+    journal = SqliteJournal(tmp_path / "j.db")
     one, two = record("gantry", "1-1"), record("stage", "1-2")
     journal.alarms.store_changes([AlarmChange(one, notify=True), AlarmChange(two, notify=True)])
     journal.alarms.store_tries("1-2", 3)
     journal.close()
-    journal = Journal(tmp_path / "j.db")
+    journal = SqliteJournal(tmp_path / "j.db")
     assert journal.alarms.load_alarms() == ([one, two], [])
     assert journal.alarms.load_notices() == [AlarmNotice(one), AlarmNotice(two, 3)]
     journal.alarms.delete_notice("1-1")
@@ -37,7 +36,7 @@ def test_alarms_and_notices_are_kept_and_a_damaged_one_is_named(tmp_path: Path) 
 
 def test_of_the_history_the_newest_changes_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(alarm_tables, "MAX_HISTORY", 3)
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     for number in range(5):
         journal.alarms.store_changes([AlarmChange(record("gantry", f"1-{number}"))])
     assert [each.change for each in journal.alarms.load_history(10)] == ["1-4", "1-3", "1-2"]
@@ -45,7 +44,7 @@ def test_of_the_history_the_newest_changes_are_kept(monkeypatch: pytest.MonkeyPa
 
 
 def test_figures_add_up_and_the_worst_is_the_largest() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     rows = [StatisticsRow("2026-01-01", "pair", "a+b", figure, 5.0) for figure in ("moves", "worst_ns")]
     journal.statistics.add_rows(rows)
     journal.statistics.add_rows([row._replace(value=2.0) for row in rows])

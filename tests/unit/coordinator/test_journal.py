@@ -8,15 +8,10 @@ from pathlib import Path
 import pytest
 
 from orchestrator.clock.executor import ThreadExecutor
-from orchestrator.coordinator.journal.journal import (
-    Journal,
-    QueueEntryOptions,
-    RetryOrigin,
-    StepDecision,
-    require_journal,
-)
+from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin, StepDecision
 from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertaken, JobHasEnded, JournalError
-from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal, require_journal
+from orchestrator.coordinator.journal.sqlite.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.approval import JobApproval, JobPlan
@@ -43,19 +38,19 @@ def report(job_id: str, state: JobState) -> JobReport:
     )
 
 
-def end(journal: Journal, job_id: str, state: JobState = "done") -> None:
+def end(journal: SqliteJournal, job_id: str, state: JobState = "done") -> None:
     transition = JobTransition(state=state, reason="", actor="a", utc=utc(2))
     journal.record_transition(job_id, transition, report(job_id, state))
 
 
 def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:
     path = tmp_path / "state" / "journal.db"
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     terms = QueueTerms(priority=3, repeat=2, after="b", at="2026-12-01T12:00:00+02:00", missed="run", held=True)
     assert journal.accept_job("a", "key", JOB, utc(1), QueueEntryOptions(terms, RetryOrigin("z", 1))) == ("a", True)
     assert journal.accept_job("b", "key", JOB, utc(2)) == ("a", False)
     # Another process sees it at once, even if this one dies.
-    row = Journal(path).load_record("a")
+    row = SqliteJournal(path).load_record("a")
     assert row is not None
     assert row.terms == terms
     assert (row.at_utc, row.due, row.held_by) == ("2026-12-01T10:00:00.000000Z", False, "unknown")
@@ -64,7 +59,7 @@ def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:
 
 
 def test_jobs_are_found_by_state_name_and_time() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     for number in range(1, 10):
         name = "100% _scan'" if number % 2 else "fill"
         journal.accept_job(str(number), f"k{number}", JOB.model_copy(update={"name": name}), utc(number))
@@ -84,7 +79,7 @@ def test_jobs_are_found_by_state_name_and_time() -> None:
 
 
 def test_a_job_that_is_no_longer_queued_cannot_be_restored() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     journal.accept_job("a", "a", JOB, utc(1))
     end(journal, "a", "cancelled")
     late = JobTransition(state="queued", reason="held", actor="b", utc=utc(3))
@@ -98,7 +93,7 @@ def test_a_job_that_is_no_longer_queued_cannot_be_restored() -> None:
 
 
 def test_old_jobs_are_deleted_with_all_their_records() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     for number in range(1, 11):
         journal.accept_job(str(number), f"k{number}", JOB, utc(number))
         journal.record_decision(str(number), StepDecision(0, 1, 1, "gantry"), utc(number))
@@ -116,7 +111,7 @@ def test_old_jobs_are_deleted_with_all_their_records() -> None:
 
 
 def test_an_ended_job_stays_ended_and_an_older_leader_cannot_write() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     epoch = journal.take_epoch(0)
     journal.accept_job("1", "k1", JOB, utc(1))
     end(journal, "1")
@@ -148,7 +143,7 @@ def test_upgrade_from_older_versions(tmp_path: Path, version: int) -> None:
         old.execute("UPDATE jobs SET place = number")
     old.commit()
     old.close()
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     assert [(row.id, row.place, row.terms) for row in journal.list_unfinished()] == [
         ("j2", 2, QueueTerms()),
         ("j3", 3, QueueTerms()),
@@ -157,19 +152,19 @@ def test_upgrade_from_older_versions(tmp_path: Path, version: int) -> None:
     assert journal.accept_job("j4", "k4", JOB, utc(4)) == ("j4", True)
     assert journal._db.execute("PRAGMA user_version").fetchone() == (VERSION,)  # pyright: ignore[reportPrivateUsage]
     journal.close()
-    assert [row.id for row in Journal(path).list_unfinished()] == ["j2", "j3", "j4"]
+    assert [row.id for row in SqliteJournal(path).list_unfinished()] == ["j2", "j3", "j4"]
 
 
 def test_jobs_of_an_older_version_keep_their_checksums(tmp_path: Path) -> None:
     """Those of version 9 were made without the column `proposed`."""
     path = tmp_path / "journal.db"
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     journal.accept_job("a", "a", JOB, utc(1))
     for statement in ("DROP TABLE approvals", "DROP TABLE commands", "ALTER TABLE jobs DROP COLUMN proposed"):
         journal.database.execute(statement)
     journal.database.execute("PRAGMA user_version=9")
     journal.close()
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     assert journal.load_job("a") == JOB
     row = journal.load_record("a")
     assert row is not None and not row.proposed
@@ -183,7 +178,7 @@ def approval(job_id: str) -> JobApproval:
 
 
 def test_an_approval_releases_its_job_and_is_deleted_with_it() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     proposed = QueueEntryOptions(QueueTerms(proposed=True))
     journal.accept_job("a", "a", JOB, utc(1), proposed)
     row = journal.load_record("a")
@@ -213,7 +208,7 @@ def refused(path: Path) -> str:
     """The result of opening; the file is unchanged."""
     before = path.read_bytes()
     with pytest.raises(JournalError) as caught:
-        Journal(path)
+        SqliteJournal(path)
     assert path.read_bytes() == before
     assert str(path) in str(caught.value)
     assert caught.value.remedy
@@ -237,12 +232,12 @@ def test_a_foreign_file_is_not_touched(tmp_path: Path) -> None:
     db.close()
     assert f"schema {VERSION + 1} is newer than this Tutti's {VERSION}" in refused(newer)
     with pytest.raises(JournalError, match="cannot be used"):
-        Journal(tmp_path)
+        SqliteJournal(tmp_path)
 
 
 def test_a_damaged_journal_is_reported_and_not_written_to(tmp_path: Path) -> None:
     path = tmp_path / "journal.db"
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     for number in range(300):
         journal.accept_job(str(number), str(number), JOB, utc(1))
     journal.close()
@@ -255,7 +250,7 @@ def test_a_damaged_journal_is_reported_and_not_written_to(tmp_path: Path) -> Non
 
 
 def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "journal.db")
+    journal = SqliteJournal(tmp_path / "journal.db")
     db = journal._db  # pyright: ignore[reportPrivateUsage]
     pages = db.execute("PRAGMA page_count").fetchone()[0]
     db.execute(f"PRAGMA max_page_count={pages + 4}")
@@ -279,7 +274,7 @@ def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
 
 
 def test_an_unreadable_body_names_the_job() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     journal.accept_job("a", "a", JOB, utc(1))
     journal._db.execute("UPDATE jobs SET body = '{}'")  # pyright: ignore[reportPrivateUsage]
     with pytest.raises(JournalError, match="the Job of job a cannot be read"):
@@ -288,21 +283,21 @@ def test_an_unreadable_body_names_the_job() -> None:
 
 def test_a_deleted_or_replaced_file_accepts_nothing(tmp_path: Path) -> None:
     path = tmp_path / "state" / "journal.db"
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     assert journal.accept_job("a", "a", JOB, utc(1)) == ("a", True)
     (tmp_path / "state").rename(tmp_path / "moved")
     with pytest.raises(JournalError, match="deleted or replaced") as caught:
         journal.accept_job("b", "b", JOB, utc(1))
     assert "--new-journal" in caught.value.remedy
-    Journal(path).close()
+    SqliteJournal(path).close()
     with pytest.raises(JournalError, match="deleted or replaced"):
         journal.accept_job("b", "b", JOB, utc(1))
-    assert Journal(path).load_record("b") is None and journal.load_record("b") is None
+    assert SqliteJournal(path).load_record("b") is None and journal.load_record("b") is None
 
 
 def test_its_files_are_for_its_user_alone_and_no_link_is_followed(tmp_path: Path) -> None:
     path = tmp_path / "state" / "journal.db"
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     journal.accept_job("a", "a", JOB, utc(1))
     modes = {each.name: each.stat().st_mode & 0o777 for each in (path.parent, *path.parent.iterdir())}
     files = ("journal.db", "journal.db-points")
@@ -311,7 +306,7 @@ def test_its_files_are_for_its_user_alone_and_no_link_is_followed(tmp_path: Path
     victim.write_text("")
     link.symlink_to(victim)
     with pytest.raises(JournalError, match=r"link\.db: is a symbolic link, to .*victim'; remove it"):
-        Journal(link)
+        SqliteJournal(link)
     assert victim.read_bytes() == b""
 
 
@@ -319,7 +314,7 @@ def test_a_missing_journal_is_required_of_a_fleet_that_had_one(tmp_path: Path) -
     with pytest.raises(JournalError, match="journal of this fleet is missing") as caught:
         require_journal(tmp_path / "journal.db")
     assert "--new-journal" in caught.value.remedy
-    Journal(tmp_path / "journal.db")
+    SqliteJournal(tmp_path / "journal.db")
     require_journal(tmp_path / "journal.db")
 
 
@@ -334,7 +329,7 @@ def test_a_missing_journal_is_required_of_a_fleet_that_had_one(tmp_path: Path) -
     ],
 )
 def test_a_damaged_record_is_a_failed_job_and_affects_no_other(damage: str, shown: str) -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     for job_id in ("a", "b"):
         journal.accept_job(job_id, job_id, JOB, utc(1))
     journal._db.execute(f"UPDATE jobs SET {damage} WHERE id = 'a'")  # pyright: ignore[reportPrivateUsage]
@@ -351,7 +346,7 @@ def test_a_damaged_record_is_a_failed_job_and_affects_no_other(damage: str, show
 @pytest.mark.parametrize("column", ["name", "actor", "body", "submitted_utc", "missed"])
 def test_a_bit_that_changes_in_a_job_is_noticed_although_the_job_can_be_read(column: str) -> None:
     """One more second of dwell, or the target of a move."""
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     terms = QueueTerms(at="2026-12-01T12:00:00+02:00", missed="run")
     journal.accept_job("a", "a", JOB, utc(1), QueueEntryOptions(terms))
     change = "replace(body, '1', '3')" if column == "body" else f"replace({column}, substr({column}, 2, 1), '2')"
@@ -362,7 +357,7 @@ def test_a_bit_that_changes_in_a_job_is_noticed_although_the_job_can_be_read(col
 
 @pytest.mark.parametrize("damaged", ["meta", "meta_copies"])
 def test_a_bit_that_changes_in_a_value_is_taken_back_from_its_copy(damaged: str) -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     journal.take_epoch(6)
     assert journal.fleet_time_scale("k", 1234, "s") == ("s", 1234)
     stop = QueueStop(reason="test", actor="anna", utc=utc(1))
@@ -376,7 +371,7 @@ def test_a_bit_that_changes_in_a_value_is_taken_back_from_its_copy(damaged: str)
 
 
 def test_a_scale_whose_origin_cannot_be_read_begins_anew() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     journal.fleet_time_scale("k", 1234, "s")
     for table in ("meta", "meta_copies"):
         journal.database.execute(f"UPDATE {table} SET value = '12x4' WHERE key = 'origin_host_ns'")
@@ -385,7 +380,7 @@ def test_a_scale_whose_origin_cannot_be_read_begins_anew() -> None:
 
 def test_damaged_bytes_and_damaged_values_of_the_queue(tmp_path: Path) -> None:
     path = tmp_path / "journal.db"
-    journal = Journal(path)
+    journal = SqliteJournal(path)
     for job_id in ("a", "b"):
         journal.accept_job(job_id, job_id, JOB, utc(1))
     db = journal._db  # pyright: ignore[reportPrivateUsage]
@@ -407,7 +402,7 @@ def test_damaged_bytes_and_damaged_values_of_the_queue(tmp_path: Path) -> None:
 def test_it_is_closed_after_the_calls_that_still_use_it() -> None:
     """Closed under a call of another thread, SQLite ended a coordinator that had lost its leadership with a
     segmentation fault."""
-    journal, runs = Journal(":memory:"), ThreadExecutor("journal")
+    journal, runs = SqliteJournal(":memory:"), ThreadExecutor("journal")
     go_on, used = threading.Event(), list[str]()
 
     def slow() -> None:

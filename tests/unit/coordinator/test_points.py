@@ -17,9 +17,9 @@ from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.jobs.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.sequence import StepSequence
-from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
+from orchestrator.coordinator.journal.sqlite.point_store import PointStore
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.files import load_fleet, parse_document
@@ -154,7 +154,7 @@ def run_scan(points: int, fail_at: int | None = None) -> tuple[list[StepReport],
     """Take the reports of a scan whose every seventh point is amber; return its reports, the peak of memory in bytes,
     and the first rows."""
     given = make_job(f"[{{do: scan, axes: {{gantry.x: {{from: 0, to: 100, points: {points}}}}}}}]")
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     rows: list[PointRecord] = []
     written = 0
 
@@ -223,7 +223,7 @@ def test_memory_does_not_grow_with_the_points() -> None:
 
 
 def test_stored_points_are_read_in_blocks() -> None:
-    journal = Journal(":memory:")
+    journal = SqliteJournal(":memory:")
     store = journal.points
     digest = store_points(store, 10_000, part=80_000)
     state = store.begin_upload(digest, AXES, 10_000, NOON, [])

@@ -11,9 +11,9 @@ from orchestrator.coordinator.command_log import MAX_SUBJECT
 from orchestrator.coordinator.jobs.approval import MAX_SHOWN
 from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
 from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES
-from orchestrator.coordinator.journal.command_table import MAX_COMMANDS
-from orchestrator.coordinator.journal.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
-from orchestrator.coordinator.journal.point_store import QUOTA_BYTES
+from orchestrator.coordinator.journal.sqlite.command_table import MAX_COMMANDS
+from orchestrator.coordinator.journal.sqlite.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
+from orchestrator.coordinator.journal.sqlite.point_store import QUOTA_BYTES
 from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
 from orchestrator.gateway import app, commands, fleet_files, guard, job_files, preview, reads, server
 from orchestrator.gateway.access import authentication, users

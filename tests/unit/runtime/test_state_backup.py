@@ -15,11 +15,11 @@ from click.testing import CliRunner, Result
 from adapters.controller.store import AdapterMemory, FileStore
 from orchestrator.bus.latch import FileLatchStore
 from orchestrator.cli.main import main
-from orchestrator.coordinator.journal.alarm_tables import AlarmChange
-from orchestrator.coordinator.journal.inspection import check_journal
-from orchestrator.coordinator.journal.journal import Journal, QueueEntryOptions, StepDecision
-from orchestrator.coordinator.journal.portable import read_stored_epoch
-from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.coordinator.journal.facts import AlarmChange, QueueEntryOptions, StepDecision
+from orchestrator.coordinator.journal.sqlite.inspection import check_journal
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
+from orchestrator.coordinator.journal.sqlite.portable import read_stored_epoch
+from orchestrator.coordinator.journal.sqlite.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.alarms import AlarmRecord
@@ -41,9 +41,9 @@ DIGEST = f"sha256:{hashlib.sha256(make_header(AXES) + POINTS).hexdigest()}"
 LATCH = EstopLatch(event="e1", actor="anna", reason="smoke", utc=UTC)
 
 
-def make_folder(folder: Path) -> Journal:
+def make_folder(folder: Path) -> SqliteJournal:
     """A state folder as a fleet leaves it, or has it while it runs: the journal is open."""
-    journal = Journal(folder / JOURNAL)
+    journal = SqliteJournal(folder / JOURNAL)
     for _ in range(3):
         journal.take_epoch(0)
     for number, state in enumerate(("done", "running", "queued")):
@@ -116,7 +116,7 @@ def test_what_is_imported_is_what_was_there(source: Path, tmp_path: Path, file: 
         assert FileLatchStore(folder / "estop.json").load() == LATCH
         assert (folder / FLEET_FILE).read_bytes() == b"{}"
     assert json.loads(done("check", "--state", folder, "--json"))["damages"] == []
-    journal = Journal(folder / JOURNAL)
+    journal = SqliteJournal(folder / JOURNAL)
     assert journal.take_epoch(0) == 9
     stop = journal.load_queue_stop()
     assert stop is not None and file in stop.reason
@@ -126,7 +126,7 @@ def test_what_is_imported_is_what_was_there(source: Path, tmp_path: Path, file: 
 
 def test_an_import_keeps_what_is_newer_and_the_journal_of_before(source: Path, tmp_path: Path) -> None:
     folder = tmp_path / "state"
-    before = Journal(folder / JOURNAL)
+    before = SqliteJournal(folder / JOURNAL)
     for _ in range(20):
         before.take_epoch(0)
     before.close()

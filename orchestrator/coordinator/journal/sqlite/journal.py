@@ -1,6 +1,6 @@
-"""The journal: what was accepted, decided and done, in SQLite, on disk before it is reported anywhere.
+"""The journal in SQLite: what was accepted, decided and done is on disk before it is reported anywhere.
 
-`Journal` is synchronous; the caller chooses where it runs (`orchestrator.clock.executor`).
+`SqliteJournal` is synchronous; the caller chooses where it runs (`orchestrator.clock.executor`).
 """
 
 import json
@@ -10,44 +10,42 @@ import sqlite3
 import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 from zlib import crc32
 
 from pydantic import ValidationError
 
-from orchestrator.coordinator.journal.alarm_tables import AlarmTables
-from orchestrator.coordinator.journal.approval_table import ApprovalTable
-from orchestrator.coordinator.journal.command_table import CommandTable
-from orchestrator.coordinator.journal.job_states import insert_transition, is_queued
-from orchestrator.coordinator.journal.point_rows import PointRows
-from orchestrator.coordinator.journal.point_store import PointStore
+from orchestrator.coordinator.journal.facts import QueueEntryOptions, Reservation, StepDecision
 from orchestrator.coordinator.journal.records import (
-    CHECKED_COLUMNS,
-    COLUMNS,
     UNREADABLE_TIME,
     DamagedRecord,
     EpochOvertaken,
     JobHasEnded,
     JobRecord,
     JournalError,
-    find_checksum,
-    make_record,
 )
-from orchestrator.coordinator.journal.saved_positions import read_positions
-from orchestrator.coordinator.journal.schema import VERSION, list_statements, read_version
-from orchestrator.coordinator.journal.statistics_table import StatisticsTable
-from orchestrator.coordinator.journal.transaction import (
+from orchestrator.coordinator.journal.sqlite.alarm_tables import AlarmTables
+from orchestrator.coordinator.journal.sqlite.approval_table import ApprovalTable
+from orchestrator.coordinator.journal.sqlite.command_table import CommandTable
+from orchestrator.coordinator.journal.sqlite.job_states import insert_transition, is_queued
+from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
+from orchestrator.coordinator.journal.sqlite.point_store import PointStore
+from orchestrator.coordinator.journal.sqlite.rows import CHECKED_COLUMNS, COLUMNS, find_checksum, make_record
+from orchestrator.coordinator.journal.sqlite.saved_positions import read_positions
+from orchestrator.coordinator.journal.sqlite.schema import VERSION, list_statements, read_version
+from orchestrator.coordinator.journal.sqlite.statistics_table import StatisticsTable
+from orchestrator.coordinator.journal.sqlite.transaction import (
     Transaction,
     create_private_file,
     decode_text,
     make_unusable_error,
 )
-from orchestrator.coordinator.journal.values import StoredValues
+from orchestrator.coordinator.journal.sqlite.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
 from orchestrator.model.positions.entries import SavedPosition
-from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueStop, QueueTerms
+from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueStop
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 from orchestrator.model.steps.tree import find_digests
 
@@ -60,41 +58,8 @@ LAST_CHARACTER = "\U0010ffff"  # after all others in the order of ids
 _UNFINISHED_STATES = tuple(sorted(set(get_args(JobState)) - FINISHED_STATES))
 
 
-class RetryOrigin(NamedTuple):
-    """What a new job re-runs: the old job's id, and the step that it begins with."""
-
-    origin: str
-    from_step: int
-
-
-class QueueEntryOptions(NamedTuple):
-    """Options of a new job: its place in the queue, and the job that it re-runs."""
-
-    terms: QueueTerms = QueueTerms()
-    again: RetryOrigin | None = None
-
-
-class StepDecision(NamedTuple):
-    """The decision that a step may move: under which term, when (T0, fleet ns), and its members, joined by commas."""
-
-    step: int
-    epoch: int
-    t0_fleet_ns: int
-    members: str
-
-
-class Reservation(NamedTuple):
-    """Axes that are reserved for work at the machine."""
-
-    holder: str
-    actor: str
-    what: str
-    axes: tuple[str, ...]
-    until_utc: str
-
-
-class Journal:
-    """The journal of one fleet. Every method that changes something has committed to disk when it returns."""
+class SqliteJournal:
+    """`JournalStore` in a database: every method that changes something has committed to disk when it returns."""
 
     def __init__(self, path: str | Path) -> None:
         """Open or create the journal at `path` (`:memory:` for tests). Raises `JournalError`."""
@@ -163,10 +128,6 @@ class Journal:
     # Leadership
 
     def take_epoch(self, seen: int) -> int:
-        """Take the next epoch: above the last one here and above `seen`, in one transaction.
-
-        seen: of other coordinators and adapters; one that is far from the last one here is no real one, and is ignored.
-        """
         with self._transaction():
             last = self._read_epoch()
             epoch = max(last, seen if seen <= last + MAX_EPOCH_STEP else 0) + 1
@@ -174,7 +135,6 @@ class Journal:
         return epoch
 
     def require_latest_epoch(self, epoch: int) -> None:
-        """Raises `EpochOvertaken` if an epoch after `epoch` has been taken."""
         last = self._read_epoch()
         if last > epoch:
             raise EpochOvertaken(f"epoch {epoch} is over: a coordinator leads with epoch {last}")
@@ -186,7 +146,6 @@ class Journal:
         return int(known)
 
     def fleet_time_scale(self, kernel_id: str, now_ns: int, scale_id: str) -> tuple[str, int]:
-        """(scale id, origin in host ns): those of the last leader on this kernel, else a new scale from `now_ns`."""
         with self._transaction():
             origin = self._values.read("origin_host_ns")
             if self._values.read("kernel_id") == kernel_id and re.fullmatch(r"-?\d+", origin):
@@ -199,7 +158,6 @@ class Journal:
     # The queue as a whole
 
     def load_queue_stop(self) -> QueueStop | None:
-        """Why no job of the queue begins; None: jobs begin."""
         text = self._read_value("queue_stop")
         try:
             return QueueStop.model_validate_json(text) if text else None
@@ -208,12 +166,10 @@ class Journal:
             return QueueStop(reason="its state in the journal is damaged", actor="coordinator", utc=UNREADABLE_TIME)
 
     def store_queue_stop(self, stop: QueueStop | None) -> None:
-        """Record that the queue is stopped, or started (None)."""
         with self._transaction():
             self._values.write("queue_stop", "" if stop is None else stop.model_dump_json())
 
     def load_instances(self) -> dict[str, str]:
-        """The adapter instance of each controller, as the last leader saw them."""
         try:
             instances: dict[str, str] = json.loads(self._read_value("instances", "{}"))
         except ValueError:
@@ -234,7 +190,6 @@ class Journal:
         utc: str,
         entry: QueueEntryOptions | None = None,
     ) -> tuple[str, bool]:
-        """Accept a job: (its id, whether it is new). The same `client_key` returns the same job."""
         terms, origin_again = entry or QueueEntryOptions()
         self._require_same_file()
         with self._transaction():
@@ -278,11 +233,9 @@ class Journal:
         return job_id, True
 
     def has_client_key(self, client_key: str) -> bool:
-        """Whether a job was accepted with that key."""
         return bool(self._select_rows("SELECT 1 FROM jobs WHERE client_key = ?", (client_key,)))
 
     def record_transition(self, job_id: str, transition: JobTransition, report: JobReport | None = None) -> None:
-        """Record a change of a job's state, with its report if it has ended. Raises `JobHasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             insert_transition(self._db, job_id, transition)
@@ -290,7 +243,6 @@ class Journal:
                 self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job_id, report.model_dump_json()))
 
     def hold_jobs(self, job_ids: Iterable[str], held_by: str, transition: JobTransition) -> None:
-        """Record the originator of a hold; empty: released. Jobs that are not queued any more are not changed."""
         with self._transaction():
             for job_id in job_ids:
                 if is_queued(self._db, job_id):
@@ -298,14 +250,12 @@ class Journal:
                     insert_transition(self._db, job_id, transition)
 
     def mark_due(self, job_id: str, transition: JobTransition) -> None:
-        """Record that the start time of a job has come. A job that is not queued any more is not changed."""
         with self._transaction():
             if is_queued(self._db, job_id):
                 self._db.execute("UPDATE jobs SET due = 1 WHERE id = ?", (job_id,))
                 insert_transition(self._db, job_id, transition)
 
     def reorder_jobs(self, job_id: str, priority: int, places: Mapping[str, int], transition: JobTransition) -> None:
-        """Change the places of jobs, and the priority of `job_id`. Nothing changes if that is not queued any more."""
         with self._transaction():
             if is_queued(self._db, job_id):
                 moved_places = [(place, name) for name, place in places.items()]
@@ -319,17 +269,11 @@ class Journal:
             raise JobHasEnded(f"job {job_id} is {row[0]} already: another coordinator has ended it")
 
     def record_decision(self, job_id: str, decision: StepDecision, utc: str) -> None:
-        """Record that all members have promised: from here on the step may move.
-
-        Raises `JobHasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             self._db.execute("INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, *decision, utc))
 
     def withdraw_decision(self, job_id: str, step: int, t0_fleet_ns: int) -> None:
-        """Withdraw a decision: no member has started, and none will at that T0.
-
-        Raises `JobHasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             self._db.execute(
@@ -337,7 +281,6 @@ class Journal:
             )
 
     def list_decisions(self, job_id: str) -> list[tuple[int, int]]:
-        """(step, T0 in fleet ns) of every decision to move in a job."""
         rows = self._select_rows("SELECT step, t0_fleet_ns FROM decisions WHERE job_id = ? ORDER BY rowid", (job_id,))
         return [(step, t0_fleet_ns) for step, t0_fleet_ns in rows]
 
@@ -353,14 +296,11 @@ class Journal:
         return records[0] if records else None
 
     def list_unfinished(self) -> list[JobRecord]:
-        """Jobs that are queued or were running, in the order in which they are to begin; also those whose state is
-        damaged."""
         finished_states = tuple(sorted(FINISHED_STATES))
         marks = ", ".join("?" * len(finished_states))
         return self._select_records(f"WHERE state NOT IN ({marks}) ORDER BY priority DESC, place", finished_states)
 
     def fail_damaged(self, job: JobRecord, transition: JobTransition, report: JobReport) -> None:
-        """End a job that cannot be read, so that the others can be run."""
         with self._transaction():
             if self._db.execute("SELECT 1 FROM jobs WHERE id = ?", (job.id,)).fetchone():
                 insert_transition(self._db, job.id, transition)
@@ -369,8 +309,6 @@ class Journal:
     def find_jobs(
         self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = ""
     ) -> tuple[list[JobRecord], int]:
-        """The newest jobs, newest first, and the total number: in `state`, with `name` in their name, submitted at
-        `since_utc` or later."""
         where = "WHERE (? IS NULL OR state = ?) AND instr(name, ?) > 0 AND submitted_utc >= ?"
         if not name:
             where = where.replace("instr(name, ?) > 0", "? = ''")
@@ -379,7 +317,6 @@ class Journal:
         return self._select_records(f"{where} ORDER BY number DESC LIMIT ?", (*values, limit)), total
 
     def find_referenced_jobs(self, reference: str, limit: int = 5) -> list[JobRecord]:
-        """The job with this id; else those whose id begins so; else those of this name. The newest first."""
         for clause, values in (
             ("WHERE id = ?", (reference,)),
             ("WHERE id >= ? AND id < ?", (reference, reference + LAST_CHARACTER)),
@@ -403,8 +340,6 @@ class Journal:
         return self._select_body(JobReport, "SELECT body FROM reports WHERE job_id = ?", (job_id,))
 
     def prune_jobs(self, before_utc: str, keep: int) -> int:
-        """Delete jobs that were submitted before `before_utc` and have ended, except the newest `keep`, and except
-        those that a queued job comes after. Returns how many. Their client keys are deleted too."""
         marks = ", ".join("?" * len(_UNFINISHED_STATES))
         old = (
             f"SELECT id FROM jobs WHERE submitted_utc < ? AND state NOT IN ({marks})"
@@ -424,11 +359,9 @@ class Journal:
         return gone
 
     def list_named_points(self) -> set[str]:
-        """The digests of the stored points that jobs name."""
         return {digest for (digest,) in self._select_rows("SELECT DISTINCT digest FROM job_points")}
 
     def store_recording(self, job_id: str, recording: StepRecording) -> None:
-        """Store the recording of a step, and delete recordings of old jobs, and the oldest ones of a long job."""
         with self._transaction():
             self._db.execute(
                 "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
@@ -451,13 +384,11 @@ class Journal:
     # Manual control
 
     def store_reservation(self, holder: str, actor: str, what: str, axes: Iterable[str], until_utc: str) -> None:
-        """Record axes that are reserved for work at the machine."""
         with self._transaction():
             values = (holder, actor, what, " ".join(axes), until_utc)
             self._db.execute("INSERT OR REPLACE INTO reservations VALUES (?, ?, ?, ?, ?)", values)
 
     def delete_reservation(self, holder: str) -> None:
-        """Record that they have been released."""
         with self._transaction():
             self._db.execute("DELETE FROM reservations WHERE holder = ?", (holder,))
 
@@ -470,7 +401,6 @@ class Journal:
     # Named positions
 
     def store_position(self, position: SavedPosition) -> None:
-        """Store a saved position; one of the same name is replaced."""
         with self._transaction():
             body = position.model_dump_json()
             self._db.execute(
@@ -482,7 +412,6 @@ class Journal:
             self._db.execute("DELETE FROM positions WHERE name = ?", (name,))
 
     def list_positions(self) -> tuple[list[SavedPosition], list[str]]:
-        """The saved positions in the order of their names, and the names of those that are damaged."""
         return read_positions(self._select_rows("SELECT name, body, crc FROM positions ORDER BY name"))
 
     # Inside

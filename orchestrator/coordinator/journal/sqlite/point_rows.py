@@ -4,21 +4,20 @@ import json
 import sqlite3
 from collections.abc import Sequence
 
-from orchestrator.coordinator.journal.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
 from orchestrator.model.report import PointRecord, SkewInterval
 
 _COLUMNS = "step, point, state, verdict, t0_fleet_ns, skew_least_ns, skew_most_ns, took_s, target, measured"
 
 
 class PointRows:
-    """The recorded points in the journal's database."""
+    """`PointRowStore`: the recorded points in the journal's database."""
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._db = db
         self._path = path
 
     def store_points(self, job_id: str, points: Sequence[PointRecord]) -> None:
-        """Store points of a job. Raises `JournalError`."""
         rows = [
             (
                 job_id,
@@ -39,7 +38,6 @@ class PointRows:
             self._db.executemany(f"INSERT OR REPLACE INTO point_rows VALUES ({', '.join('?' * 11)})", rows)
 
     def load_points(self, job_id: str, after: tuple[int, int], limit: int) -> list[PointRecord]:
-        """Up to `limit` points in their order, those after (step, point). Raises `JournalError`."""
         where = "job_id = ? AND (step, point) > (?, ?) ORDER BY step, point LIMIT ?"
         query = f"SELECT {_COLUMNS} FROM point_rows WHERE {where}"
         try:

@@ -11,15 +11,10 @@ from zlib import crc32
 
 from pydantic import ValidationError
 
-from orchestrator.coordinator.journal.records import (
-    CHECKED_COLUMNS,
-    COLUMNS,
-    find_checksum,
-    make_record,
-)
-from orchestrator.coordinator.journal.schema import VERSION, list_statements, read_version
-from orchestrator.coordinator.journal.transaction import decode_text, make_unusable_error, open_read_only
-from orchestrator.coordinator.journal.values import StoredValues
+from orchestrator.coordinator.journal.sqlite.rows import CHECKED_COLUMNS, COLUMNS, find_checksum, make_record
+from orchestrator.coordinator.journal.sqlite.schema import VERSION, list_statements, read_version
+from orchestrator.coordinator.journal.sqlite.transaction import decode_text, make_unusable_error, open_read_only
+from orchestrator.coordinator.journal.sqlite.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import MAX_EPOCH

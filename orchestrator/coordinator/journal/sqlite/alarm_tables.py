@@ -2,39 +2,24 @@
 
 import sqlite3
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 from pydantic import ValidationError
 
-from orchestrator.coordinator.journal.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.facts import AlarmChange, AlarmNotice
+from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
 from orchestrator.model.operation.alarms import MAX_HISTORY, AlarmRecord
 
 
-class AlarmChange(NamedTuple):
-    """A change of an alarm. notify: the command of the fleet file is to be run for it."""
-
-    record: AlarmRecord
-    notify: bool = False
-
-
-class AlarmNotice(NamedTuple):
-    """A notice that is pending: the alarm as it was, and how often its command has failed."""
-
-    record: AlarmRecord
-    tries: int = 0
-
-
 class AlarmTables:
-    """The tables of alarms in one database. Every method raises `JournalError`."""
+    """`AlarmJournal`: the tables of alarms in one database. Every method raises `JournalError`."""
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._db = db
         self._path = path
 
     def store_changes(self, changes: Sequence[AlarmChange], forgotten: Iterable[str] = ()) -> None:
-        """Store changes in their order, with the notices of them; and delete alarms by id. Of the history, the newest
-        changes are kept."""
         with Transaction(self._db, self._path):
             for record, notify in changes:
                 body = record.model_dump_json()
@@ -49,17 +34,14 @@ class AlarmTables:
             self._db.execute(f"DELETE FROM alarm_history WHERE number <= {newest} - ?", (MAX_HISTORY,))
 
     def store_tries(self, change: str, tries: int) -> None:
-        """Record how often the command for a notice has failed."""
         with Transaction(self._db, self._path):
             self._db.execute("UPDATE alarm_notices SET tries = ? WHERE change = ?", (tries, change))
 
     def delete_notice(self, change: str) -> None:
-        """Record that a notice is done with."""
         with Transaction(self._db, self._path):
             self._db.execute("DELETE FROM alarm_notices WHERE change = ?", (change,))
 
     def load_alarms(self) -> tuple[list[AlarmRecord], list[str]]:
-        """The alarms, and the ids of those that are damaged."""
         records: list[AlarmRecord] = []
         damaged: list[str] = []
         for name, body, crc in self._select_rows("SELECT id, body, crc FROM alarms ORDER BY id"):
@@ -71,13 +53,11 @@ class AlarmTables:
         return records, damaged
 
     def load_notices(self) -> list[AlarmNotice]:
-        """The pending notices, the oldest first; without damaged ones."""
         rows = self._select_rows("SELECT body, crc, tries FROM alarm_notices ORDER BY rowid")
         read = [(_read_record(body, crc), tries) for body, crc, tries in rows]
         return [AlarmNotice(record, tries) for record, tries in read if record is not None]
 
     def load_history(self, limit: int) -> list[AlarmRecord]:
-        """The newest changes, the newest first; without damaged ones."""
         rows = self._select_rows("SELECT body FROM alarm_history ORDER BY number DESC LIMIT ?", (limit,))
         return [record for (body,) in rows if (record := _read_record(body)) is not None]
 

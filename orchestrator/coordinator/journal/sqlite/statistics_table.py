@@ -2,32 +2,19 @@
 
 import sqlite3
 from collections.abc import Iterable
-from typing import NamedTuple
 
-from orchestrator.coordinator.journal.transaction import Transaction, make_unusable_error
-
-WORST = "worst"  # at the beginning of a figure's name: the largest value counts, not the sum
-
-
-class StatisticsRow(NamedTuple):
-    """A figure of one UTC day, such as ("2026-01-01", "axis", "gantry.x", "moves", 12)."""
-
-    day: str
-    kind: str
-    subject: str
-    figure: str
-    value: float
+from orchestrator.coordinator.journal.facts import WORST, StatisticsRow
+from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
 
 
 class StatisticsTable:
-    """The table of statistics in one database. Every method raises `JournalError`."""
+    """`StatisticsStore`: the table of statistics in one database. Every method raises `JournalError`."""
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._db = db
         self._path = path
 
     def add_rows(self, rows: Iterable[StatisticsRow]) -> None:
-        """Add the values of rows to the figures."""
         add = "INSERT INTO statistics VALUES (?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET value = "
         summed_string, worst = f"{add} value + excluded.value", f"{add} max(value, excluded.value)"
         with Transaction(self._db, self._path):
@@ -35,7 +22,6 @@ class StatisticsTable:
                 self._db.execute(worst if row.figure.startswith(WORST) else summed_string, row)
 
     def read_rows(self, since_day: str) -> list[StatisticsRow]:
-        """All figures from a day on, in the order of day, kind, subject and figure."""
         query = "SELECT * FROM statistics WHERE day >= ? ORDER BY day, kind, subject, figure"
         try:
             return [StatisticsRow(*row) for row in self._db.execute(query, (since_day,)).fetchall()]

@@ -2,21 +2,20 @@
 
 import sqlite3
 
-from orchestrator.coordinator.journal.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
 from orchestrator.model.operation.commands import CommandRecord
 
 MAX_COMMANDS = 100_000  # that are kept; some 10 MB
 
 
 class CommandTable:
-    """The table of commands in one database. Every method raises `JournalError`."""
+    """`CommandStore`: the table of commands in one database. Every method raises `JournalError`."""
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._db = db
         self._path = path
 
     def store_command(self, command: CommandRecord) -> None:
-        """Store a command, and delete the oldest ones."""
         with Transaction(self._db, self._path):
             values = (command.utc, command.actor, command.verb, command.subject, command.refused)
             row = self._db.execute(
@@ -26,7 +25,6 @@ class CommandTable:
             self._db.execute("DELETE FROM commands WHERE number <= ?", ((row.lastrowid or 0) - MAX_COMMANDS,))
 
     def list_commands(self, limit: int, before_utc: str | None = None, by: str = "") -> list[CommandRecord]:
-        """The newest commands, the newest first: those before an instant, by users with `by` in their name."""
         query = (
             "SELECT utc, actor, verb, subject, refused FROM commands"
             " WHERE (? IS NULL OR utc < ?) AND (? = '' OR instr(actor, ?) > 0) ORDER BY number DESC LIMIT ?"

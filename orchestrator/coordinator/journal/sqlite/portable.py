@@ -14,17 +14,17 @@ from typing import Any, BinaryIO, Literal, cast
 
 from pydantic import Field, ValidationError
 
-from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.journal.point_store import PointStore
 from orchestrator.coordinator.journal.records import BadBackup
-from orchestrator.coordinator.journal.schema import SCHEMA_WITH_COPIES, VERSION, list_statements, read_version
-from orchestrator.coordinator.journal.transaction import (
+from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
+from orchestrator.coordinator.journal.sqlite.point_store import PointStore
+from orchestrator.coordinator.journal.sqlite.schema import SCHEMA_WITH_COPIES, VERSION, list_statements, read_version
+from orchestrator.coordinator.journal.sqlite.transaction import (
     Transaction,
     create_private_file,
     make_unusable_error,
     open_read_only,
 )
-from orchestrator.coordinator.journal.values import StoredValues
+from orchestrator.coordinator.journal.sqlite.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.messages import MAX_EPOCH
 
@@ -191,7 +191,7 @@ def read_stored_epoch(path: Path) -> int:
     return int(text) if text.isdecimal() and int(text) <= MAX_EPOCH else 0
 
 
-def set_epoch(journal: Journal, epoch: int) -> None:
+def set_epoch(journal: SqliteJournal, epoch: int) -> None:
     """Put an epoch into a journal that no coordinator uses. Raises `JournalError`."""
     with Transaction(journal.database, "the journal"):
         StoredValues(journal.database).write("epoch", str(epoch))

@@ -2,6 +2,7 @@
 
 import os
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 from orchestrator.coordinator.journal.records import JournalError
@@ -60,6 +61,16 @@ def open_read_only(path: Path) -> sqlite3.Connection:
     db = sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, isolation_level=None)
     db.text_factory = decode_text
     return db
+
+
+def copy_database(source: Path, copy: Path) -> None:
+    """Copy a database that another process may be using into a new file. Raises `JournalError`."""
+    try:
+        with closing(open_read_only(source)) as db, closing(sqlite3.connect(copy)) as target:
+            db.backup(target)
+            target.execute("PRAGMA journal_mode=DELETE")
+    except sqlite3.Error as error:
+        raise make_unusable_error(str(source), error) from None
 
 
 def decode_text(text: bytes) -> str:

@@ -14,14 +14,15 @@ import weakref
 from collections.abc import Collection, Iterator, Sequence
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 from pydantic import TypeAdapter
 
+from orchestrator.coordinator.journal.facts import UploadState
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
-from orchestrator.coordinator.journal.transaction import Transaction, create_private_file, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.scan import ROW_TYPE, PointAxis, PointColumn, find_row_bytes, make_header
@@ -45,17 +46,9 @@ CREATE TABLE IF NOT EXISTS parts (
 """
 
 
-class UploadState(NamedTuple):
-    """How many bytes of an upload are here, of how many. columns: once all are, and the digest is right."""
-
-    received: int
-    size: int
-    columns: list[PointColumn] | None
-
-
 class PointStore:
-    """The stored points of one fleet. Every method that changes something has committed to disk when it returns; all
-    raise `JournalError` if the file cannot be used."""
+    """`PointUploads` in a database: every method that changes something has committed to disk when it returns; all raise
+    `JournalError` if the file cannot be used."""
 
     def __init__(self, path: str, quota_bytes: int = QUOTA_BYTES) -> None:
         """Open or create the store at `path` (`:memory:` for tests)."""
@@ -77,8 +70,6 @@ class PointStore:
     def begin_upload(
         self, digest: str, axes: Sequence[PointAxis], count: int, utc: str, named: Collection[str]
     ) -> UploadState:
-        """Begin, or continue, to store `count` points. named: digests that jobs name. Raises `Refusal`, code
-        `point-store-full`."""
         known_state = self.find_upload(digest, utc)
         if known_state is not None:
             return known_state
@@ -99,7 +90,6 @@ class PointStore:
         return UploadState(0, size, None)
 
     def find_upload(self, digest: str, utc: str) -> UploadState | None:
-        """The state of an upload, which counts as used now; None for an unknown digest."""
         with self._transaction():
             self._db.execute("UPDATE uploads SET used_utc = ? WHERE digest = ?", (utc, digest))
         return self._read_state(digest)
@@ -112,10 +102,6 @@ class PointStore:
         return UploadState(received, size, None if columns is None else _COLUMNS.validate_json(columns))
 
     def add_part(self, digest: str, begin: int, data: bytes, utc: str) -> UploadState:
-        """Add the bytes from `begin` on. A part that is not the next one changes nothing.
-
-        Raises `Refusal` for an upload that is not known, and with the last part for a wrong digest, or a point that is
-        not finite."""
         state = self._read_state(digest)
         if state is None:
             raise Refusal("no-upload", "the upload of these points is not known any more", "begin it again")
@@ -162,7 +148,6 @@ class PointStore:
     # Reading
 
     def read_rows(self, digest: str, first: int, count: int) -> list[tuple[float, ...]]:
-        """Up to `count` points from number `first` on. Raises `JournalError`, also where they are not stored."""
         found = self._select("SELECT header, columns FROM uploads WHERE digest = ?", (digest,))
         if not found or found[0][1] is None:
             raise JournalError(f"the points {digest[:15]}… are not stored any more", "submit the job again")
@@ -187,16 +172,13 @@ class PointStore:
 
     @property
     def used_bytes(self) -> int:
-        """The bytes of all points, with those of uploads that have begun."""
         return self._select("SELECT coalesce(sum(size), 0) FROM uploads", ())[0][0]
 
     def delete_upload(self, digest: str) -> None:
-        """Delete points."""
         with self._transaction():
             self._db.execute("DELETE FROM uploads WHERE digest = ?", (digest,))
 
     def delete_unused(self, named: Collection[str], utc: str) -> None:
-        """Delete points that no job names and that were not used for an hour."""
         utc_before = format_utc(parse_utc(utc) - UNUSED_AFTER)
         old = self._select("SELECT digest FROM uploads WHERE used_utc <= ?", (utc_before,))
         for digest in {digest for (digest,) in old} - set(named):

@@ -6,24 +6,22 @@ from zlib import crc32
 
 from pydantic import ValidationError
 
-from orchestrator.coordinator.journal.job_states import insert_transition, is_queued
 from orchestrator.coordinator.journal.records import DamagedRecord
-from orchestrator.coordinator.journal.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.job_states import insert_transition, is_queued
+from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
 from orchestrator.model.operation.approval import JobApproval
 from orchestrator.model.queue import APPROVAL
 from orchestrator.model.report import JobTransition
 
 
 class ApprovalTable:
-    """The table of approvals in one database. Every method raises `JournalError`."""
+    """`ApprovalStore`: the table of approvals in one database. Every method raises `JournalError`."""
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._db = db
         self._path = path
 
     def approve_job(self, approval: JobApproval, transition: JobTransition) -> bool:
-        """Store an approval, and release its job if it waits for one. False: the job is not queued any more, and
-        nothing has changed."""
         with Transaction(self._db, self._path):
             if not is_queued(self._db, approval.job_id):
                 return False
@@ -34,8 +32,6 @@ class ApprovalTable:
         return True
 
     def void_approval(self, job_id: str, transition: JobTransition) -> None:
-        """Hold a job again, for the reason of the transition, for which its approval is void from now on. A job that is
-        not queued any more is not changed."""
         with Transaction(self._db, self._path):
             if not is_queued(self._db, job_id):
                 return
@@ -47,7 +43,6 @@ class ApprovalTable:
             insert_transition(self._db, job_id, transition)
 
     def load_approval(self, job_id: str) -> JobApproval | None:
-        """The last approval of a job, also one that is void. Raises `DamagedRecord` for one that cannot be read."""
         try:
             rows = self._db.execute("SELECT body, crc FROM approvals WHERE job_id = ?", (job_id,)).fetchall()
         except sqlite3.Error as error:

@@ -1,0 +1,1 @@
+"""The journal in SQLite, on disk before anything is reported."""

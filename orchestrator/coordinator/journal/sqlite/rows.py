@@ -1,0 +1,99 @@
+"""Rows of the table of jobs, read one by one: a damaged one is shown as a failed job; the others are not affected."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+from zlib import crc32
+
+from pydantic import ValidationError
+
+from orchestrator.coordinator.journal.records import UNREADABLE_TIME, JobRecord
+from orchestrator.model.base import ID_PATTERN
+from orchestrator.model.queue import parse_utc
+from orchestrator.model.report import JobState
+
+COLUMNS = (
+    "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
+    " origin, from_step, expires_utc, now, session, proposed"
+)
+
+
+CHECKED_COLUMNS = (
+    "id",
+    "client_key",
+    "name",
+    "actor",
+    "body",
+    "submitted_utc",
+    "repeat",
+    "after_job",
+    "at_utc",
+    "missed",
+    "origin",
+    "from_step",
+    "expires_utc",
+    "now",
+    "session",
+)
+"""What never changes of a job, besides `proposed`."""
+
+
+def find_checksum(values: Mapping[str, Any]) -> int:
+    """Return the checksum of a job by the values of its columns."""
+    checked_values = [values[column] for column in CHECKED_COLUMNS]
+    # Jobs of journals that had no such column have checksums without it.
+    checked_values += ["proposed"] if values["proposed"] else []
+    return crc32(repr(checked_values).encode())
+
+
+def make_record(row: Sequence[Any]) -> JobRecord:
+    """Make the record of a row of `COLUMNS`; damaged values are replaced, and stated in `damage`."""
+    record = JobRecord(*row)._replace(due=bool(row[12]))
+    damage = _find_damage(record)
+    if not damage:
+        return record
+    readable = not _is_unreadable_time(record.submitted_utc)
+    reason = f"its record in the journal is damaged: {damage}"
+    return JobRecord(
+        id=record.id,
+        name=record.name,
+        actor=record.actor,
+        state="failed",
+        reason=reason,
+        submitted_utc=record.submitted_utc if readable else UNREADABLE_TIME,
+        priority=0,
+        place=record.place,
+        repeat=1,
+        after=None,
+        at_utc=None,
+        missed="skip",
+        due=True,
+        held_by="",
+        origin=None,
+        from_step=0,
+        damage=reason,
+    )
+
+
+def _find_damage(record: JobRecord) -> str:
+    """What cannot be read of a record; empty if all can."""
+    if not re.match(ID_PATTERN, record.id):
+        return f"the id {record.id!r}"
+    if record.state not in get_args(JobState):
+        return f"the state {record.state!r}"
+    if _is_unreadable_time(record.submitted_utc):
+        return f"the time {record.submitted_utc!r}"
+    try:
+        _ = record.terms
+    except ValidationError as error:
+        first = error.errors()[0]
+        return f"{'.'.join(map(str, first['loc']))} {first['input']!r}"
+    return ""
+
+
+def _is_unreadable_time(text: str) -> bool:
+    try:
+        parse_utc(text)
+    except ValueError:
+        return True
+    return False
