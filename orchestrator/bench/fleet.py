@@ -3,13 +3,15 @@
 import asyncio
 import contextlib
 from collections.abc import AsyncGenerator, Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.bench.truth import POLL_S, TIMEOUT_S, NothingHappened
 from orchestrator.client import Tutti
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
-from orchestrator.runtime.live import LiveFleet, WebOptions, find_free_port
+from orchestrator.runtime.fleet_run import FleetRun, WebOptions
+from orchestrator.runtime.live import LiveFleet, find_free_port
 
 Steps = list[dict[str, object]]
 
@@ -20,8 +22,8 @@ async def run_measured_fleet(
 ) -> AsyncGenerator[tuple[LiveFleet, Tutti]]:
     """Run `fleet` while the context is open, with its controllers adopted. Raises `UpFailed`, `Refusal`,
     `NothingHappened`."""
-    live = LiveFleet(fleet, state, lambda _: None, port=find_free_port(), simulated=True, truth=True, standby=standby)
-    live.web = web
+    run = replace(FleetRun.make_simulated(find_free_port()), standby=standby, web=web)
+    live = LiveFleet(fleet, state, lambda _: None, run)
     await live.start()
     try:
         async with Tutti(live.connect, fleet.fleet, "bench") as tutti:

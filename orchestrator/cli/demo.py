@@ -60,6 +60,7 @@ def demo(
     from orchestrator.model.templates.template import load_job
     from orchestrator.runtime.demo_truth import VerdictCheck, check_verdicts
     from orchestrator.runtime.examples import find_example
+    from orchestrator.runtime.fleet_run import FleetRun
     from orchestrator.runtime.live import LiveFleet, find_free_port
     from orchestrator.runtime.state_folder import UpFailed
 
@@ -72,7 +73,7 @@ def demo(
         fleet, job = load_fleet(find_example(f"{name}.fleet.yaml")), load_job(find_example(f"{name}.job.yaml"))
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, _exit_interrupted)
         with tempfile.TemporaryDirectory(prefix="tutti-demo-") as folder:
-            live = LiveFleet(fleet, keep or Path(folder), print_line, port=find_free_port(), simulated=True, truth=True)
+            live = LiveFleet(fleet, keep or Path(folder), print_line, FleetRun.make_simulated(find_free_port()))
             await live.start()
             try:
                 job_run = asyncio.ensure_future(

@@ -70,6 +70,7 @@ def serve(
     For drivers of your own: it prints where each listens (TCP, UDP, pseudo-terminals, slcan), and a folder; with
     `--state FOLDER`, `tutti sim input|limit|power|push|stall` change their environment. Ctrl-C ends it.
     """
+    from orchestrator.runtime.fleet_run import FleetRun
     from orchestrator.runtime.live import LiveFleet
     from orchestrator.runtime.served import describe_links
     from orchestrator.runtime.state_folder import default_state
@@ -80,7 +81,8 @@ def serve(
     async def run_simulators() -> None:
         fleet = _find_fleet(model, file, number, options, kind)
         folder = (state or default_state(fleet.fleet if model else f"sim-{fleet.fleet}")).absolute()
-        live = LiveFleet(fleet, folder, lambda _: None, simulated=True, truth=truth, first_port=port)
+        run = FleetRun(simulated=True, truth=truth, first_port=port)
+        live = LiveFleet(fleet, folder, lambda _: None, run)
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for signal_number in (signal.SIGINT, signal.SIGTERM):

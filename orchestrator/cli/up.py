@@ -29,7 +29,8 @@ from orchestrator.cli.records.folder import metrics_option
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
-    from orchestrator.runtime.live import LiveFleet, WebOptions
+    from orchestrator.runtime.fleet_run import WebOptions
+    from orchestrator.runtime.live import LiveFleet
 
 REACH_S = 3.0  # for controllers to be reached before `up` says which are not
 POLL_S = 0.1
@@ -166,12 +167,27 @@ def up(
     Ctrl-C stops the running job first; a process that dies is restarted. Controllers that are not reached yet are
     named; they are taken in whenever they answer.
     """
-    from orchestrator.runtime.live import LiveFleet, WebOptions
+    from orchestrator.runtime.fleet_run import FleetRun, WebOptions
+    from orchestrator.runtime.live import LiveFleet
     from orchestrator.runtime.state_folder import default_state
 
-    web = None if no_web else WebOptions(web_host, web_port, web_cert, jobs or file.parent)
     if private and connect:
         raise click.UsageError("--private is for the router that is started; with --connect there is none")
+    wish = FleetRun(
+        connect=connect,
+        port=port,
+        simulated=simulated,
+        take_over=take_over,
+        truth=truth,
+        standby=standby,
+        new_journal=new_journal,
+        record_quota=None if no_record else record_quota,
+        metrics_port=metrics_port,
+        web=None if no_web else WebOptions(web_host, web_port, web_cert, jobs or file.parent),
+        hosts=frozenset(hosts) if hosts or no_hosts else None,
+        private=private,
+        keys=keys,
+    )
 
     def print_line(line: str) -> None:
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
@@ -180,28 +196,22 @@ def up(
         fleet = _load_fleet(file, hosts)
         folder = state or default_state(fleet.fleet)
         routers = connect or _find_routers(fleet, file)
-        live = LiveFleet(fleet, folder, print_line, routers, port, simulated, take_over, truth, standby, new_journal)
-        live.hosts = frozenset(hosts) if hosts or no_hosts else None
-        live.record_quota = _find_quota(record_quota, print_line, wanted=not no_record)
-        live.metrics_port = metrics_port
-        live.private, live.keys = private, keys if "tls/" in routers else None
-        _take_identity(live.keys)
-        live.web = _choose_web(web, keys, folder, print_line)
+        run = replace(
+            wish,
+            connect=routers,
+            record_quota=_check_quota(wish.record_quota, print_line),
+            keys=keys if "tls/" in routers else None,
+        )
+        _take_identity(run.keys)
+        run = replace(run, web=_choose_web(wish.web, keys, folder, print_line))
+        live = LiveFleet(fleet, folder, print_line, run)
         await _run_until_ended(live, print_line, limit_s if wait else REACH_S, required=wait, as_json=as_json)
 
     if not detach:
         run_main(run_fleet())
         return
     fleet = _load_fleet(file, hosts)
-    options = [*(["--connect", connect] if connect else []), "--port", str(port), "--limit", f"{limit_s}s"]
-    options += ["--record-quota", f"{record_quota}B"]
-    options += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
-    options += [part for host in hosts for part in ("--host", host)]
-    options += _list_web_options(web)
-    flags = {"--sim": simulated, "--take-over": take_over, "--standby": standby, "--truth": truth, "--wait": wait}
-    flags |= {"--private": private, "--new-journal": new_journal, "--no-record": no_record, "--no-hosts": no_hosts}
-    options += [] if keys is None else ["--keys", str(keys)]
-    options += [name for name, given_flag in flags.items() if given_flag]
+    options = [*wish.list_options(), "--limit", f"{limit_s}s", *(["--wait"] if wait else [])]
     _start_detached(file, state or default_state(fleet.fleet), options, as_json=as_json)
 
 
@@ -236,14 +246,14 @@ def _take_identity(keys: Path | None) -> None:
         os.environ[VARIABLE] = str(find_identity_folder(keys, "coordinator").absolute())
 
 
-def _find_quota(quota: int, print_line: Callable[[str], None], *, wanted: bool) -> int | None:
-    """The quota of the recorder, or None if nothing is recorded, which is said if it was wanted."""
+def _check_quota(quota: int | None, print_line: Callable[[str], None]) -> int | None:
+    """The quota of the recorder; None if nothing can be recorded, which is printed, or nothing is to be."""
     from orchestrator.cli.base.extras import find_missing
 
-    missing = find_missing("record") if wanted else None
+    missing = None if quota is None else find_missing("record")
     if missing is not None:
         print_line(f"nothing is recorded: {'; '.join(missing)}")
-    return quota if wanted and missing is None else None
+    return quota if missing is None else None
 
 
 def _choose_web(
@@ -279,16 +289,6 @@ def _find_gateway_files(keys: Path) -> tuple[Path, Path]:
 
     folder = find_identity_folder(keys, "gateway").absolute()
     return folder / CERTIFICATE_FILE, folder / KEY_FILE
-
-
-def _list_web_options(web: "WebOptions | None") -> list[str]:
-    """The options of the page again, for a detached start."""
-    if web is None:
-        return ["--no-web"]
-    options = ["--web-host", web.host]
-    options += [] if web.port is None else ["--web-port", str(web.port)]
-    options += [] if web.certificate is None else ["--web-cert", *map(str, web.certificate)]
-    return [*options, *([] if web.jobs is None else ["--jobs", str(web.jobs)])]
 
 
 async def _run_until_ended(

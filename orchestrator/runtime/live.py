@@ -29,6 +29,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.bridge import bridge_baud
+from orchestrator.runtime.fleet_run import FleetRun
 from orchestrator.runtime.leader_probe import find_leader
 from orchestrator.runtime.router_watch import watch_live_router
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
@@ -106,61 +107,32 @@ class ChildProcess:
         return said[-1] if said else ""
 
 
-@dataclass(frozen=True, slots=True)
-class WebOptions:
-    """host: the address of the page. port: None: the first free one from 8080 on. certificate: PEM
-    files of a certificate and its key, for TLS. jobs: the folder of job files that the page offers."""
-
-    host: str = "127.0.0.1"
-    port: int | None = None
-    certificate: tuple[Path, Path] | None = None
-    jobs: Path | None = None
-
-
 @dataclass(slots=True)
 class LiveFleet:
-    """All processes that `tutti up` runs. `say` receives lines for people.
+    """All processes of a fleet on this machine. `say` receives lines for people.
 
-    connect: an existing router; without it one is started on `port`.
-    simulated: every link is replaced by that of a simulated controller.
-    truth: simulators record their real motions in `state`/truth.
-    first_port: of the simulated controllers on Ethernet; the next ones count up. 0: free ones.
-    standby: a second coordinator takes over when the first one dies or hangs.
-    new_journal: a journal is begun although the fleet had one, which is missing.
-    record_quota: bytes of recordings in `state`/recordings; None: nothing is recorded, and there are no metrics.
-    metrics_port: of the metrics; None: the first free one; 0: none.
-    web: how the operators' page is served; None: it is not.
-    hosts: the adapter hosts that run here, with their simulators; None: all of them.
-    private: the router that is started listens at a socket in `state`, which only the user of the fleet reaches.
-    keys: the folder of the fleet's keys: each process has the identity of its role.
+    state: the folder of journal, latches and logs. run: how it runs. connect: the router, from the start on.
     """
 
     fleet: Fleet
     state: Path
     say: PrintLine
-    connect: str = ""
-    port: int = 7447
-    simulated: bool = False
-    take_over: bool = False
-    truth: bool = False
-    standby: bool = False
-    new_journal: bool = False
-    first_port: int = 0
-    record_quota: int | None = None
-    metrics_port: int | None = None
-    web: WebOptions | None = None
-    hosts: frozenset[str] | None = None
-    private: bool = False
-    keys: Path | None = None
+    run: FleetRun = field(default_factory=FleetRun)
+    connect: str = field(init=False)
     page: str = ""
     """The address of the operators' page; empty: it is not served."""
     children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
     failed: "asyncio.Future[str] | None" = None
+    _next_port: int = field(init=False)
     _lock: StateLock | None = None
     _rotation: "asyncio.Task[None] | None" = None
     _manager: ServiceManager = field(default_factory=ServiceManager)
     _router_watch: "asyncio.Task[None] | None" = None
     _beside: "asyncio.Future[tuple[None, None]] | None" = None
+
+    def __post_init__(self) -> None:
+        self.connect = self.run.connect
+        self._next_port = self.run.first_port
 
     async def start(self) -> None:
         """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
@@ -172,7 +144,7 @@ class LiveFleet:
             self._lock.describe_fleet(self.fleet.fleet, self.connect)
             file = self.state / FLEET_FILE
             self._beside = asyncio.gather(self._start_recorder(file), self._start_gateway())
-            if self.simulated:
+            if self.run.simulated:
                 await self._start_simulators()
             replace_private_file(file, self.fleet.to_json())
             await self._start_hosts()
@@ -180,7 +152,7 @@ class LiveFleet:
             coordinator = await self._start_child("coordinator", command)
             if EXISTING_JOURNAL not in coordinator.command:
                 coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
-            if self.standby:
+            if self.run.standby:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
@@ -210,11 +182,11 @@ class LiveFleet:
         then no process is left running."""
         self.failed = asyncio.get_running_loop().create_future()
         try:
-            assert self.hosts is not None
+            assert self.run.hosts is not None
             self._lock = StateLock(self.state)
             self._rotation = asyncio.create_task(self._rotate_logs())
-            self._lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.hosts)))
-            if self.simulated:
+            self._lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.run.hosts)))
+            if self.run.simulated:
                 await self._start_simulators()
             self.save_fleet(self.fleet)
             await self._start_hosts(*self._feed_option)
@@ -226,7 +198,7 @@ class LiveFleet:
     async def _start_hosts(self, *options: str) -> None:
         """Start the guardians of the adapter hosts that run here."""
         for host in self.fleet.hosts:
-            if self.hosts is None or host in self.hosts:
+            if self.run.hosts is None or host in self.run.hosts:
                 command = self._make_host_command(host, self.state / FLEET_FILE)
                 await self._start_child(f"host/{host}", [*command, *options])
 
@@ -304,7 +276,7 @@ class LiveFleet:
 
     def _own_controllers(self) -> dict[str, Controller]:
         """The controllers of the adapter hosts here."""
-        hosts_here = self.hosts
+        hosts_here = self.run.hosts
         return {
             name: controller
             for name, controller in self.fleet.controllers.items()
@@ -313,7 +285,7 @@ class LiveFleet:
 
     async def _start_router(self) -> None:
         if self.connect:
-            other_leader = None if self.take_over else await find_leader(self.connect, self.fleet.fleet)
+            other_leader = None if self.run.take_over else await find_leader(self.connect, self.fleet.fleet)
             if other_leader is not None:
                 # Checked before adapter hosts are started, which would be second drivers of the same controllers.
                 raise UpFailed(
@@ -330,11 +302,11 @@ class LiveFleet:
         except UpFailed:
             if self.children["router"].exit_code != EXIT_PORT_IN_USE:
                 raise
-            if self.private:
+            if self.run.private:
                 raise UpFailed(self.children["router"].last_error_line()) from None
             raise UpFailed(
-                f"port {self.port} of 127.0.0.1 is in use; choose another for the router: --port {self.port + 1}; or, "
-                f"if a router listens there, use it: --connect {endpoint}"
+                f"port {self.run.port} of 127.0.0.1 is in use; choose another for the router: --port "
+                f"{self.run.port + 1}; or, if a router listens there, use it: --connect {endpoint}"
             ) from None
         self.connect = endpoint
         self.say(f"router on {endpoint}")
@@ -348,8 +320,8 @@ class LiveFleet:
 
     def _choose_endpoint(self) -> str:
         """Where the router listens. Raises `UpFailed`."""
-        if not self.private:
-            return f"tcp/127.0.0.1:{self.port}"
+        if not self.run.private:
+            return f"tcp/127.0.0.1:{self.run.port}"
         try:
             return make_socket_endpoint(str((self.state / BUS_SOCKET).absolute()))
         except BadEndpoint as error:
@@ -358,23 +330,23 @@ class LiveFleet:
     def _make_environment(self, name: str) -> dict[str, str] | None:
         """The environment of a process, with the identity of its role; None: that of this process."""
         part, _, host = name.partition("/")
-        if self.keys is None or part not in _ROLES:
+        if self.run.keys is None or part not in _ROLES:
             return None
         try:
-            folder = find_identity_folder(self.keys, _ROLES[part], host if part == "host" else None)
+            folder = find_identity_folder(self.run.keys, _ROLES[part], host if part == "host" else None)
         except Refusal as error:
             raise UpFailed(f"{name}: {error.text}; {error.remedy}") from None
         return {**os.environ, VARIABLE: str(folder.absolute())}
 
     async def _start_recorder(self, file: Path) -> None:
         """Start the recorder; a fleet runs without it as well."""
-        if self.record_quota is None:
+        if self.run.record_quota is None:
             return
         command = [sys.executable, "-m", "orchestrator.monitor.recording.process", "--fleet", self.fleet.fleet]
         command += ["--fleet-file", str(file), "--connect", self.connect, "--folder", str(self.state / RECORDINGS)]
-        command += ["--quota", str(self.record_quota), "--log", str(self.state / "log" / "recorder.jsonl")]
-        if self.metrics_port is not None:
-            command += ["--metrics-port", str(self.metrics_port)]
+        command += ["--quota", str(self.run.record_quota), "--log", str(self.state / "log" / "recorder.jsonl")]
+        if self.run.metrics_port is not None:
+            command += ["--metrics-port", str(self.run.metrics_port)]
         try:
             recorder = await self._start_child(RECORDER, [*command, "--parent", str(os.getpid())])
             if recorder.ready_output[0]:
@@ -384,10 +356,10 @@ class LiveFleet:
 
     async def _start_gateway(self) -> None:
         """Start the gateway; a fleet runs without it as well."""
-        web = self.web
+        web = self.run.web
         if web is None:
             return
-        if self.private and not (self.state / USERS_FILE).exists():
+        if self.run.private and not (self.state / USERS_FILE).exists():
             # Otherwise every user of this computer would be an operator, by the page.
             self.say("no page: with --private it needs users: `tutti user add NAME --role operator`, then start again")
             return
@@ -431,10 +403,10 @@ class LiveFleet:
 
     def _choose_port(self) -> int:
         """Return the port of the next simulated controller on Ethernet."""
-        if not self.first_port:
+        if not self._next_port:
             return find_free_port()
-        self.first_port += 1
-        return self.first_port - 1
+        self._next_port += 1
+        return self._next_port - 1
 
     def _make_simulated_controller(self, name: str) -> dict[str, object]:
         """Return the value of `--unit` for a controller."""
@@ -451,7 +423,7 @@ class LiveFleet:
                 "wander_ppm": simulate.wander_ppm,
             },
             "world": str(simulation_pipe(self.state, name)),
-            "truth": str(self.state / "truth" / f"{name}.jsonl") if self.truth else None,
+            "truth": str(self.state / "truth" / f"{name}.jsonl") if self.run.truth else None,
             "wires": [
                 {
                     "output": connection.driven_by.number,
@@ -474,9 +446,9 @@ class LiveFleet:
         command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
         command += ["--connect", self.connect, "--journal", str(self.state / JOURNAL)]
         command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
-        if had_journal(self.state) and not self.new_journal:
+        if had_journal(self.state) and not self.run.new_journal:
             command.append(EXISTING_JOURNAL)
-        return [*command, "--take-over"] if self.take_over else command
+        return [*command, "--take-over"] if self.run.take_over else command
 
     async def _rotate_logs(self) -> None:
         """Limit the files that children, and a detached `tutti up`, have open as their standard error."""
@@ -528,7 +500,7 @@ class LiveFleet:
             code = await child.process.wait()
             if child.ended:
                 return
-            if child.name == "coordinator" and code in EXIT_LEADERSHIP_LOST and not self.standby:
+            if child.name == "coordinator" and code in EXIT_LEADERSHIP_LOST and not self.run.standby:
                 self.say(
                     f"{child.name} has lost leadership, another coordinator leads; the adapter hosts here "
                     "serve that one"

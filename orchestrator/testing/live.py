@@ -21,6 +21,7 @@ from orchestrator.clock.live import raw_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.checked import check_fleet, load_checked_fleet
+from orchestrator.runtime.fleet_run import FleetRun
 from orchestrator.runtime.live import LiveFleet, find_free_port
 from orchestrator.runtime.readiness import find_origin_host_ns, wait_until_adopted
 from orchestrator.testing.errors import (
@@ -115,9 +116,7 @@ class LiveTestbed(FleetTestbed):
         self._tutti = self.connect("test")
 
     async def _start_processes(self) -> None:
-        live = LiveFleet(
-            self.fleet, self.state, self._messages.append, port=find_free_port(), simulated=True, truth=True
-        )
+        live = LiveFleet(self.fleet, self.state, self._messages.append, FleetRun.make_simulated(find_free_port()))
         await live.start()
         self._live = live
         async with Tutti(live.connect, self.fleet.fleet, "test") as tutti:

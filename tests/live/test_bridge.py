@@ -15,6 +15,7 @@ from orchestrator.client import Tutti
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
+from orchestrator.runtime.fleet_run import FleetRun
 from orchestrator.runtime.live import LiveFleet
 
 pytestmark = pytest.mark.live
@@ -119,7 +120,7 @@ STEPS = [
 @pytest.mark.nightly
 def test_a_fleet_with_a_bridge_homes_and_moves(tmp_path: Path) -> None:
     async def main() -> JobReport:
-        live = LiveFleet(fleet(), tmp_path / "state", lambda _: None, port=free_port(), simulated=True)
+        live = LiveFleet(fleet(), tmp_path / "state", lambda _: None, FleetRun(port=free_port(), simulated=True))
         await live.start()
         try:
             async with Tutti(live.connect, "bridged") as tutti:

@@ -47,6 +47,7 @@ def host(
     are there.
     """
     from orchestrator.client import Tutti
+    from orchestrator.runtime.fleet_run import FleetRun
     from orchestrator.runtime.live import LiveFleet
     from orchestrator.runtime.state_folder import default_state
 
@@ -64,8 +65,8 @@ def host(
                 f"fleet {fleet} has no controller with `host: {name}`; its hosts: {hosts}", BAD_INPUT, code="no-host"
             )
         _require_absence(served, name)
-        live = LiveFleet(found_fleet, folder, print_line, connect, simulated=simulated, truth=truth)
-        live.hosts = frozenset((name,))
+        run = FleetRun(connect=connect, simulated=simulated, truth=truth, hosts=frozenset((name,)))
+        live = LiveFleet(found_fleet, folder, print_line, run)
         await _run_until_ended(live, name, as_json=as_json)
 
     run_main(run_host())

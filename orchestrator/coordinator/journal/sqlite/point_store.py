@@ -47,8 +47,8 @@ CREATE TABLE IF NOT EXISTS parts (
 
 
 class PointStore:
-    """`PointUploads` in a database: every method that changes something has committed to disk when it returns; all raise
-    `JournalError` if the file cannot be used."""
+    """`PointUploads` in a database: every method that changes something has committed to disk when it returns; all
+    raise `JournalError` if the file cannot be used."""
 
     def __init__(self, path: str, quota_bytes: int = QUOTA_BYTES) -> None:
         """Open or create the store at `path` (`:memory:` for tests)."""
