@@ -1,10 +1,9 @@
 """The commands of users in the journal: by which user, when, what, and whether it was refused."""
 
-from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
+from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.base import Model, UnknownName
@@ -13,32 +12,6 @@ from orchestrator.model.messages import Request
 from orchestrator.model.operation.commands import CommandRecord, CommandsListed, ListCommands
 
 MAX_SUBJECT = 200  # characters
-
-
-def _join(words: Iterable[str], otherwise: str) -> str:
-    return " ".join(words) or otherwise
-
-
-_SUBJECTS: Mapping[str, Callable[[Any], str]] = {
-    "submit": lambda asked: f"{asked.job.name!r}" + ", proposed" * asked.terms.proposed,
-    "retry": lambda asked: f"{asked.job_id} from step {asked.from_step}",
-    "cancel": lambda asked: asked.job_id,
-    "approve": lambda asked: f"{asked.job_id} {asked.plan}",
-    "hold": lambda asked: _join(asked.job_ids, "none"),
-    "release": lambda asked: _join(asked.job_ids, "all held jobs"),
-    "reorder": lambda asked: f"{asked.job_id} before {asked.before}",
-    "pause": lambda asked: asked.job_id + " now" * asked.now,
-    "resume": lambda asked: asked.job_id,
-    "override": lambda asked: f"{asked.job_id} {asked.percent:g} %",
-    "prune": lambda asked: f"older than {asked.older_s:g} s, but the newest {asked.keep}",
-    "stop": lambda asked: asked.mode,
-    "acquire-axes": lambda asked: f"{' '.join(asked.axes)}: {asked.what}",
-    "save-position": lambda asked: asked.name,
-    "remove-position": lambda asked: asked.name,
-    "acknowledge": lambda asked: _join(asked.alarm_ids, "all alarms"),
-    "shelve": lambda asked: f"{asked.alarm_id} " + ("no longer" if asked.for_s is None else f"for {asked.for_s:g} s"),
-}
-"""What a request is about, by verb; other verbs are about the whole fleet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +35,7 @@ class CommandLog:
             return None
         if isinstance(request, AcquireAxes) and self._is_renewal(request):
             return None
-        subject = _SUBJECTS[verb](request) if verb in _SUBJECTS else ""
+        subject = SERVICE_VERBS[verb].subject(request)
         if isinstance(request, ReleaseAxes):
             subject = " ".join(self._find_leased(request.holder)) or request.holder
         return _Command(request.actor, verb, subject)

@@ -17,14 +17,14 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from orchestrator.bus.log import ProcessLog
-from orchestrator.bus.service_verbs import SERVICE_VERBS
+from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.client import Tutti
 from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.access.authentication import COOKIE, Authentication, NotSignedIn
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.users import UserFile
-from orchestrator.gateway.commands import CONTROLLER_VERBS, FleetCommands
+from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.fleet_files import compare_fleet
 from orchestrator.gateway.guard import Guard
 from orchestrator.gateway.job_files import JobFiles

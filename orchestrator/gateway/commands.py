@@ -11,7 +11,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from orchestrator.bus.log import ProcessLog
-from orchestrator.bus.service_verbs import SERVICE_VERBS, ServiceVerb
+from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS, ServiceVerb
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.access.identity import Identity
@@ -20,18 +20,12 @@ from orchestrator.gateway.access.roles import may
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import SubmitJob
-from orchestrator.model.messages import ForgetRequest, JogRequest, RawReply, RawRequest, Reply, Request
+from orchestrator.model.messages import Request
 
 MAX_CONNECTIONS = 256  # actors whose connection is kept
 MAX_KEYS = 10_000  # idempotency keys
 ANSWER_S = {"submit": 120.0, "dry-run": 60.0, "reload": 60.0, "check-wiring": 60.0, "prune": 60.0}
 USUAL_ANSWER_S = 5.0
-# Jogs are too many for the log; that their axes were acquired is in it.
-CONTROLLER_VERBS: dict[str, ServiceVerb] = {
-    "forget": ServiceVerb(ForgetRequest, Reply),
-    "jog": ServiceVerb(JogRequest, Reply, reads=True),
-    "raw": ServiceVerb(RawRequest, RawReply),
-}
 
 ShowStop = Callable[[str, str, dict[str, Any]], None]
 

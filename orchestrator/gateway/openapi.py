@@ -9,9 +9,8 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from orchestrator.bus.service_verbs import SERVICE_VERBS, ServiceVerb
+from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS, ServiceVerb
 from orchestrator.gateway.access.roles import LEAST_ROLES
-from orchestrator.gateway.commands import CONTROLLER_VERBS
 from orchestrator.model.base import Model
 from orchestrator.model.messages import RefusalDetails
 

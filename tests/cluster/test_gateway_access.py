@@ -9,10 +9,9 @@ import pytest
 from cluster.gateway_client import OWN, PASSWORD, PORT, VirtualGateway, run_with_gateway
 from cluster.worlds import EXAMPLES, PREPARE, outcome
 
-from orchestrator.bus.service_verbs import SERVICE_VERBS
+from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
 from orchestrator.gateway.access.users import StoredToken
-from orchestrator.gateway.commands import CONTROLLER_VERBS
 from orchestrator.model.queue import shift_utc
 from orchestrator.runtime.virtual import VirtualFleet
 

@@ -4,50 +4,24 @@ The gateway enforces it for each verb; the page only mirrors it. Reading, and st
 in: a stop must never wait for a right.
 """
 
-from typing import Literal, get_args
+from typing import get_args
 
-from orchestrator.bus.service_verbs import VIEW_VERBS
+from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS, UserRole
 
-Role = Literal["viewer", "proposer", "operator", "maintainer"]
+Role = UserRole
 ROLES: tuple[Role, ...] = get_args(Role)
-"""Each role may do what those before it may."""
+"""Each role may do what those before it may. Jobs of a proposer wait for the approval of an operator."""
 
-LEAST_ROLES: dict[str, Role] = {
-    **dict.fromkeys(VIEW_VERBS, "viewer"),
-    "stop": "viewer",
+_GATEWAY_VERBS: dict[str, Role] = {
     "estop": "viewer",
-    # Jobs of a proposer wait for the approval of an operator.
-    "submit": "proposer",
-    "put-points": "proposer",
-    "dry-run": "proposer",
     "check-job": "proposer",
-    "approve": "operator",
-    "cancel": "operator",
-    "retry": "operator",
-    "hold": "operator",
-    "release": "operator",
-    "reorder": "operator",
-    "pause": "operator",
-    "resume": "operator",
-    "override": "operator",
-    "start-queue": "operator",
-    "stop-queue": "operator",
-    "acknowledge": "operator",
-    "shelve": "operator",
-    "save-position": "operator",
-    "acquire-axes": "operator",
-    "release-axes": "operator",
-    "jog": "operator",
     "work": "operator",
     "reset": "operator",
     "check-fleet": "operator",
-    "check-wiring": "operator",
-    "remove-position": "maintainer",
-    "prune": "maintainer",
-    "reload": "maintainer",
-    "repair-epoch": "maintainer",
-    "forget": "maintainer",
-    "raw": "maintainer",
+}
+LEAST_ROLES: dict[str, Role] = {
+    **{name: verb.least_role for name, verb in (SERVICE_VERBS | CONTROLLER_VERBS).items()},
+    **_GATEWAY_VERBS,
 }
 """The least role for each verb: those of `svc/{verb}`, of controllers, and of the gateway itself."""
 
