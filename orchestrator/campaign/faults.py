@@ -17,6 +17,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EstopMessage, EstopReset
+from orchestrator.model.names import split_name
 from orchestrator.runtime.virtual import VirtualFleet
 
 FaultReach = Literal["unit", "power", "line", "host", "fleet"]
@@ -312,7 +313,7 @@ class FaultInjector:
     def _find_permit_input(self) -> tuple[str, int, bool]:
         """Return the input of the fleet's first permit: controller, number, and its level without the permit."""
         permit = next(iter(self._whole_fleet.permits.values()))
-        controller, _, name = permit.input.partition(".")
+        controller, name = split_name(permit.input)
         wired_input = self._whole_fleet.controllers[controller].inputs[name]
         return controller, wired_input.number, (not permit.value) == (wired_input.active == "high")
 

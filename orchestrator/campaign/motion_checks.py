@@ -6,6 +6,7 @@ from orchestrator.campaign.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.queue import SESSION_TIMEOUT_NS
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.virtual import VirtualFleet
@@ -108,14 +109,14 @@ class MotionChecker:
             return
         if step.requested_ns > broken_ns + ABSENCE_NS:
             self.add_violation("11", f"{label} moved for a command that had ended ({phase.fault.name})")
-        elif label.partition(".")[0] not in self._untrusted:
+        elif controller_of(label) not in self._untrusted:
             # Also when the move has reached its target in spite of it.
             self._check_braking(phase, label, motion)
 
     def _ramp_ns(self, label: str) -> int:
         """The longest deceleration of the axis `label`: by its limits, or by what its controller declares."""
         limits = self._whole_fleet.axis(label).limits
-        declared_ns = self._records.declared_stop_ns(label.partition(".")[0])
+        declared_ns = self._records.declared_stop_ns(controller_of(label))
         return max(round(limits.velocity / limits.acceleration * NS_PER_S), declared_ns)
 
     def _is_first_motor(self, name: str, motion: CommandedMotion) -> bool:
@@ -133,7 +134,7 @@ class MotionChecker:
 
     def _check_jog(self, phase: CampaignPhase, label: str, motion: CommandedMotion, step: StepRecord | None) -> bool:
         """Check invariant 3 of a jog; return whether the motion was one."""
-        name, _, axis = label.partition(".")
+        name, axis = split_name(label)
         mine = (record for record in phase.jogs if (record.controller, record.motor) == (name, motion.axis))
         jog = next(
             (record for record in mine if record.from_ns <= motion.start_ns <= record.renewed_ns + JOG_END_NS), None

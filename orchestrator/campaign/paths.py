@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.campaign.records import CampaignPhase
+from orchestrator.model.names import controller_of
 from orchestrator.model.path import LinePiece, Within
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.runtime.virtual import VirtualFleet
@@ -38,7 +39,7 @@ class PathChecker:
 
     def _find_position(self, name: str) -> float:
         axis = self._fleet.fleet.axis(name)
-        return axis.to_unit(self._fleet.controllers[name.partition(".")[0]].position(axis.motors[0]))
+        return axis.to_unit(self._fleet.controllers[controller_of(name)].position(axis.motors[0]))
 
 
 def _find_distance(points: Array, here: Array) -> float:

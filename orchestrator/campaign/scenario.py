@@ -44,6 +44,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.names import controller_of
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.state import ControllerState
@@ -202,7 +203,7 @@ class _Scenario:
             job, terms = make_preparation(axes, homing), QueueTerms(session=attendance.session)
             job_id = await client.submit(job, terms=terms)
             if self._phase is not None:
-                controllers = tuple(dict.fromkeys(axis.partition(".")[0] for axis in axes))
+                controllers = tuple(dict.fromkeys(controller_of(axis) for axis in axes))
                 self._phase.jobs[job_id] = JobOrder(job, terms, controllers)
             report = await client.wait_for_job(job_id)
         if report.state != "done":

@@ -24,6 +24,7 @@ from orchestrator.bus.keys import ANY_KEPT_ESTOP, FleetKeys
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply, Request
+from orchestrator.model.problems import first_error_text
 
 M = TypeVar("M", bound=Model)
 
@@ -198,7 +199,7 @@ class FleetConnection:
         try:
             received_message = reply.read_message(answer)
         except ValidationError as error:
-            text = f"the answer on {key} cannot be read: {error.errors()[0]['msg']}"
+            text = f"the answer on {key} cannot be read: {first_error_text(error)}"
             raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
         if isinstance(received_message, Reply) and received_message.refused is not None:
             raise received_message.refused.as_error()

@@ -35,6 +35,8 @@ from orchestrator.model.messages import (
     TraceReply,
     TraceRequest,
 )
+from orchestrator.model.names import split_name
+from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import ControllerInfo, ControllerState
 from orchestrator.model.units import Unit
 
@@ -133,7 +135,7 @@ class FleetRequests(FleetConnection):
         try:
             fleet = Fleet.model_validate(service.configuration)
         except ValidationError as error:
-            text = f"the configuration of the fleet cannot be read: {error.errors()[0]['msg']}"
+            text = f"the configuration of the fleet cannot be read: {first_error_text(error)}"
             raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
         if fleet.digest != service.digest:
             text = f"the configuration has digest {fleet.digest} here, {service.digest or 'none'} in the coordinator"
@@ -180,7 +182,7 @@ class FleetRequests(FleetConnection):
 
     async def axis_config(self, axis: str) -> dict[str, Any]:
         """The configuration of `controller.axis`, as its adapter has it. Raises `Refusal`."""
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         info = await self.controller_info(controller)
         if name not in info.axes:
             text = f"{controller} has no axis {name!r}; its axes are: {', '.join(info.axes)}"

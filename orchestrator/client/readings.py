@@ -10,6 +10,7 @@ from orchestrator.bus.base import BusSample
 from orchestrator.client.fleet import FleetRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.names import split_name
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 
 MAX_WAITING_EVENTS = 10_000  # of a reader that is too slow; the oldest are dropped
@@ -25,7 +26,7 @@ class ReadingRequests(FleetRequests):
 
     async def position(self, axis: str) -> float:
         """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         states = await self.status()
         if not states:
             raise await self.find_absence()
@@ -48,7 +49,7 @@ class ReadingRequests(FleetRequests):
             [f"{name}.{axis}" for name, state in states.items() for axis in state.axes] if axes is None else axes
         )
         for axis in wanted_axes:
-            controller, _, name = axis.partition(".")
+            controller, name = split_name(axis)
             if controller not in states or name not in states[controller].axes:
                 raise _unknown_axis(axis, states)
 
@@ -85,7 +86,7 @@ class ReadingRequests(FleetRequests):
 
 
 def _find_position(states: dict[str, ControllerState], axis: str) -> float:
-    controller, _, name = axis.partition(".")
+    controller, name = split_name(axis)
     state = states[controller]
     return math.nan if state.mode == "offline" else state.axes[name].position
 

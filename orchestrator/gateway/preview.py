@@ -10,6 +10,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.names import split_name
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.profile import Profile
@@ -34,7 +35,7 @@ def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[st
     """All axes as they are now; those of silent controllers are unknown."""
     axes: dict[str, AxisForecast] = {}
     for name in fleet.axis_names:
-        controller, _, local = name.partition(".")
+        controller, local = split_name(name)
         state = states.get(controller)
         axis_now = None if state is None or state.mode == "offline" else state.axes.get(local)
         if axis_now is not None:

@@ -25,6 +25,7 @@ from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
+from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
 from orchestrator.model.path import FrameSpec
 from orchestrator.model.problems import Problem, raise_problems, validate_with
@@ -563,9 +564,9 @@ class Fleet(Model):
         """All wires of the fleet, one entry per output and input."""
         found_connections: list[WireConnection] = []
         for wire in self.wiring:
-            source, _, output = wire.from_.partition(".")
+            source, output = split_name(wire.from_)
             for end in wire.to:
-                target, _, name = end.partition(".")
+                target, name = split_name(end)
                 driven_by, feeds = self.controllers[source].outputs[output], self.controllers[target].inputs[name]
                 found_connections.append(WireConnection(source, output, driven_by, target, name, feeds, wire.delay_us))
         return found_connections
@@ -586,7 +587,7 @@ class Fleet(Model):
 
     def axis(self, name: str) -> Axis:
         """The axis `controller.axis`. Raises `UnknownName`, which lists the known axes."""
-        controller, _, axis = name.partition(".")
+        controller, axis = split_name(name)
         if controller not in self.controllers or axis not in self.controllers[controller].axes:
             raise UnknownName(name, self.names.explain_unknown(name, "axis") or name)
         return self.controllers[controller].axes[axis]
@@ -667,6 +668,6 @@ def group_by_controller(axes: Iterable[str]) -> dict[str, list[str]]:
     """Group axes `controller.axis` by their controller, in order."""
     found_controller: dict[str, list[str]] = {}
     for axis in axes:
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         found_controller.setdefault(controller, []).append(name)
     return found_controller

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from orchestrator.model.base import Model
-from orchestrator.model.names import is_position_name
+from orchestrator.model.names import is_position_name, split_name
 from orchestrator.model.problems import Problem
 
 Place = tuple[str | int, ...]
@@ -116,7 +116,7 @@ def _find_unknown(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Pro
                 yield Problem(place, text, name)
     for place, output in select(plain, "controllers", EACH, "axes", EACH, "brake", "output"):
         if isinstance(output, str) and f"{place[1]}.{output}" not in names.outputs:
-            own = [name.partition(".")[2] for name in names.outputs if name.startswith(f"{place[1]}.")]
+            own = [split_name(name)[1] for name in names.outputs if name.startswith(f"{place[1]}.")]
             known = ", ".join(own) or "none"
             yield Problem(place, f"the controller has no output {output}; known outputs: {known}", output)
 

@@ -19,6 +19,11 @@ class Problem:
     found: Any = None
 
 
+def first_error_text(error: ValidationError) -> str:
+    """The first mistake in words, without its place: for a message of one line."""
+    return str(error.errors(include_url=False)[0]["msg"])
+
+
 def validate_with(problems: Sequence[Problem], title: str, validate: Callable[[], T]) -> T:
     """Run pydantic's `validate`; raises its `ValidationError` with `problems` among the errors. title: of the model."""
     errors: list[InitErrorDetails] = []

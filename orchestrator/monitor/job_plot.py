@@ -14,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.names import split_name
 from orchestrator.model.report import AxisRecording, StepRecording, StepReport
 
 MARGIN_SHARE = 0.3  # of one move's duration, shown before and after it
@@ -144,7 +145,7 @@ def _find_timings(
     name: str, recordings: Sequence[StepRecording], steps: Sequence[StepReport]
 ) -> Iterator[tuple[Literal["start", "end"], TimingInterval]]:
     """Starts and ends of an axis by the evidence in the reports."""
-    controller, _, axis = name.partition(".")
+    controller, axis = split_name(name)
     first_ns = recordings[0].t0_fleet_ns
     moved_axes = {recording.step: recording.axes[name] for recording in recordings if name in recording.axes}
     for step in steps:

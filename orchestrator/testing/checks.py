@@ -17,6 +17,7 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.names import controller_of
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.runtime.virtual import VirtualFleet
@@ -98,5 +99,5 @@ def find_controllers(job: Job, everything: Sequence[str]) -> tuple[str, ...]:
     names: list[str] = []
     for step in iterate_steps(job.steps):
         names += step.switched_outputs or step.named_axes or step.awaited_inputs or everything
-    partitions = {name.partition(".")[0] for name in names}
+    partitions = {controller_of(name) for name in names}
     return tuple(partitions) if partitions <= set(everything) else tuple(everything)

@@ -8,6 +8,7 @@ from orchestrator.model.duration import parse_duration
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Axis, Controller, DigitalInput, Fleet
 from orchestrator.model.fleet_names import list_names, suggest_name
+from orchestrator.model.names import controller_of, split_name
 
 
 class BadTest(TuttiError):
@@ -35,7 +36,7 @@ def find_controller(fleet: Fleet, name: str) -> Controller:
 
 def find_axis(fleet: Fleet, name: str) -> tuple[str, Axis]:
     """The controller of the axis `controller.axis`, and the axis. Raises `UnknownName` with those that there are."""
-    return name.partition(".")[0], fleet.axis(name)
+    return controller_of(name), fleet.axis(name)
 
 
 def find_input(fleet: Fleet, name: str) -> tuple[str, DigitalInput]:
@@ -43,7 +44,7 @@ def find_input(fleet: Fleet, name: str) -> tuple[str, DigitalInput]:
     unknown = fleet.names.explain_unknown(name, "input")
     if unknown is not None:
         raise UnknownName(name, unknown)
-    controller, _, own = name.partition(".")
+    controller, own = split_name(name)
     return controller, fleet.controllers[controller].inputs[own]
 
 

@@ -13,6 +13,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import LeaseReply, LeaseRequest
+from orchestrator.model.names import controller_of
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import LeaseState
 
@@ -180,7 +181,7 @@ class LeaseRegistry:
                 "leased",
                 f"{theirs} is {self.describe_use(other_hold)}",
                 "wait for the end of that use, or contact its holder",
-                theirs.partition(".")[0],
+                controller_of(theirs),
             )
         hold_before = self._held.get(holder)
         mine = tuple(dict.fromkeys((*(hold_before.axes if hold_before else ()), *whole)))

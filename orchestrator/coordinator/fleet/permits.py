@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.fleet import Permit
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.report import MissingPermit
 from orchestrator.model.state import ControllerState
 
@@ -75,7 +76,7 @@ class PermitMonitor:
         return None
 
     def _describe_broken(self, name: str, permit: Permit) -> str | None:
-        controller, _, point = permit.input.partition(".")
+        controller, point = split_name(permit.input)
         state = self._view.last_state(controller)
         known = state is not None and not self._view.is_silent(controller) and state.mode != "offline"
         if known and state is not None and state.inputs.get(point) == permit.value:
@@ -87,7 +88,7 @@ class PermitMonitor:
     def _take_state(self, state: ControllerState) -> None:
         lost = False
         for name, permit in self._view.fleet.permits.items():
-            if permit.input.partition(".")[0] != state.controller:
+            if controller_of(permit.input) != state.controller:
                 continue
             held = self._since_ns.get(name) is not None
             holds = self._describe_broken(name, permit) is None

@@ -13,6 +13,8 @@ from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.names import split_name
+from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import (
     AxisState,
     ControllerEvent,
@@ -88,7 +90,7 @@ class FleetView:
 
     def axis_now(self, axis: str) -> AxisState | None:
         """The state of `controller.axis`; None while its controller is offline or silent."""
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         state = self._states.get(controller)
         if state is None or self.is_silent(controller) or state.mode == "offline":
             return None
@@ -161,7 +163,7 @@ class FleetView:
         try:
             state = ControllerState.read_message(sample.payload)
         except ValidationError as error:
-            self._log.warning(f"a state that cannot be read on {sample.key}: {error.errors()[0]['msg']}")
+            self._log.warning(f"a state that cannot be read on {sample.key}: {first_error_text(error)}")
         else:
             self._store_state(state)
 
@@ -191,7 +193,7 @@ class FleetView:
         try:
             event = ControllerEvent.read_message(sample.payload)
         except ValidationError as error:
-            self._log.warning(f"an event that cannot be read on {sample.key}: {error.errors()[0]['msg']}")
+            self._log.warning(f"an event that cannot be read on {sample.key}: {first_error_text(error)}")
             return
         self._heard_ns[event.controller] = self._clock.now_ns()
         instance, last = self._last_event.get(event.controller, ("", 0))
@@ -223,7 +225,7 @@ class FleetView:
             self._awaited.pop(controller, None)  # the next state triggers the query again
             return
         except ValidationError as error:
-            self._log.warning(f"events after {after} of {controller} cannot be read: {error.errors()[0]['msg']}")
+            self._log.warning(f"events after {after} of {controller} cannot be read: {first_error_text(error)}")
             self._awaited.pop(controller, None)
             return
         if reply.lost:

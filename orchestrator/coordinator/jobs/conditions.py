@@ -11,6 +11,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.jobs.queue import find_needed_controllers
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
+from orchestrator.model.names import split_name
 from orchestrator.model.state import AxisState, ControllerState
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.tree import iterate_steps
@@ -138,7 +139,7 @@ class WorldConditions:
         return None
 
     def _find_axis(self, axis: str) -> AxisState | None:
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         state = self._view.last_state(controller)
         return None if state is None else state.axes.get(name)
 

@@ -38,7 +38,7 @@ from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import RefusalDetails, StopMode
-from orchestrator.model.names import controller_of
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.operation.approval import JobApproval, join_changes, list_changes
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import (
@@ -627,6 +627,6 @@ class JobRun:
         return any(held_lease.holder == self.row.id for held_lease in self._services.leases.all_leases)
 
     def _is_enabled(self, axis: str) -> bool:
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         state = self._services.view.last_state(controller)
         return state is not None and state.axes[name].enabled

@@ -11,6 +11,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.service import WireFinding
 from orchestrator.model.messages import OutputRequest, Reply
+from orchestrator.model.names import split_name
 from orchestrator.model.state import ControllerState
 
 ANSWER_S = 3.0
@@ -67,7 +68,7 @@ class WiringCheck:
 
     async def _switch_output(self, output: str, actor: str, *, value: bool) -> int:
         """Switch an output; return the fleet time by which it was switched: it is read back."""
-        controller, _, point = output.partition(".")
+        controller, point = split_name(output)
         request = OutputRequest(**self._fleet.requests.request_fields(actor), output=point, value=value)
         reply = await self._fleet.requests.request(controller, "output", request, Reply, ANSWER_S)
         if reply.refused is not None:

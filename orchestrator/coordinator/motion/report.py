@@ -10,6 +10,7 @@ from orchestrator.coordinator.motion.path_proof import prove_path
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.start import StartState
 from orchestrator.model.messages import ArmedReply
+from orchestrator.model.names import split_name
 from orchestrator.model.report import MemberReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
 
@@ -81,7 +82,7 @@ def find_misplaced_axes(
     ends_ns = t0_fleet_ns + round(agreement.plan.duration_s * NS_PER_S)
     axes: list[str] = []
     for axis, profile in agreement.plan.profiles.items():
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         state = states.get(controller)
         if state is None or state.mode == "offline" or state.read_fleet_ns is None or state.read_fleet_ns < ends_ns:
             continue

@@ -9,6 +9,7 @@ from orchestrator.coordinator.steps.context import ANSWER_S, ProgressCallback, R
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import HomeReply, HomeRequest, RefusalDetails
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.steps.home import Home
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
 from orchestrator.plan.step import ExactTargets
@@ -49,7 +50,7 @@ class _HomingRun:
         ready = [
             axis
             for axis, others_wait in self.waits.items()
-            if axis not in begun_busies and axis.partition(".")[0] not in self.busy and others_wait <= set(self.homed)
+            if axis not in begun_busies and controller_of(axis) not in self.busy and others_wait <= set(self.homed)
         ]
         alone_ready = [axis for axis in ready if axis in self.loners]
         together_ready = [axis for axis in ready if axis not in self.loners]
@@ -107,7 +108,7 @@ class HomingSequence:
             raise self._make_failure(run)
 
     def _require_referenced(self, axis: str, waits: Mapping[str, set[str]]) -> None:
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         state = self._fleet.view.last_state(controller)
         if state is None or not state.axes[name].referenced:
             waiting = next(each for each, others_wait in waits.items() if axis in others_wait)
@@ -156,7 +157,7 @@ class HomingSequence:
     def _take_reply(self, run: _HomingRun, controller: str, reply: HomeReply) -> None:
         axes = run.busy.pop(controller)
         for axis in axes:
-            name = axis.partition(".")[2]
+            name = split_name(axis)[1]
             if reply.refused is not None:
                 run.failed[axis] = reply.refused
             elif name in reply.homed:
@@ -175,7 +176,7 @@ class HomingSequence:
         if blocked:
             causes = ", ".join(sorted(set(blocked.values())))
             texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked))}")
-        return Refusal(why.code, "; ".join(texts), why.remedy, first.partition(".")[0])
+        return Refusal(why.code, "; ".join(texts), why.remedy, controller_of(first))
 
 
 async def run_home(context: StepContext, step: Home) -> ReportFields:

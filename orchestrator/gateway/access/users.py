@@ -21,6 +21,7 @@ from orchestrator.gateway.access.roles import Role
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.private_files import UnsafePath, open_private_file, read_private_file, replace_private_file
+from orchestrator.model.problems import first_error_text
 from orchestrator.model.queue import Utc
 
 MIN_PASSWORD, MAX_PASSWORD = 8, 1000
@@ -166,7 +167,7 @@ class UserFile:
             try:
                 table = UserTable(users=users)
             except ValidationError as error:
-                raise Refusal("bad-users", str(error.errors()[0]["msg"]), "remove users or tokens first") from None
+                raise Refusal("bad-users", first_error_text(error), "remove users or tokens first") from None
             try:
                 replace_private_file(self.path, table.to_json())
             except (OSError, UnsafePath) as error:

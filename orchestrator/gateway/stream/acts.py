@@ -16,6 +16,7 @@ from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.socket import Frame, Handler, UserSocket
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.problems import first_error_text
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport
 
@@ -236,7 +237,7 @@ def _make_job(step: object) -> Job:
     try:
         return Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [step]})
     except ValidationError as error:
-        text = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
+        text = first_error_text(error).removeprefix("Value error, ")
         raise Refusal("bad-request", text, "see the steps of job files") from None
 
 

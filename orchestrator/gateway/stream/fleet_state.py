@@ -14,6 +14,7 @@ from orchestrator.gateway.stream.merge_patch import drop_nulls
 from orchestrator.gateway.stream.targets import JobTargets
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import LeaderHeartbeat
+from orchestrator.model.names import split_name
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
@@ -77,7 +78,7 @@ class FleetState:
 
     def find_rest(self, axis: str) -> float | None:
         """The commanded user position of `controller.axis` when it was at rest last; None if it is not known."""
-        controller, _, name = axis.partition(".")
+        controller, name = split_name(axis)
         self._read_state(controller)
         return self._rests.get(controller, {}).get(name)
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field, model_validator
 
 from orchestrator.model.duration import Duration
+from orchestrator.model.names import controller_of
 from orchestrator.model.steps.base import Step
 
 
@@ -22,7 +23,7 @@ class Latch(Step):
 
     @model_validator(mode="after")
     def _one_controller(self) -> "Latch":
-        if self.axis.partition(".")[0] != self.input.partition(".")[0]:
+        if controller_of(self.axis) != controller_of(self.input):
             raise ValueError(f"{self.input} cannot latch {self.axis}: name an input of the same controller")
         return self
 

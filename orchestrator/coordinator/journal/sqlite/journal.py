@@ -45,6 +45,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
 from orchestrator.model.positions.entries import SavedPosition
+from orchestrator.model.problems import first_error_text
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueStop
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 from orchestrator.model.steps.tree import find_digests
@@ -334,7 +335,7 @@ class SqliteJournal:
         try:
             return [JobTransition(state=s, reason=r, actor=a, utc=u, fleet_ns=f) for s, r, a, u, f in rows]
         except ValidationError as error:
-            raise self._damaged_record("a transition", job_id, error.errors()[0]["msg"]) from None
+            raise self._damaged_record("a transition", job_id, first_error_text(error)) from None
 
     def load_report(self, job_id: str) -> JobReport | None:
         return self._select_body(JobReport, "SELECT body FROM reports WHERE job_id = ?", (job_id,))
@@ -424,7 +425,7 @@ class SqliteJournal:
         try:
             return model.model_validate_json(rows[0][0]) if rows else None
         except ValidationError as error:
-            raise self._damaged_record(f"the {model.__name__}", values[0], error.errors()[0]["msg"]) from None
+            raise self._damaged_record(f"the {model.__name__}", values[0], first_error_text(error)) from None
 
     def _damaged_record(self, what: str, job_id: str, problem: str) -> DamagedRecord:
         text = f"{self._path}: {what} of job {job_id} cannot be read: {problem}"
