@@ -35,40 +35,40 @@ help:
 	@echo "make docs             build the documentation as a site, build/site"
 	@echo "PYTHON=python3.13     with any of these: use that interpreter"
 
-$(RUN)/.stamp: requirements.lock pyproject.toml
+$(RUN)/.stamp: requirements/run.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Tutti needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv --clear $(RUN)
-	$(RUN)/bin/python $(PIP) install --require-hashes -r requirements.lock
+	$(RUN)/bin/python $(PIP) install --require-hashes -r requirements/run.lock
 	$(RUN)/bin/python $(INSTALL)
 	touch $@
 
-$(DEV)/.stamp: requirements-dev.lock pyproject.toml
+$(DEV)/.stamp: requirements/dev.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(DEV)
-	$(DEV)/bin/python $(PIP) install --require-hashes -r requirements-dev.lock
+	$(DEV)/bin/python $(PIP) install --require-hashes -r requirements/dev.lock
 	$(DEV)/bin/python $(INSTALL)
 	touch $@
 
-$(THIRDPARTY)/.stamp: requirements.lock requirements-thirdparty.lock pyproject.toml
+$(THIRDPARTY)/.stamp: requirements/run.lock requirements/thirdparty.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(THIRDPARTY)
-	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes -r requirements.lock
-	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes --no-deps -r requirements-thirdparty.lock
+	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes -r requirements/run.lock
+	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes --no-deps -r requirements/thirdparty.lock
 	$(THIRDPARTY)/bin/python $(INSTALL)
 	touch $@
 
-$(DOCS)/.stamp: requirements-docs.lock pyproject.toml
+$(DOCS)/.stamp: requirements/docs.lock pyproject.toml
 	$(PYTHON) -m venv --clear $(DOCS)
-	$(DOCS)/bin/python $(PIP) install --require-hashes -r requirements-docs.lock
+	$(DOCS)/bin/python $(PIP) install --require-hashes -r requirements/docs.lock
 	$(DOCS)/bin/python $(INSTALL)
 	touch $@
 
-$(WHEEL)/.stamp: requirements.lock
+$(WHEEL)/.stamp: requirements/run.lock
 	$(PYTHON) -m venv --clear $(WHEEL)
-	$(WHEEL)/bin/python $(PIP) install --require-hashes -r requirements.lock
+	$(WHEEL)/bin/python $(PIP) install --require-hashes -r requirements/run.lock
 	touch $@
 
-$(PAGE)/.stamp: requirements-page.lock
+$(PAGE)/.stamp: requirements/page.lock
 	$(PYTHON) -m venv --clear $(PAGE)
-	$(PAGE)/bin/python $(PIP) install --require-hashes -r requirements-page.lock
+	$(PAGE)/bin/python $(PIP) install --require-hashes -r requirements/page.lock
 	touch $@
 
 # The operators' page, built again when its sources or the locks have changed.
@@ -171,12 +171,12 @@ docs: $(DOCS)/.stamp
 # Needs uv; writes the locks again from pyproject.toml and the requirements.in files.
 LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url
 lock:
-	$(LOCK) --extra web -o requirements.lock pyproject.toml
-	$(LOCK) --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
-	$(LOCK) --extra record --extra export --extra scanspec --extra web --extra keys -c requirements-dev.lock -o requirements-full.lock pyproject.toml
-	$(LOCK) --extra docs -c requirements-dev.lock -o requirements-docs.lock pyproject.toml
-	$(LOCK) -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
-	$(LOCK) -c requirements-dev.lock -o requirements-page.lock orchestrator/gateway/page/requirements.in
+	$(LOCK) --extra web -o requirements/run.lock pyproject.toml
+	$(LOCK) --extra dev -c requirements/run.lock -o requirements/dev.lock pyproject.toml
+	$(LOCK) --extra record --extra export --extra scanspec --extra web --extra keys -c requirements/dev.lock -o requirements/full.lock pyproject.toml
+	$(LOCK) --extra docs -c requirements/dev.lock -o requirements/docs.lock pyproject.toml
+	$(LOCK) -c requirements/dev.lock --overrides tests/thirdparty/overrides.txt -o requirements/thirdparty.lock tests/thirdparty/requirements.in
+	$(LOCK) -c requirements/dev.lock -o requirements/page.lock orchestrator/gateway/page/requirements.in
 
 clean:
 	rm -rf .venv .venv-* build *.egg-info orchestrator/gateway/static orchestrator/gateway/page/node_modules

@@ -16,7 +16,7 @@ from unittest.mock import patch
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.recorder import BusRecorder
 from orchestrator.campaign.runs import run_seed
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 RECORDED = Path(__file__).parents[1] / "tests" / "cluster" / "decisions.jsonl"
 # Codes of refusals by their names in the recording.

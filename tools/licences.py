@@ -12,11 +12,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reference" / "licences.md"
-LOCK = ROOT / "requirements.lock"
+LOCK = ROOT / "requirements/run.lock"
 PAGE_LOCK = ROOT / "orchestrator" / "gateway" / "page" / "package-lock.json"
 HEAD = """# Licences of dependencies
 
-Written by `tools/licences.py` from `requirements.lock` and the metadata of the installed packages. Each package is
+Written by `tools/licences.py` from `requirements/run.lock` and the metadata of the installed packages. Each package is
 used as it is published, unchanged; the sources of Tutti contain no code of theirs.
 
 """

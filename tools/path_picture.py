@@ -23,7 +23,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_course import SWITCH_S, ChunkPlan, PathCourse
 from orchestrator.plan.path_profiles import FittedAxis, FittedMotion
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 ROOT = Path(__file__).parents[1]
 CASE = CircleCase("picture", ("smc4000", "smc4000"), 60.0, 120, "1 mm")

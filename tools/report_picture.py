@@ -12,7 +12,7 @@ from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.report import JobReport
 from orchestrator.model.templates.template import load_job
 from orchestrator.monitor.report_table import make_report_tables
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 ROOT = Path(__file__).parents[1]
 COLUMNS = 84

@@ -16,7 +16,7 @@ from typing import Literal
 from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
 from orchestrator.bench.page.browser import find_browser
-from orchestrator.runtime.live import find_free_port
+from orchestrator.runtime.live.fleet import find_free_port
 
 ROOT = Path(__file__).resolve().parents[1]
 TUTTI = [sys.executable, "-c", "from orchestrator.cli.main import main; main(prog_name='tutti')"]

@@ -48,7 +48,7 @@ def run_project(python: Path) -> str:
         folder = Path(elsewhere) / "project"
         shutil.copytree(ROOT / "deploy" / "examples" / "headless-tests", folder)
         lock = Path(elsewhere) / "tools.lock"
-        lock.write_text(read_locked((ROOT / "requirements-dev.lock").read_text(encoding="utf-8")), encoding="utf-8")
+        lock.write_text(read_locked((ROOT / "requirements/dev.lock").read_text(encoding="utf-8")), encoding="utf-8")
 
         def run(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
             return subprocess.run(

@@ -24,8 +24,8 @@ from orchestrator.coordinator.motion.lead_time import KEPT_STEPS, KNOWN_AFTER
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport, JobTransition
-from orchestrator.runtime.live import LiveFleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.live.fleet import LiveFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CONTROLLERS = 16
 AXES = {"x": "X", "y": "Y", "z": "Z", "w": "W"}

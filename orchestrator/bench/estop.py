@@ -23,7 +23,7 @@ from orchestrator.clock.realtime import RealtimePriority, reset_priority, set_re
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES
-from orchestrator.runtime.live import LiveFleet
+from orchestrator.runtime.live.fleet import LiveFleet
 
 CONTROLLERS = 16
 P99_MS, SHELL_MAX_MS = 20.0, 500.0

@@ -10,8 +10,8 @@ from orchestrator.bench.truth import POLL_S, TIMEOUT_S, NothingHappened
 from orchestrator.client import Tutti
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
-from orchestrator.runtime.fleet_run import FleetRun, WebOptions
-from orchestrator.runtime.live import LiveFleet, find_free_port
+from orchestrator.runtime.live.fleet import LiveFleet, find_free_port
+from orchestrator.runtime.live.run import FleetRun, WebOptions
 
 Steps = list[dict[str, object]]
 

@@ -18,8 +18,8 @@ from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.live import LiveFleet
-from orchestrator.runtime.terminal_process import TerminalProcess
+from orchestrator.runtime.live.fleet import LiveFleet
+from orchestrator.runtime.live.terminal_process import TerminalProcess
 
 AXIS = "gantry.x"
 MIDDLE = 150.0  # mm: presses move a few mm to and fro around it

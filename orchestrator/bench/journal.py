@@ -18,7 +18,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobReport, JobState, JobTransition
-from orchestrator.runtime.virtual_disk import VirtualDisk
+from orchestrator.runtime.virtual.disk import VirtualDisk
 
 SUBMIT_TARGET_S = 3.0  # for a thousand
 RESTART_TARGET_S = 1.0  # with ten thousand

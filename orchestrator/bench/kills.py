@@ -24,7 +24,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES
-from orchestrator.runtime.live import STANDBY, LiveFleet
+from orchestrator.runtime.live.fleet import STANDBY, LiveFleet
 
 SEED = 23
 TARGETS = ("router", "coordinator", "standby", "guardian", "host")

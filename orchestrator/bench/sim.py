@@ -13,7 +13,7 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.controller import SimulatedController
 
 MOTORS = "XYZW"

@@ -23,7 +23,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.examples import find_example
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LIVE_MORE_MS = 5.0  # than in virtual time, of the median gap
 LIVE_CHAINED = 0.95  # of the steps

@@ -9,7 +9,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.units import parse_quantity
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
 class VirtualRun(NamedTuple):

@@ -7,7 +7,7 @@ from random import Random
 from orchestrator.campaign.repairs import Repair
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 # How long one direction stays closed, from shortest to longest: longer than its detection takes, or shorter.
 PARTITION_NS = (1200 * NS_PER_MS, 2000 * NS_PER_MS)

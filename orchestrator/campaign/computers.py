@@ -7,7 +7,7 @@ from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 OFFSET_S = 2000
 DRIFT_PPM = 50.0

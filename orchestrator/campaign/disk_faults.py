@@ -5,7 +5,7 @@ from typing import Any
 
 from orchestrator.campaign.repairs import Repair, do_nothing
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SLOW_NS = (10 * NS_PER_MS, 400 * NS_PER_MS)  # for one call, from shortest to longest
 MAX_FLIPS = 3

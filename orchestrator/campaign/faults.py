@@ -18,7 +18,7 @@ from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EstopMessage, EstopReset
 from orchestrator.model.names import split_name
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 FaultReach = Literal["unit", "power", "line", "host", "fleet"]
 

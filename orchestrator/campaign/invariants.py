@@ -11,7 +11,7 @@ from orchestrator.campaign.triggers import TriggerChecker
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, StepReport
 from orchestrator.model.state import ControllerState, TimeInterval
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 GREEN_TOLERANCE_S = 0.05  # of a duration that a green verdict stands for: the evidence is an interval
 CRYSTAL_SHARE = 2e-4  # of the duration, for the controller's crystal

@@ -11,7 +11,7 @@ from orchestrator.campaign.repairs import Repair
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.memory import MemoryWire
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 MAX_EXTRA_LATENCY_NS = 150 * NS_PER_MS
 REFUSALS_NS = 300 * NS_PER_MS

@@ -9,7 +9,7 @@ from orchestrator.model.fleet import Axis
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.queue import SESSION_TIMEOUT_NS
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.controller import CommandedMotion
 
 # Longest time from a fault to the start of the deceleration ramp: a silent adapter is detected after 0.7 s (the

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from orchestrator.campaign.records import CampaignPhase
 from orchestrator.model.names import controller_of
-from orchestrator.model.path import LinePiece, Within
+from orchestrator.model.paths.pieces import LinePiece, Within
 from orchestrator.model.steps.path import FollowPath
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Array = NDArray[np.float64]
 

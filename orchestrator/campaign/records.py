@@ -9,7 +9,7 @@ from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Axis
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.controller import CommandedMotion
 
 # A motion belongs to a step when it begins this near to its T0, or during it; but not before any member was armed for

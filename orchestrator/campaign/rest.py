@@ -2,7 +2,7 @@
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 POLLS, POLL_NS = 150, 7 * NS_PER_MS
 

@@ -48,7 +48,7 @@ from orchestrator.model.names import controller_of
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry
 from orchestrator.model.state import ControllerState
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 REPAIR_DELAY_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is detected everywhere
 STAGE_TIMEOUT_NS = 20 * NS_PER_S  # for the stage to be reached

@@ -7,7 +7,7 @@ from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecor
 from orchestrator.campaign.trigger_outputs import TRIGGER_NUMBER, TRIGGER_OUTPUT
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.report import JobReport, StepReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 EARLY_NS, LATE_NS = 5 * NS_PER_MS, 15 * NS_PER_MS
 """Of an edge, before T0 and after the end of the motion: its instant is rounded to a sample, and commands take time."""

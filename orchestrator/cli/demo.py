@@ -11,8 +11,8 @@ import click
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, json_option, print_json, utc_option
 from orchestrator.cli.base.errors import exit_with_error, run_main
-from orchestrator.cli.looking.path_demo import run_path
-from orchestrator.cli.looking.pictures import picture_option
+from orchestrator.cli.base.pictures import picture_option
+from orchestrator.cli.view.path_demo import run_path
 
 JOB_TIMEOUT_S = 120.0  # for the job, which takes six seconds
 
@@ -58,11 +58,11 @@ def demo(
     from orchestrator.model.jobs.files import load_fleet
     from orchestrator.model.report import JobReport
     from orchestrator.model.templates.template import load_job
-    from orchestrator.runtime.demo_truth import VerdictCheck, check_verdicts
     from orchestrator.runtime.examples import find_example
-    from orchestrator.runtime.fleet_run import FleetRun
-    from orchestrator.runtime.live import LiveFleet, find_free_port
-    from orchestrator.runtime.state_folder import UpFailed
+    from orchestrator.runtime.live.demo_truth import VerdictCheck, check_verdicts
+    from orchestrator.runtime.live.fleet import LiveFleet, find_free_port
+    from orchestrator.runtime.live.run import FleetRun
+    from orchestrator.runtime.state.folder import UpFailed
 
     def print_line(line: str) -> None:
         if not headless and not as_json:
@@ -119,10 +119,10 @@ def demo(
 async def _run_job(connect: str, fleet: str, job: Any, controllers: int, *, quiet: bool) -> tuple[Any, int]:
     """Wait until the fleet is adopted, then submit and follow the job; return also the host instant at which fleet
     time is 0."""
-    from orchestrator.cli.follow import follow_job
+    from orchestrator.cli.jobs.follow import follow_job
     from orchestrator.client import Tutti
     from orchestrator.runtime.readiness import find_origin_host_ns, wait_until_adopted
-    from orchestrator.runtime.state_folder import UpFailed
+    from orchestrator.runtime.state.folder import UpFailed
 
     async with Tutti(connect, fleet, actor="demo") as tutti:
         await wait_until_adopted(tutti, controllers)

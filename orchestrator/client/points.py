@@ -16,7 +16,7 @@ from orchestrator.model.jobs.service import FleetNames, PointsPut, PointsRead, P
 from orchestrator.model.messages import Request
 from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.report import PointRecord
-from orchestrator.model.scan import PART_BYTES, ROW_TYPE, PointAxis, PointTable, find_row_bytes, make_header
+from orchestrator.model.steps.points import PART_BYTES, ROW_TYPE, PointAxis, PointTable, find_row_bytes, make_header
 from orchestrator.model.steps.scan import Scan, find_moved_twice
 from orchestrator.model.steps.tree import find_scans
 from orchestrator.model.units import Unit

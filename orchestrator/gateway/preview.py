@@ -14,11 +14,11 @@ from orchestrator.model.names import split_name
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.profile import Profile
-from orchestrator.model.scan import GridPoints
 from orchestrator.model.state import ControllerState
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.order import StepOrder, StepPlace
+from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.forecast.job import JobForecaster
 from orchestrator.plan.forecast.ways import ForecastMotion

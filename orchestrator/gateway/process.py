@@ -36,7 +36,7 @@ from orchestrator.gateway.reach import is_own_address, list_names_beyond, requir
 from orchestrator.gateway.server import ADDRESS, NotServed, make_server, open_port
 from orchestrator.model.errors import Refusal
 from orchestrator.model.operation.alarms import AlarmRequest
-from orchestrator.runtime.state_folder import RECORDINGS, USERS_FILE
+from orchestrator.runtime.state.folder import RECORDINGS, USERS_FILE
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,10 @@ from orchestrator.model.axis_units import convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
+from orchestrator.model.frame import FrameSpec
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
-from orchestrator.model.path import FrameSpec
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
 

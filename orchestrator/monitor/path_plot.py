@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from orchestrator.model.fleet import Axis
-from orchestrator.model.path import FrameSpec
+from orchestrator.model.frame import FrameSpec
 from orchestrator.plan.path_profiles import Array
 from orchestrator.plan.path_step import PlannedPath
 

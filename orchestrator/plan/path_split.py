@@ -10,17 +10,9 @@ from typing import Any
 import numpy as np
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.frame import FrameSpec
 from orchestrator.model.names import controller_of
-from orchestrator.model.path import (
-    ArcPiece,
-    FrameSpec,
-    HelixPiece,
-    LinePiece,
-    Piece,
-    SplinePiece,
-    TablePiece,
-    Within,
-)
+from orchestrator.model.paths.pieces import ArcPiece, HelixPiece, LinePiece, Piece, SplinePiece, TablePiece, Within
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 

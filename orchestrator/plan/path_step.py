@@ -11,8 +11,9 @@ import numpy as np
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
+from orchestrator.model.frame import FrameSpec
 from orchestrator.model.names import controller_of
-from orchestrator.model.path import FrameSpec, LinePiece
+from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity

@@ -5,7 +5,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import NamedTuple
 
-from orchestrator.model.scan import GridPoints, PointTable
+from orchestrator.model.steps.points import GridPoints, PointTable
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, parse_quantity
 

@@ -5,7 +5,7 @@ import asyncio
 from orchestrator.client.api import Tutti
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.model.state import ControllerState
-from orchestrator.runtime.state_folder import UpFailed
+from orchestrator.runtime.state.folder import UpFailed
 
 READY_TIMEOUT_S = 30.0  # for the adoption of all controllers; takes a second on an idle machine
 POLL_S = 0.05

@@ -20,7 +20,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.steps.tree import iterate_steps
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from orchestrator.testing.fault_schedule import InjectedFault
 
 MAX_JOBS = 100_000

@@ -14,7 +14,7 @@ from orchestrator.clock.base import sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.errors import Refusal
 from orchestrator.model.report import FINISHED_STATES
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from orchestrator.testing.client_bus import ClientBus
 from orchestrator.testing.errors import BadTest, find_choice, find_controller
 from orchestrator.testing.virtual_worker import VirtualWorker

@@ -21,8 +21,8 @@ from orchestrator.clock.live import raw_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.checked import check_fleet, load_checked_fleet
-from orchestrator.runtime.fleet_run import FleetRun
-from orchestrator.runtime.live import LiveFleet, find_free_port
+from orchestrator.runtime.live.fleet import LiveFleet, find_free_port
+from orchestrator.runtime.live.run import FleetRun
 from orchestrator.runtime.readiness import find_origin_host_ns, wait_until_adopted
 from orchestrator.testing.errors import (
     BadTest,

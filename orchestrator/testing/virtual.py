@@ -21,7 +21,7 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, VirtualLoop
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.checked import check_fleet, load_checked_fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from orchestrator.testing.checks import REPAIR_NS, RunChecks
 from orchestrator.testing.client_bus import ClientBus, JogNotes
 from orchestrator.testing.errors import (

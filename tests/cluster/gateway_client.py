@@ -19,7 +19,7 @@ from orchestrator.gateway.access.roles import Role
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.stream.merge_patch import apply_patch
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 # The least work for each password: tests have many of them.
 users_module._HASHER = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)

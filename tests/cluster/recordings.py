@@ -9,7 +9,7 @@ from orchestrator.monitor.recording.folder import RecorderLimits, RecordingFolde
 from orchestrator.monitor.recording.reader import RecordedMessage, Recording
 from orchestrator.monitor.recording.recorder import FleetRecorder
 from orchestrator.monitor.recording.writer import RecordingWriter
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
 class RecordedFleet:

@@ -20,7 +20,7 @@ from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord, AlarmRequ
 from orchestrator.monitor.fleet_view import LiveView
 from orchestrator.monitor.open_bus import find_openness
 from orchestrator.runtime.doctor.router import list_alarms
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 QUICK = {
     "disconnected": {"for": "2 s", "return_after": "1 s"},

@@ -12,7 +12,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.files import FileError
 from orchestrator.model.report import JobProgress, JobTransition
 from orchestrator.model.templates.template import Template
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 MOVE = job("[{do: move, to: {gantry.x: 60}, speed: 0.2}, {do: dwell, duration: 0.5 s}]")
 LIFE = ["queued", "planning", "arming", "armed", "committed", "running"]

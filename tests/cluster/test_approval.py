@@ -14,7 +14,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.operation.approval import JobPlan, list_changes
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL, QueueTerms
 from orchestrator.model.report import QueueEntry
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PROPOSED = QueueTerms(proposed=True)
 ABSOLUTE = job("[{do: move, to: {gantry.x: 20}}]")

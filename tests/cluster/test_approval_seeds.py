@@ -25,7 +25,7 @@ from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.state import ControllerState
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Patch = pytest.MonkeyPatch
 PROPOSED = QueueTerms(proposed=True)

@@ -36,7 +36,7 @@ from orchestrator.model.messages import (
     Reply,
 )
 from orchestrator.model.state import EstopLatch
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LONG = job("[{do: move, to: {gantry.x: 390, stage.u: 45}, speed: 0.05}]")
 RAMPS_NS = 300 * NS_PER_MS

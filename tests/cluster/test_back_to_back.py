@@ -14,7 +14,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import CommitRequest, CommittedReply
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 THERE, BACK = "{do: move, to: {gantry.x: 20}}", "{do: move, to: {gantry.x: 0}}"
 LONG = "{do: move, to: {gantry.x: 300}, speed: 0.5}"

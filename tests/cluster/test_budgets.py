@@ -11,7 +11,7 @@ from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Fleet
 from orchestrator.monitor.report_table import make_report_tables
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [line, gantry]}, {do: home, axes: [line, gantry]}]")
 

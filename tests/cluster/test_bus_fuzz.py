@@ -12,7 +12,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import Priority
 from orchestrator.model.messages import EstopReset
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PAYLOADS = 5000
 NIGHTLY = 500_000

@@ -22,7 +22,7 @@ from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "bus.md").read_text(encoding="utf-8")
 MODELS = {

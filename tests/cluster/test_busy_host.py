@@ -8,13 +8,13 @@ from random import Random
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-from orchestrator.cli.clock import describe_learned
+from orchestrator.cli.machine.clock import describe_learned
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.latency import FORGET_NS
 from orchestrator.model.messages import ForgetRequest, Reply
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LATE_NS = 12 * NS_PER_MS
 

@@ -14,7 +14,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
 from orchestrator.model.messages import JogRequest, Reply
 from orchestrator.model.report import LeaseState
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 # By axis: its controller, its motor, counts per unit, and the speed it is jogged at, unit/s.
 AXES = {"gantry.x": ("gantry", "X", 1000, 20.0), "stage.u": ("stage", "1", 10_000, 1.0)}

@@ -19,7 +19,7 @@ from orchestrator.campaign.runs import (
     run_campaign,
 )
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, run_scenario
-from orchestrator.cli.sim_campaign import STAGE_NAMES
+from orchestrator.cli.sim.campaign import STAGE_NAMES
 
 DIRECTED = [
     FaultCell(STAGES[number % len(STAGES)], name, (fault.makes or MAKES)[number % len(fault.makes or MAKES)])

@@ -8,7 +8,7 @@ from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.cia402.unit import SimulatedDrive
 
 LIMITS = {"velocity": 100, "acceleration": 500, "jerk": 10_000}

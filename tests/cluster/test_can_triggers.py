@@ -11,7 +11,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.client.steps import JobFailed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LIMITS = {"velocity": 100, "acceleration": 500, "jerk": 10_000}
 PERIOD_NS = 10 * NS_PER_MS

@@ -13,7 +13,7 @@ from orchestrator.coordinator.fleet.certificates import ENDS_BEFORE
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.state import CertificateEnd
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 END = "2026-01-01T00:05:00Z"  # virtual time begins at midnight
 SHORT = job("[{do: move, to: {gantry.x: 5}}]")

@@ -12,7 +12,7 @@ from orchestrator.bench.sync_fleets import make_sync_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 UNITS = ("feeder", "turner", "outlet")
 PREPARE = job("[{do: enable, axes: [line, turner, gantry]}, {do: home}]")

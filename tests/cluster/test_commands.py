@@ -17,7 +17,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import SubmitJob
 from orchestrator.model.operation.commands import CommandRecord
 from orchestrator.model.queue import QueueTerms
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 DWELL = job("[{do: dwell, duration: 1 s}]")
 

@@ -13,7 +13,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet, parse_file, read_document
 from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet
 from orchestrator.runtime.simulated import find_simulation_problems, make_simulator_options
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LINKS: dict[str, dict[str, Any]] = {
     "smc4000": {"kind": "tcp", "host": "10.0.0.1", "port": 23},

@@ -7,7 +7,7 @@ from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [gantry, portal]}, {do: home}]")
 JERK = 20_000.0  # mm/s³

@@ -7,7 +7,7 @@ from cluster.worlds import run_fleet
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.messages import EstopReset
 from orchestrator.model.state import EstopLatch
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
 async def list_latched(fleet: VirtualFleet) -> list[str]:

@@ -24,7 +24,7 @@ from orchestrator.monitor.export.moves import make_moves_table
 from orchestrator.monitor.export.recorded import RecordedRun, load_run
 from orchestrator.monitor.export.samples import ExportTooLarge, make_grid_table, make_samples_table
 from orchestrator.monitor.recording.reader import Recording
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SCAN = job(
     "[{do: scan, axes: {gantry.x: {from: 0, to: 4, points: 3}}, at_each: [{do: dwell, duration: 50 ms}]},"

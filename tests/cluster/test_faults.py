@@ -33,7 +33,7 @@ from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Fleet, QueuePolicy
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobState
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CONTINUES = QueuePolicy(on_restart="continue", on_failure="continue")
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
@@ -389,7 +389,7 @@ def test_a_job_waits_for_an_unreachable_controller_as_long_as_it_may_brake(
 ) -> None:
     """Its host is killed, and its guardian stops it, by a ramp of four seconds. Meanwhile the new adapter has not
     connected to it yet, or does not exist."""
-    monkeypatch.setattr("orchestrator.runtime.virtual.RESTART_NS", round(restart_s * NS_PER_S))
+    monkeypatch.setattr("orchestrator.runtime.virtual.fleet.RESTART_NS", round(restart_s * NS_PER_S))
     steps = sync_fleets.make_smc30(0, 1)
     steps["axes"]["x"]["limits"] = {"velocity": 8, "acceleration": 1}
 

@@ -8,7 +8,7 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 from orchestrator.client import SubmittedJob
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.report import StepReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 FAR = "[{do: move, to: {gantry.x: 300, gantry.y: 60, stage.u: 20}, speed: 0.3}, {do: move, by: {gantry.x: 5}}]"
 # Of a coordinator's request to two adapters, over a serial line of 38,400 baud and Ethernet, and of the ends of their

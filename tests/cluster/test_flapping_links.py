@@ -10,7 +10,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from adapters.shrc203.driver import ShrcDriver
 from orchestrator.clock.base import NS_PER_MS, sleep_until_ns
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 STAGE = job("[{do: move, to: {stage.u: 40}, speed: 0.15}]")  # half a minute
 OPENING_NS = 20 * NS_PER_MS  # of the link, and the bytes of the stop

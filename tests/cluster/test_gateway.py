@@ -11,7 +11,7 @@ from cluster.worlds import PREPARE, demo_fleet, outcome
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 VALID_NS = 200 * NS_PER_MS
 LEASE_ENDS_S = 3.0

@@ -13,7 +13,7 @@ from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
 from orchestrator.gateway.access.users import StoredToken
 from orchestrator.model.queue import shift_utc
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 USERS: dict[str, Role] = {"vera": "viewer", "paul": "proposer", "olga": "operator", "mia": "maintainer"}
 JOB = {"schema": "tutti.job/1", "name": "there", "steps": [{"do": "dwell", "duration": "1 s"}]}

@@ -8,7 +8,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.state import ControllerState
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SECONDS = 10
 

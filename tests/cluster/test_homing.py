@@ -12,7 +12,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobProgress
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 ENABLE = job("[{do: enable, axes: [gantry, stage]}]")
 HOME = job("[{do: home}]")

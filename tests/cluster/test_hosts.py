@@ -16,7 +16,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LAN = NetworkPath(200 * NS_PER_US, 100 * NS_PER_US)
 COORDINATOR_LOST_S = 0.6  # 500 ms, looked at each 100 ms

@@ -41,7 +41,7 @@ from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.start import StartSequence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ArmRequest, ProposeRequest
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Patch = pytest.MonkeyPatch
 

@@ -13,7 +13,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
 from orchestrator.model.report import LeaseState
 from orchestrator.model.state import EstopLatch
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
 def test_the_demo_job_runs_and_its_evidence_contains_the_truth() -> None:

@@ -12,7 +12,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 AFTER_MS = (3, 25, 120)  # the request
 MORE_MS = (1, 8, 70)

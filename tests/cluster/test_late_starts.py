@@ -13,7 +13,7 @@ from orchestrator.bench.sync_fleets import make_mixed, make_ppsmc, make_shrc203,
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LATE_NS = 3 * NS_PER_MS
 MOVE = "[{do: move, to: {gantry.x: 60, stage.u: 6}}]"

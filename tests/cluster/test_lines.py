@@ -10,7 +10,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport, StepReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [gantry, stage, portal]}, {do: home}]")
 WAITERS = job("[{do: move, to: {stage.u: 5, stage.v: 3, portal.x: 60}, start: line}]")

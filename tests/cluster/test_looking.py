@@ -13,7 +13,7 @@ from orchestrator.model.report import JobReport, StepRecording, StepReport
 from orchestrator.monitor.job_plot import plot_recordings
 from orchestrator.monitor.timeline.picture import draw_step
 from orchestrator.monitor.timeline.stages import StepTimeline, TimelineStage, make_timeline
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 THERE = "{do: move, to: {gantry.x: 20, stage.u: 4}, name: there}"
 BACK = "{do: move, to: {gantry.x: 0, gantry.y: 5, stage.u: 0}}"

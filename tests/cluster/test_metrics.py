@@ -14,7 +14,7 @@ from prometheus_client import CollectorRegistry, Gauge, generate_latest
 from orchestrator.model.report import JobReport
 from orchestrator.monitor.metrics.fleet_metrics import FleetMetrics
 from orchestrator.monitor.metrics.server import NoPort, serve_metrics
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "tutti.json"
 IMPOSSIBLE = job("[{do: move, to: {gantry.x: 1, stage.u: 1}}]", max_start_skew="1 us")

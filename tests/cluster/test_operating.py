@@ -14,7 +14,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, Permit
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.state import ControllerState
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 DOOR = Permit(input="gantry.door", value=False, axes=["table"])
 TEN_S = job("[{do: move, to: {gantry.x: 390, stage.u: 40}, speed: 0.2}]")

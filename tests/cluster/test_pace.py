@@ -20,7 +20,7 @@ from orchestrator.coordinator.motion.lead_time import (
     SLOW_GO_FACTOR,
     LeadTimeEstimator,
 )
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
 

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from orchestrator.cli.main import main
-from orchestrator.runtime.path_demo import measure_distances
+from orchestrator.runtime.virtual.path_demo import measure_distances
 
 
 def test_the_figure_of_eight_stays_within_its_bound(tmp_path: Path) -> None:

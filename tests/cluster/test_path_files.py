@@ -16,7 +16,7 @@ from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.templates.template import load_job
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PROGRAM = """\
 G21 G90 G64 P0.1

@@ -19,7 +19,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.monitor.path_words import describe_path
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 TURN = 30.0
 PLATE: dict[str, Any] = {

@@ -19,7 +19,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import ChunkReply, LoadChunkRequest
 from orchestrator.model.report import JobReport, PathReport
 from orchestrator.plan.path_profiles import FIT_SHARE
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 RADIUS, CENTRE = 50.0, 100.0  # mm
 SAMPLE_NS = 17 * NS_PER_MS  # beside the periods of records, polls and SYNCs

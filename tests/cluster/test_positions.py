@@ -10,7 +10,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport
 from orchestrator.model.steps.move import Move
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
 def fleet_with(**positions: dict[str, object]) -> Fleet:

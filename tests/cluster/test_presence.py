@@ -12,7 +12,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit, QueuePolicy
 from orchestrator.model.queue import SESSION_TIMEOUT_NS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import QueueEntry
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 GANTRY = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")
 STAGE = job("[{do: move, to: {stage.u: 40}, speed: 0.1}]")

@@ -12,7 +12,7 @@ from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES, WITHOUT_A
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry, QueueState
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.2}, {do: move, to: {gantry.x: 0}, speed: 0.2}]")
 STAGE = job("[{do: move, to: {stage.u: 20}, speed: 0.5}]")

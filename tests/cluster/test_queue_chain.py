@@ -8,7 +8,7 @@ import pytest
 from cluster.worlds import EXAMPLES, changed, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.model.jobs.files import load_fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 UNITS = ("feeder", "turner", "outlet")
 PREPARE = job("[{do: enable, axes: [line, turner, gantry]}, {do: home}]")

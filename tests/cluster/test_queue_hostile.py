@@ -15,7 +15,7 @@ from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply
 from orchestrator.model.queue import QueueTerms
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SHORT = job("[{do: move, by: {gantry.y: 1}}]")
 SCANS = job(

@@ -12,7 +12,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES, JobReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 # By name: axes, and the counts that one run moves them by.
 KINDS = {

@@ -11,7 +11,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
 from orchestrator.model.queue import QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import LeaseState, QueueEntry
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SHORT = job("[{do: move, by: {gantry.y: 1}}]")
 LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")

@@ -22,7 +22,7 @@ from orchestrator.model.state import ControllerState
 from orchestrator.monitor.recording.file import create_file
 from orchestrator.monitor.recording.folder import RecorderLimits
 from orchestrator.monitor.recording.reader import Recording, list_recordings, summarize_recording
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Body = Callable[[VirtualFleet, RecordedFleet, Tutti], Coroutine[Any, Any, None]]
 

@@ -17,7 +17,7 @@ from orchestrator.monitor.recording.lock import FolderInUse, FolderLock
 from orchestrator.monitor.recording.reader import RecordingUnreadable, list_recordings, summarize_recording
 from orchestrator.monitor.recording.repair import RepairFailed, repair_recording
 from orchestrator.monitor.recording.unfinished import list_unfinished
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CUTS = 60  # in every run; the benchmark makes 500 more
 

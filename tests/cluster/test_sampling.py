@@ -14,7 +14,7 @@ from orchestrator.model.report import JobReport
 from orchestrator.monitor.export.recorded import load_run
 from orchestrator.monitor.export.samples import make_device_table
 from orchestrator.monitor.recording.reader import Recording
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from tutti import Job, JobFailed, Move, Tutti
 from tutti.testing import VirtualTestbed, virtual_fleet
 

@@ -10,7 +10,7 @@ from orchestrator.bus.base import BusSample
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.files import FileError
 from orchestrator.model.report import JobProgress
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 GRID = (
     "{do: scan, name: raster, axes: {gantry.x: {from: 0, to: 2, points: 3},"

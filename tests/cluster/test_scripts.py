@@ -11,7 +11,7 @@ from orchestrator.bus.base import Priority
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from tutti import JobFailed, Move, Tutti
 
 LONG = {"gantry.x": 300.0, "stage.u": 12.0}

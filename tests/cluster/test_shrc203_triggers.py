@@ -11,7 +11,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.client.steps import JobFailed
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.shrc203.controller import Shrc203Controller
 
 CAMERA = "output: stage.camera, of: stage.u, pulse: 10 us"

@@ -4,7 +4,7 @@ import pytest
 from cluster.worlds import changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 FLEET = changed(
     demo_fleet(),

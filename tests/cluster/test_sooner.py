@@ -23,7 +23,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.messages import GoRequest, Proposal, Reply
 from orchestrator.model.report import StepReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
 async def prepared(fleet: VirtualFleet, axes: list[str]) -> None:

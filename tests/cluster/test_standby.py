@@ -4,7 +4,7 @@ import pytest
 from cluster.worlds import MOVE, PREPARE, job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 THEN = job("[{do: move, to: {gantry.x: 20, stage.u: 2}}]")
 TAKE_OVER_NS = 2 * NS_PER_S

@@ -9,7 +9,7 @@ from orchestrator.bus.base import RequestRefused
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.operation.statistics import AxisFigures, PeriodFigures
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 DAY = "2026-01-01"
 TO = [(20, 3), (5, 4), (30, 1), (10, 2)]

@@ -9,7 +9,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.templates.template import Template
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 FLEET = Fleet.model_validate(
     demo_fleet().to_plain()

@@ -18,7 +18,7 @@ from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.model.messages import BatchReply, CommitRequest, CommittedReply, EnableRequest, Reply
 from orchestrator.model.messages import Request as Asked
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 BOTH = job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]", max_start_skew="20 ms")
 FORGET = {**HEAD, "request_id": "t"}

@@ -18,7 +18,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.messages import MAX_TRACE_PART, TracePart, TraceReply
 from orchestrator.runtime.example_fleet import MakeCount, make_example_fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SHARED = ("smc30", "smc2000", "cia402")  # of these there are two on one line
 MS = 1_000_000

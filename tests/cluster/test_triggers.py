@@ -23,7 +23,7 @@ from orchestrator.monitor.export.files import write_tables
 from orchestrator.monitor.export.recorded import RecordedRun
 from orchestrator.monitor.export.triggers import make_triggers_table
 from orchestrator.monitor.report_table import make_report_tables
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.cia402.unit import SimulatedDrive
 
 SETTLED_S = 60.0  # after this time the clocks of controllers are known as well as they ever are

@@ -11,7 +11,7 @@ from orchestrator.bench.sync_fleets import make_ppsmc, make_shrc203, make_smc30
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 HOME = job("[{do: enable, axes: [u]}, {do: home}]")
 LIVE = make_smc30(1, 1)

@@ -15,7 +15,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import AdoptRequest, BatchRequest, Request
 from orchestrator.model.version import PROTOCOL, PartVersion, ProtocolVersion, require_version, works_with
 from orchestrator.runtime.doctor.parts import find_versions
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 NEXT = ProtocolVersion(PROTOCOL.major, PROTOCOL.minor + 1)
 FAR = ProtocolVersion(PROTOCOL.major, PROTOCOL.minor + 2)

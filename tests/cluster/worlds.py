@@ -16,7 +16,7 @@ from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport, LeaseState
 from orchestrator.model.templates.template import load_job
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LONGEST_S = 600  # of fleet time: a job that takes longer waits for something that does not come
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

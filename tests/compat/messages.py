@@ -26,7 +26,7 @@ from orchestrator.model.messages import (
 )
 from orchestrator.model.state import ClockReply, ControllerInfo, EventsReply, EventsRequest
 from orchestrator.monitor.recording.channels import find_channel
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 MAX_BYTES = 20_000  # of a file; of the messages below this the longest one has the most fields
 _SHORT = frozenset({"ctl", "job", "host"})  # an id follows, and then the rest of the key

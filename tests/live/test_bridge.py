@@ -15,8 +15,8 @@ from orchestrator.client import Tutti
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.fleet_run import FleetRun
-from orchestrator.runtime.live import LiveFleet
+from orchestrator.runtime.live.fleet import LiveFleet
+from orchestrator.runtime.live.run import FleetRun
 
 pytestmark = pytest.mark.live
 

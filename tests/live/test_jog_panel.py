@@ -13,7 +13,7 @@ from children import LIMIT_S, wait_until
 from fleet import EXAMPLES, RunningFleet, margin_s, run_tutti, wait_a_moment
 
 from orchestrator.clock.live import raw_ns
-from orchestrator.runtime.terminal_process import TerminalProcess
+from orchestrator.runtime.live.terminal_process import TerminalProcess
 
 # By itself: a renewal that a busy machine delays for 200 ms rightly ends a jog.
 pytestmark = [pytest.mark.live, pytest.mark.alone]

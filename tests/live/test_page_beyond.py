@@ -19,7 +19,7 @@ from test_namespaces import Part, run
 
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.keys.folder import KeyFolder
-from orchestrator.runtime.state_folder import USERS_FILE
+from orchestrator.runtime.state.folder import USERS_FILE
 
 pytestmark = [
     pytest.mark.live,

@@ -10,8 +10,8 @@ import pytest
 from children import wait_until
 from fleet import COMMAND, EXAMPLES, RunningFleet, free_port, run_tutti
 
-from orchestrator.runtime.state_folder import find_start_ticks
-from orchestrator.runtime.terminal_process import TerminalProcess
+from orchestrator.runtime.live.terminal_process import TerminalProcess
+from orchestrator.runtime.state.folder import find_start_ticks
 
 pytestmark = pytest.mark.live
 CODE = COMMAND[-1]

@@ -14,7 +14,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import StepReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CONTROLLERS_PER_MAKE = 4
 TICK_MS = 1000 / 1024  # of an SMC-4000

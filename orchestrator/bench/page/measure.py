@@ -25,8 +25,8 @@ from orchestrator.clock.live import raw_ns
 from orchestrator.gateway.app import PAGE
 from orchestrator.gateway.stream.hub import encode
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.fleet_run import WebOptions
-from orchestrator.runtime.live import LiveFleet, find_free_port
+from orchestrator.runtime.live.fleet import LiveFleet, find_free_port
+from orchestrator.runtime.live.run import WebOptions
 
 FLEET, CONTROLLERS, HZ, SOCKETS = "bench", 16, 20.0, 20
 CPU_SHARE, SCRIPT_MS, HEAP_MB, FILES_KB = 0.10, 5.0, 1.0, 90.0

@@ -13,7 +13,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.recording import RecordedTriggers
 from orchestrator.model.report import JobReport, TriggerRow
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 NAME, NUMBER = "gantry", 1
 OUTPUT = f"{NAME}.lamp"

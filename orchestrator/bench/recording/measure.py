@@ -20,7 +20,7 @@ from orchestrator.model.operation.recording import MessagesDropped
 from orchestrator.monitor.recording.frames import FrameGroup, read_frames
 from orchestrator.monitor.recording.reader import Recording, summarize_recording
 from orchestrator.monitor.recording.repair import repair_recording
-from orchestrator.runtime.live import find_free_port
+from orchestrator.runtime.live.fleet import find_free_port
 
 FLEET = "bench"
 CONTROLLERS, AXES, HZ = 16, 4, 100.0

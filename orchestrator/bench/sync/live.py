@@ -15,7 +15,7 @@ from orchestrator.bench.truth import NothingHappened
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import LeaderHeartbeat
-from orchestrator.runtime.demo_truth import check_verdicts
+from orchestrator.runtime.live.demo_truth import check_verdicts
 
 FLEETS = ("8 SMC-4000", "mixed")
 

@@ -21,7 +21,7 @@ from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport, StepRecording, StepReport
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from orchestrator.runtime.workers import map_in_processes
 
 HISTORY_S = 300

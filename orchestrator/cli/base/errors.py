@@ -153,7 +153,7 @@ def _exit_with_known_error(error: Exception) -> None:
     from orchestrator.model.errors import Refusal
     from orchestrator.model.jobs.files import FileError
     from orchestrator.model.plugins import PluginError
-    from orchestrator.runtime.state_folder import UpFailed
+    from orchestrator.runtime.state.folder import UpFailed
 
     match error:
         case FileError():

@@ -13,7 +13,7 @@ def choose_state(state: Path | None, fleet: str | None, part: str, what: str) ->
 
     what: that part in words, plural.
     """
-    from orchestrator.runtime.state_folder import default_state, find_running_fleets
+    from orchestrator.runtime.state.folder import default_state, find_running_fleets
 
     base = default_state("any").parent
     if state is None and fleet is None:

@@ -18,7 +18,7 @@ from orchestrator.cli.base.common import (
 from orchestrator.cli.base.errors import errors, expected_errors, run_main
 
 if TYPE_CHECKING:
-    from orchestrator.runtime.router_service import RouterPlace
+    from orchestrator.runtime.services.router import RouterPlace
 
 PROBE_S = 10.0  # between two sessions that show that it serves new ones
 
@@ -70,8 +70,8 @@ def router(
     from orchestrator.bus.zenoh.router import prepare_router_process
     from orchestrator.bus.zenoh.sessions import make_router_settings
     from orchestrator.keys.router_settings import nest_settings
-    from orchestrator.runtime.router_service import RouterPlace, load_security
-    from orchestrator.runtime.state_folder import default_state
+    from orchestrator.runtime.services.router import RouterPlace, load_security
+    from orchestrator.runtime.state.folder import default_state
 
     place = RouterPlace(listen, keys, file, state, links, insecure)
     with expected_errors():
@@ -91,7 +91,7 @@ def router(
 async def _route(place: "RouterPlace") -> None:
     from orchestrator.bus.zenoh.probe import probe_router
     from orchestrator.clock.service_manager import READY, ServiceManager
-    from orchestrator.runtime.router_service import RouterService, find_own_endpoint
+    from orchestrator.runtime.services.router import RouterService, find_own_endpoint
 
     def print_line(line: str) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -63,7 +63,7 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
     from orchestrator.runtime.doctor.links import check_links
     from orchestrator.runtime.doctor.parts import check_parts
     from orchestrator.runtime.doctor.router import check_openness, check_router
-    from orchestrator.runtime.state_folder import default_state
+    from orchestrator.runtime.state.folder import default_state
 
     fleet = None
     if file is not None:

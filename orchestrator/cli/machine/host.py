@@ -15,7 +15,7 @@ from orchestrator.cli.base.errors import errors, exit_with_error, run_main
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
     from orchestrator.model.fleet import Fleet
-    from orchestrator.runtime.live import LiveFleet
+    from orchestrator.runtime.live.fleet import LiveFleet
 
 RETRY_S = 1.0
 FOLLOW_S = 10.0  # between two looks at whether the fleet runs with another file by now
@@ -47,9 +47,9 @@ def host(
     are there.
     """
     from orchestrator.client import Tutti
-    from orchestrator.runtime.fleet_run import FleetRun
-    from orchestrator.runtime.live import LiveFleet
-    from orchestrator.runtime.state_folder import default_state
+    from orchestrator.runtime.live.fleet import LiveFleet
+    from orchestrator.runtime.live.run import FleetRun
+    from orchestrator.runtime.state.folder import default_state
 
     def print_line(line: str) -> None:
         (errors if as_json else console).print(line, highlight=False, markup=False, soft_wrap=True)
@@ -78,7 +78,7 @@ async def _find_fleet(tutti: "Tutti", connect: str, folder: Path, print_line: Ca
     from orchestrator.model.errors import Refusal
     from orchestrator.model.fleet import Fleet
     from orchestrator.model.jobs.files import FileError, parse_file, read_file
-    from orchestrator.runtime.state_folder import FLEET_FILE
+    from orchestrator.runtime.state.folder import FLEET_FILE
 
     has_said = False
     while True:

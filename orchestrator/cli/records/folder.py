@@ -38,7 +38,7 @@ def require_extra(extra: str) -> None:
 
 def find_folder(folder: Path | None, fleet: str | None) -> Path:
     """The folder that is meant; without an answer the command ends."""
-    from orchestrator.runtime.state_folder import RECORDINGS, default_state, find_running_fleets
+    from orchestrator.runtime.state.folder import RECORDINGS, default_state, find_running_fleets
 
     if folder is not None:
         if not folder.is_dir():

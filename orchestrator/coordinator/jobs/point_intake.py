@@ -9,7 +9,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import PointsPut, PutPoints
 from orchestrator.model.names import controller_of
-from orchestrator.model.scan import PointTable, find_row_bytes
+from orchestrator.model.steps.points import PointTable, find_row_bytes
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.tree import find_scans
 

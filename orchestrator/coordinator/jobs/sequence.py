@@ -7,9 +7,9 @@ from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.journal.store import PointUploads
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.scan import GridPoints
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.order import StepOrder, StepPlace
+from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, parse_quantity
 

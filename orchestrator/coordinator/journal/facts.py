@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.scan import PointColumn
+from orchestrator.model.steps.points import PointColumn
 
 
 class RetryOrigin(NamedTuple):

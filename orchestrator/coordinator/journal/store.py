@@ -20,7 +20,7 @@ from orchestrator.model.operation.commands import CommandRecord
 from orchestrator.model.positions.entries import SavedPosition
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import JobReport, JobState, JobTransition, PointRecord, StepRecording
-from orchestrator.model.scan import PointAxis
+from orchestrator.model.steps.points import PointAxis
 
 
 class PointRowStore(Protocol):

@@ -20,7 +20,7 @@ from orchestrator.model.report import (
     StepRecording,
     StepReport,
 )
-from orchestrator.model.scan import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
+from orchestrator.model.steps.points import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
 from orchestrator.model.units import Unit
 
 MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.service import JobReference
 from orchestrator.model.messages import Reply
-from orchestrator.model.scan import DIGEST_PATTERN
+from orchestrator.model.steps.points import DIGEST_PATTERN
 
 MAX_WORDS = 5  # changes that a sentence names
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from orchestrator.model.jobs.files import MAX_PROBLEMS, FileError, FileProblem
 from orchestrator.model.numbers import MAX_TEXT
-from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, PointAxis
 from orchestrator.model.scans.point_summary import ROWS_AT_ONCE, Rows
+from orchestrator.model.steps.points import MAX_POINTS, MAX_SCAN_AXES, PointAxis
 from orchestrator.model.units import MAX_QUANTITY, Unit, UnitError, parse_quantity
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.scan import PointAxis, PointColumn
+from orchestrator.model.steps.points import PointAxis, PointColumn
 
 ROWS_AT_ONCE = 4096  # points in a block
 

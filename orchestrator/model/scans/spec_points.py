@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.scan import MAX_POINTS, PointAxis
 from orchestrator.model.scans.point_summary import ROWS_AT_ONCE, Rows
+from orchestrator.model.steps.points import MAX_POINTS, PointAxis
 from orchestrator.model.units import Unit
 
 

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 
 from pydantic import ConfigDict, Field, model_validator
 
-from orchestrator.model.path import MAX_COORDINATES, MAX_PIECES, PathSpec, Piece
-from orchestrator.model.scan import MAX_SCAN_AXES
+from orchestrator.model.frame import MAX_COORDINATES
+from orchestrator.model.paths.pieces import MAX_PIECES, PathSpec, Piece
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.base import Align, OwnSkew, Step, StepSampling
+from orchestrator.model.steps.points import MAX_SCAN_AXES
 from orchestrator.model.steps.words import describe_trigger
 from orchestrator.model.triggers import Triggers, check_step_triggers
 from orchestrator.model.units import Quantity

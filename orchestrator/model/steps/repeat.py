@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from orchestrator.model.scan import MAX_POINTS
 from orchestrator.model.steps.base import InnerSteps, Step, TargetResolver
 from orchestrator.model.steps.kinds import SingleStep
+from orchestrator.model.steps.points import MAX_POINTS
 
 MAX_REPEATED = 200  # steps inside a repeat, those at the points of its scans included
 MAX_REPEAT_DEPTH = 3  # of repeats inside each other

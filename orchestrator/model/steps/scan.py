@@ -7,11 +7,11 @@ from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.names import Target
-from orchestrator.model.scan import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.steps.base import InnerSteps, MotionOptions, Step, TargetResolver
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.move import NAME_AXES, Move
+from orchestrator.model.steps.points import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
 from orchestrator.model.units import Quantity
 
 MAX_AT_EACH = 50  # steps at each point of a scan

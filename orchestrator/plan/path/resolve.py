@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.model.path import (
+from orchestrator.model.frame import FrameSpec
+from orchestrator.model.paths.pieces import (
     ArcPiece,
-    FrameSpec,
     HelixPiece,
     LinePiece,
     PathSpec,

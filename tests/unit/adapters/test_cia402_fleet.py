@@ -6,7 +6,7 @@ from cluster.worlds import job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.cia402.unit import SimulatedDrive
 
 NAMES = [f"d{number}" for number in range(4)]

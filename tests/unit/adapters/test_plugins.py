@@ -12,7 +12,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.plugins import API_VERSION, PluginError, UnknownPlugin
 from orchestrator.runtime.checked import load_checked_fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.vectors import find_simulator
 
 Install = Callable[..., None]

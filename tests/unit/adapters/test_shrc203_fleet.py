@@ -7,7 +7,7 @@ import pytest
 from cluster.worlds import demo_fleet, job, outcome, run_fleet
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [stage, other]}, {do: home}]")
 MOVES = {

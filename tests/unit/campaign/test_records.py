@@ -11,7 +11,7 @@ from orchestrator.campaign.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock, VirtualLoop
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.controller import CommandedMotion
 
 AXES = {"a": "1", "b": "2"}  # axes of controllers c and d, and their motors

@@ -11,12 +11,12 @@ from click.testing import CliRunner, Result
 from cluster.worlds import demo_fleet
 
 import orchestrator.client
-from orchestrator.cli import foreground
 from orchestrator.cli.base import common, errors
+from orchestrator.cli.jobs import foreground
 from orchestrator.cli.main import main
 from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, VirtualLoop
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 T = TypeVar("T")
 

@@ -6,10 +6,10 @@ from itertools import count
 from cluster.worlds import run_fleet
 
 from orchestrator.bus.base import Bus
-from orchestrator.cli.armed.button import CONFIRM_S, REMIND_S, EstopButton
-from orchestrator.cli.armed.triggers import LineSplitter
+from orchestrator.cli.estop.button import CONFIRM_S, REMIND_S, EstopButton
+from orchestrator.cli.estop.triggers import LineSplitter
 from orchestrator.client.api import Tutti
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
 class Desk:

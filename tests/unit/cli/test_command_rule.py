@@ -92,7 +92,7 @@ def test_bad_input_needs_no_fleet(words: list[str], said: str) -> None:
 
 def test_an_unforeseen_error_has_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TUTTI_DEBUG", raising=False)
-    monkeypatch.setattr("orchestrator.cli.queue.with_fleet", lambda *_: [][0])
+    monkeypatch.setattr("orchestrator.cli.jobs.queue.with_fleet", lambda *_: [][0])
     shown = CliRunner().invoke(main, ["queue", "status"])
     assert shown.exit_code == 1
     assert "internal error: IndexError" in shown.stderr

@@ -7,8 +7,8 @@ from typing import Any, cast
 
 import pytest
 
-from orchestrator.cli import foreground
-from orchestrator.cli.foreground import Interrupts, controllers_of, stop_own_job
+from orchestrator.cli.jobs import foreground
+from orchestrator.cli.jobs.foreground import Interrupts, controllers_of, stop_own_job
 from orchestrator.client import Tutti
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job

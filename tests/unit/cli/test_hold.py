@@ -2,7 +2,7 @@
 
 import pytest
 
-from orchestrator.cli.jog.held_key import (
+from orchestrator.cli.manual.jog.held_key import (
     REPEAT_DELAY_NS,
     REPEAT_GAP_NS,
     REPEAT_WAIT_NS,
@@ -11,7 +11,7 @@ from orchestrator.cli.jog.held_key import (
     HeldKey,
     KeyChange,
 )
-from orchestrator.cli.jog.keys import KeyEvent
+from orchestrator.cli.manual.jog.keys import KeyEvent
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 
 LEFT, RIGHT = KeyEvent("left"), KeyEvent("right")

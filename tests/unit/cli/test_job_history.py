@@ -2,7 +2,7 @@
 
 import pytest
 
-from orchestrator.cli.job_history import print_jobs
+from orchestrator.cli.jobs.history import print_jobs
 from orchestrator.model.report import QueueEntry
 
 

@@ -1,8 +1,8 @@
 """The jog panel's logic in virtual time: keys and answers in, requests out."""
 
-from orchestrator.cli.jog.held_key import REPEAT_WAIT_NS, SILENCE_NS, TAP_NS
-from orchestrator.cli.jog.keys import FocusChange, KeyEvent
-from orchestrator.cli.jog.panel import (
+from orchestrator.cli.manual.jog.held_key import REPEAT_WAIT_NS, SILENCE_NS, TAP_NS
+from orchestrator.cli.manual.jog.keys import FocusChange, KeyEvent
+from orchestrator.cli.manual.jog.panel import (
     IDLE_NS,
     RENEW_NS,
     AcquireAxis,
@@ -15,7 +15,7 @@ from orchestrator.cli.jog.panel import (
     RequestFleetStop,
     StopJog,
 )
-from orchestrator.cli.jog.work import CONFIRM_NS, CancelWork, RunWork
+from orchestrator.cli.manual.jog.work import CONFIRM_NS, CancelWork, RunWork
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis

@@ -5,9 +5,9 @@ import io
 import pytest
 from rich.console import Console
 
-from orchestrator.cli.jog.keys import KeyEvent
-from orchestrator.cli.jog.panel import JogPanel
-from orchestrator.cli.jog.screen import STALE_NS, render_panel
+from orchestrator.cli.manual.jog.keys import KeyEvent
+from orchestrator.cli.manual.jog.panel import JogPanel
+from orchestrator.cli.manual.jog.screen import STALE_NS, render_panel
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis

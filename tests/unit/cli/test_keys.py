@@ -4,7 +4,14 @@ from random import Random
 
 import pytest
 
-from orchestrator.cli.jog.keys import DeviceAttributes, FocusChange, KeyboardFlags, KeyEvent, KeyParser, TerminalEvent
+from orchestrator.cli.manual.jog.keys import (
+    DeviceAttributes,
+    FocusChange,
+    KeyboardFlags,
+    KeyEvent,
+    KeyParser,
+    TerminalEvent,
+)
 
 CASES: list[tuple[bytes, list[TerminalEvent]]] = [
     (b"\x1b[D", [KeyEvent("left")]),

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from orchestrator.cli.looking import log as log_module
 from orchestrator.cli.main import main
+from orchestrator.cli.view import log as log_module
 
 
 def run(*words: str) -> tuple[int, str, str]:

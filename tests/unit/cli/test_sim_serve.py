@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from orchestrator.cli.main import main
 from orchestrator.model.jobs.files import FileError, load_fleet
-from orchestrator.runtime.served import describe_links, make_served_fleet, replace_links
+from orchestrator.runtime.live.served import describe_links, make_served_fleet, replace_links
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 

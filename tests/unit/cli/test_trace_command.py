@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from unit.cli.command_world import CommandWorld, open_world
 
-from orchestrator.cli.looking import trace as trace_module
+from orchestrator.cli.view import trace as trace_module
 from orchestrator.runtime.trace_frames import FrameList
 
 

@@ -5,8 +5,8 @@ from rich.console import Console
 
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.cli.jog.keys import KeyEvent, KeyParser
-from orchestrator.cli.watching.panel import WatchPanel
+from orchestrator.cli.manual.jog.keys import KeyEvent, KeyParser
+from orchestrator.cli.view.watch.panel import WatchPanel
 from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState, FaultReport
 from orchestrator.monitor.fleet_view import LiveView

@@ -10,7 +10,7 @@ from orchestrator.clock.executor import run_inline
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.plan.path_step import plan_path_step
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 T = TypeVar("T")
 

@@ -26,9 +26,9 @@ from orchestrator.model.jobs.files import load_fleet, parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import PointRecord, SkewInterval, StepReport
-from orchestrator.model.scan import PointAxis, make_header
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.points import PointAxis, make_header
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit
 

@@ -11,13 +11,13 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.files import FileError, parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.positions.resolve import names_positions
-from orchestrator.model.scan import GridPoints, PointAxis
 from orchestrator.model.scans.point_file import PointFile
 from orchestrator.model.scans.point_summary import ColumnSummary
 from orchestrator.model.scans.spec_points import SpecPoints
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.order import StepOrder, count_reports
+from orchestrator.model.steps.points import GridPoints, PointAxis
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.templates.template import load_job

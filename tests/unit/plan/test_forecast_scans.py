@@ -10,9 +10,9 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.files import load_fleet, parse_document
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.scan import GridPoints
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.forecast.job import JobForecaster, forecast_job

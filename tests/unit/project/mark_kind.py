@@ -13,7 +13,7 @@ from orchestrator.model.report import JobReport
 from orchestrator.monitor.export.moves import make_moves_table
 from orchestrator.monitor.report_table import make_report_tables
 from orchestrator.plan.forecast.job import forecast_job
-from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 from tutti import Mark
 from tutti import __file__ as tutti_file
 

@@ -13,9 +13,9 @@ NAMED = re.compile(
 
 EXAMPLES = {
     "orchestrator/campaign/fleets.py": "fleets of the campaign: an example of each make",
-    "orchestrator/cli/fleet_file.py": "examples in help texts",
-    "orchestrator/cli/sim.py": "examples in help texts",
-    "orchestrator/cli/sim_serve.py": "examples in help texts",
+    "orchestrator/cli/files/fleet.py": "examples in help texts",
+    "orchestrator/cli/sim/sim.py": "examples in help texts",
+    "orchestrator/cli/sim/serve.py": "examples in help texts",
     "orchestrator/model/fleet.py": "examples in the description of a field",
     "orchestrator/cli/main.py": "examples in help texts",
     "sim/link/process.py": "an example in its docstring",

@@ -139,7 +139,7 @@ def test_locks_name_no_download_address() -> None:
         ("orchestrator.cli.main", ["zenoh", "numpy", "ruckig", "pydantic", "rich", "asyncio"]),
         # What an e-stop from a shell waits for.
         (
-            "orchestrator.cli.main, orchestrator.cli.fleet, orchestrator.bus.estop, orchestrator.bus.zenoh.bus",
+            "orchestrator.cli.main, orchestrator.cli.view.fleet, orchestrator.bus.estop, orchestrator.bus.zenoh.bus",
             ["numpy", "ruckig", "pydantic", "yaml"],
         ),
     ],

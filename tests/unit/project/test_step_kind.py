@@ -18,8 +18,8 @@ MOST_FILES = 8  # of the product, for a kind that only records an instant
 ASKED_FOR_CLASSES = {
     "orchestrator/campaign/jobs.py": "the campaign adds triggers to its own moves",
     "orchestrator/campaign/paths.py": "the checker knows the geometry of the campaign's own paths",
-    "orchestrator/cli/one_step.py": "`tutti axis` checks the words of its command before there is a job",
-    "orchestrator/cli/paths/command.py": "`tutti path plot` draws paths",
+    "orchestrator/cli/manual/one_step.py": "`tutti axis` checks the words of its command before there is a job",
+    "orchestrator/cli/paths/path.py": "`tutti path plot` draws paths",
     "orchestrator/coordinator/motion/planning.py": "the planner of paths and that of moves are two",
     "orchestrator/gateway/stream/targets.py": "the page draws the targets of moves",
 }

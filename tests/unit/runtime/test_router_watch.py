@@ -9,7 +9,7 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.operation.alarms import AlarmRequest
 from orchestrator.model.state import ControllerState, Mode
-from orchestrator.runtime.router_watch import FleetRest, RouterWatch
+from orchestrator.runtime.live.router_watch import FleetRest, RouterWatch
 
 
 @dataclass

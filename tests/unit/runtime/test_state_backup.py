@@ -28,10 +28,10 @@ from orchestrator.model.positions.entries import SavedPosition
 from orchestrator.model.private_files import replace_private_file
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobTransition
-from orchestrator.model.scan import PointAxis, make_header
 from orchestrator.model.state import EstopLatch
+from orchestrator.model.steps.points import PointAxis, make_header
 from orchestrator.model.units import Unit
-from orchestrator.runtime.state_folder import FLEET_FILE, JOURNAL, StateLock
+from orchestrator.runtime.state.folder import FLEET_FILE, JOURNAL, StateLock
 
 JOB = parse_document("schema: tutti.job/1\nname: scan\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
 UTC = "2026-01-02T03:04:05.000000Z"

@@ -25,8 +25,8 @@ from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.journal.sqlite.transaction import Transaction, create_private_file, make_unusable_error
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
-from orchestrator.model.scan import ROW_TYPE, PointAxis, PointColumn, find_row_bytes, make_header
 from orchestrator.model.scans.point_summary import ColumnSummary
+from orchestrator.model.steps.points import ROW_TYPE, PointAxis, PointColumn, find_row_bytes, make_header
 
 QUOTA_BYTES = 512_000_000  # of all stored points
 UNUSED_AFTER = timedelta(hours=1)  # then points that no job names are deleted, also parts of an upload that broke off

@@ -6,8 +6,8 @@ from itertools import pairwise
 from math import isfinite
 from typing import Any
 
-from orchestrator.model.path import MAX_ROWS
 from orchestrator.model.paths.files.imported import ImportProblems, format_number
+from orchestrator.model.paths.pieces import MAX_ROWS
 
 TIME = "t"
 

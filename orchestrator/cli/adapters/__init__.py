@@ -1,1 +1,0 @@
-"""`tutti adapter`: makes of others."""

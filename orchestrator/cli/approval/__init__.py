@@ -1,1 +1,0 @@
-"""Plans of proposed jobs: shown and approved."""

@@ -1,0 +1,1 @@
+"""E-stop buttons that are armed in a process of their own."""

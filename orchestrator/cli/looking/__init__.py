@@ -1,1 +1,0 @@
-"""Commands that look at a run afterwards: logs, timelines, plots, traces."""

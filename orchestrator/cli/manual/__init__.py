@@ -1,0 +1,1 @@
+"""Operation by hand: axes, positions, inputs and outputs."""

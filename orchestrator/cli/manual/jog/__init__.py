@@ -1,0 +1,1 @@
+"""`tutti axis jog`: axes jogged by keys of the terminal."""

@@ -1,1 +1,0 @@
-"""Points of scans on the command line."""

@@ -1,0 +1,1 @@
+"""Simulated controllers and the fault campaign."""

@@ -1,0 +1,1 @@
+"""What people look at: states, logs, plots, statistics, alarms."""

@@ -1,0 +1,1 @@
+"""`tutti watch`: the fleet, live in a terminal."""

@@ -1,0 +1,591 @@
+"""A fleet live on this machine: router, simulators, adapter hosts under guardians, coordinator, as child processes.
+
+A child that dies is restarted with growing pauses. Children have sessions of their own, so that Ctrl-C reaches only
+this process, which ends them in order: the coordinator first, because it stops what moves. When this process is
+killed its children end by themselves: the kernel signals those that registered their parent, simulators detect that
+their input is closed.
+"""
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+
+from adapters.controller.store import FileStore
+from orchestrator.bus.endpoint import BadEndpoint, make_socket_endpoint
+from orchestrator.bus.identity import VARIABLE
+from orchestrator.bus.logfile import rotate_if_large, rotate_open_file
+from orchestrator.clock.service_manager import READY, STOPPING, ServiceManager
+from orchestrator.keys.names import Role
+from orchestrator.keys.places import find_identity_folder
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
+from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
+from orchestrator.runtime.live.bridge import bridge_baud
+from orchestrator.runtime.live.leader_probe import find_leader
+from orchestrator.runtime.live.router_watch import watch_live_router
+from orchestrator.runtime.live.run import FleetRun
+from orchestrator.runtime.simulated import find_timing, make_simulator_options
+from orchestrator.runtime.state.folder import (
+    ADAPTERS,
+    FLEET_FILE,
+    JOURNAL,
+    RECORDINGS,
+    ROUTER_LATCH,
+    UP_LOG,
+    USERS_FILE,
+    StateLock,
+    UpFailed,
+)
+from sim.link.arguments import NEXT
+
+READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
+END_TIMEOUT_S = 8.0
+ROTATE_S = 10.0
+RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+# These exit codes are final: a restart would give the same (bad input, port or leadership taken, journal unusable).
+FINAL_EXIT_CODES = frozenset({2, 4, 5})
+EXIT_PORT_IN_USE = 4  # of the router: another process uses its port
+STANDBY = "coordinator/standby"
+RECORDER, GATEWAY = "recorder", "gateway"
+_ROLES: dict[str, Role] = {"coordinator": "coordinator", "host": "host", RECORDER: "recorder", GATEWAY: "gateway"}
+BUS_SOCKET = "bus.sock"
+# Parts without which a fleet runs as well, and what is missing then.
+DISPENSABLE = {RECORDER: "nothing is recorded any more", GATEWAY: "the page is not served any more"}
+EXISTING_JOURNAL = "--existing-journal"
+# Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
+EXIT_LEADERSHIP_LOST = frozenset({4, 6})
+CONTROLLERS_PER_SIMULATOR = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
+# What a simulator's ready line reports as its endpoint, by the kind of the simulated link.
+_ENDPOINT_FIELDS = {
+    "tcp": ("host", "port"),
+    "udp": ("host", "port"),
+    "serial": ("device",),
+    "can": ("interface", "channel"),
+}
+
+PrintLine = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class ChildProcess:
+    """One process of the fleet.
+
+    ready_lines: number of lines that it prints when it is ready.
+    ready_output: those lines."""
+
+    name: str
+    command: Sequence[str]
+    log: Path
+    ready_lines: int = 1
+    process: asyncio.subprocess.Process | None = None
+    starts: int = 0
+    ready_output: Sequence[str] = ()
+    ended: bool = False
+    keeper: "asyncio.Task[None] | None" = None
+
+    @property
+    def pid(self) -> int:
+        """Process id of the current start."""
+        return self.process.pid if self.process else 0
+
+    @property
+    def exit_code(self) -> int | None:
+        """Exit code of the current start; None while it runs."""
+        return self.process.returncode if self.process else None
+
+    def last_error_line(self) -> str:
+        """The last line that it wrote to standard error; "" if it wrote none."""
+        said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return said[-1] if said else ""
+
+
+@dataclass(slots=True)
+class LiveFleet:
+    """All processes of a fleet on this machine. `say` receives lines for people.
+
+    state: the folder of journal, latches and logs. run: how it runs. connect: the router, from the start on.
+    """
+
+    fleet: Fleet
+    state: Path
+    say: PrintLine
+    run: FleetRun = field(default_factory=FleetRun)
+    connect: str = field(init=False)
+    page: str = ""
+    """The address of the operators' page; empty: it is not served."""
+    children: dict[str, ChildProcess] = field(default_factory=dict[str, ChildProcess])
+    failed: "asyncio.Future[str] | None" = None
+    _next_port: int = field(init=False)
+    _lock: StateLock | None = None
+    _rotation: "asyncio.Task[None] | None" = None
+    _manager: ServiceManager = field(default_factory=ServiceManager)
+    _router_watch: "asyncio.Task[None] | None" = None
+    _beside: "asyncio.Future[tuple[None, None]] | None" = None
+
+    def __post_init__(self) -> None:
+        self.connect = self.run.connect
+        self._next_port = self.run.first_port
+
+    async def start(self) -> None:
+        """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            self._lock = StateLock(self.state)
+            self._rotation = asyncio.create_task(self._rotate_logs())
+            await self._start_router()
+            self._lock.describe_fleet(self.fleet.fleet, self.connect)
+            file = self.state / FLEET_FILE
+            self._beside = asyncio.gather(self._start_recorder(file), self._start_gateway())
+            if self.run.simulated:
+                await self._start_simulators()
+            replace_private_file(file, self.fleet.to_json())
+            await self._start_hosts()
+            command = [*self._make_coordinator_command(file), *self._feed_option]
+            coordinator = await self._start_child("coordinator", command)
+            if EXISTING_JOURNAL not in coordinator.command:
+                coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
+            if self.run.standby:
+                # Whichever of the two is restarted becomes the standby of the other.
+                coordinator.command = [*coordinator.command, "--standby"]
+                await self._start_child(STANDBY, coordinator.command)
+            await self._beside
+            restart = self._restart_router if "router" in self.children else None
+            watch = watch_live_router(self.connect, self.fleet.fleet, restart, self.say)
+            self._router_watch = asyncio.create_task(watch)
+            self._manager.notify(READY)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def start_simulators(self) -> None:
+        """Start only the simulated controllers, for other drivers than those of Tutti. Raises `UpFailed`; then no
+        process is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            self._lock = StateLock(self.state)
+            await self._start_simulators()
+            replace_private_file(self.state / FLEET_FILE, self.fleet.to_json())
+        except BaseException:
+            await self.close()
+            raise
+
+    async def start_hosts(self) -> None:
+        """Start only adapter hosts, with their simulators, for a coordinator on another computer. Raises `UpFailed`;
+        then no process is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            assert self.run.hosts is not None
+            self._lock = StateLock(self.state)
+            self._rotation = asyncio.create_task(self._rotate_logs())
+            self._lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.run.hosts)))
+            if self.run.simulated:
+                await self._start_simulators()
+            self.save_fleet(self.fleet)
+            await self._start_hosts(*self._feed_option)
+            self._manager.notify(READY)
+        except BaseException:
+            await self.close()
+            raise
+
+    async def _start_hosts(self, *options: str) -> None:
+        """Start the guardians of the adapter hosts that run here."""
+        for host in self.fleet.hosts:
+            if self.run.hosts is None or host in self.run.hosts:
+                command = self._make_host_command(host, self.state / FLEET_FILE)
+                await self._start_child(f"host/{host}", [*command, *options])
+
+    @property
+    def _feed_option(self) -> list[str]:
+        """For the part of a service that feeds its watchdog: the coordinator, or without one each guardian."""
+        return ["--feed-watchdog"] if self._manager.watchdog_s is not None else []
+
+    def save_fleet(self, fleet: Fleet) -> None:
+        """Use another fleet file for processes that are started from now on, with the simulators that run here."""
+        controllers = {
+            name: config.model_copy(update={"simulate": self.fleet.controllers[name].simulate})
+            if name in self.fleet.controllers
+            else config
+            for name, config in fleet.controllers.items()
+        }
+        self.fleet = fleet.model_copy(update={"controllers": controllers})
+        replace_private_file(self.state / FLEET_FILE, self.fleet.to_json())
+
+    def change_simulation(self, controller: str, **change: object) -> None:
+        """Change the physical environment of a simulated controller, e.g. `input=(1, True)`; see
+        `sim/link/world.py`."""
+        pipe = open_private_file(simulation_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
+        with os.fdopen(pipe, "wb") as line:
+            line.write(json.dumps(change).encode() + b"\n")
+
+    async def close(self) -> None:
+        """End all children, the coordinator first and the router last."""
+        self._manager.notify(STOPPING)
+        if self._beside is not None:
+            # Not while they start: they would come into being behind this.
+            self._beside.cancel()
+            await asyncio.wait([self._beside])
+        if self._router_watch is not None:
+            self._router_watch.cancel()
+            await asyncio.wait([self._router_watch])
+        # Both coordinators at once: the standby must not take over from the other.
+        both_children = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
+        await asyncio.gather(*(self._end_child(child) for child in both_children))
+        order = [GATEWAY, "coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
+        for child in sorted(self.children.values(), key=lambda process: order.index(process.name.partition("/")[0])):
+            await self._end_child(child)
+        if self._rotation is not None:
+            self._rotation.cancel()
+        if self._lock is not None:
+            self._lock.release()
+
+    # Parts
+
+    async def _start_simulators(self) -> None:
+        """Replace every link of a controller here by that of a simulated controller."""
+        controllers: dict[str, Controller] = {}
+        for lines in _group_links(self._own_controllers()):
+            command = [sys.executable, "-m", "sim.link.process"]
+            for names in lines:
+                command += [*([NEXT] if names is not lines[0] else []), *self._make_simulator_arguments(names)]
+            child = await self._start_child(f"sim/{'+'.join(chain(*lines))}", command, len(lines))
+            for names, ready in zip(lines, child.ready_output, strict=True):
+                place = json.loads(ready)
+                for name in names:
+                    config = self.fleet.controllers[name]
+                    link = config.link.model_copy(
+                        update={field: place[field] for field in _ENDPOINT_FIELDS[config.link.kind]}
+                    )
+                    simulate = config.simulate.model_copy(update={"link": link})
+                    controllers[name] = config.model_copy(update={"simulate": simulate})
+                    self.say(f"{name}: simulated {config.adapter} on {link.endpoint}")
+        for connection in self.fleet.connections:
+            if connection.target not in controllers:
+                continue
+            if connection.source not in controllers:
+                self.say(f"{connection.source}.{connection.output} is on another computer: that wire is not simulated")
+            self.change_simulation(connection.target, input=(connection.feeds.number, connection.input_level(on=False)))
+        self.fleet = self.fleet.model_copy(update={"controllers": {**self.fleet.controllers, **controllers}})
+
+    def _own_controllers(self) -> dict[str, Controller]:
+        """The controllers of the adapter hosts here."""
+        hosts_here = self.run.hosts
+        return {
+            name: controller
+            for name, controller in self.fleet.controllers.items()
+            if hosts_here is None or controller.host in hosts_here
+        }
+
+    async def _start_router(self) -> None:
+        if self.connect:
+            other_leader = None if self.run.take_over else await find_leader(self.connect, self.fleet.fleet)
+            if other_leader is not None:
+                # Checked before adapter hosts are started, which would be second drivers of the same controllers.
+                raise UpFailed(
+                    f"coordinator {other_leader.coordinator[:8]} leads fleet {self.fleet.fleet} (epoch "
+                    f"{other_leader.epoch}) on {self.connect}; end its `tutti up` first, or start with "
+                    "--take-over"
+                )
+            return
+        endpoint = self._choose_endpoint()
+        module = "orchestrator.bus.zenoh.router"
+        try:
+            kept_fleets = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
+            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid()), *kept_fleets])
+        except UpFailed:
+            if self.children["router"].exit_code != EXIT_PORT_IN_USE:
+                raise
+            if self.run.private:
+                raise UpFailed(self.children["router"].last_error_line()) from None
+            raise UpFailed(
+                f"port {self.run.port} of 127.0.0.1 is in use; choose another for the router: --port "
+                f"{self.run.port + 1}; or, if a router listens there, use it: --connect {endpoint}"
+            ) from None
+        self.connect = endpoint
+        self.say(f"router on {endpoint}")
+
+    async def _restart_router(self) -> None:
+        """Kill the router; it is started again. One that hangs does not end by itself."""
+        process = self.children["router"].process
+        if process is not None and process.returncode is None:
+            process.kill()
+            await process.wait()
+
+    def _choose_endpoint(self) -> str:
+        """Where the router listens. Raises `UpFailed`."""
+        if not self.run.private:
+            return f"tcp/127.0.0.1:{self.run.port}"
+        try:
+            return make_socket_endpoint(str((self.state / BUS_SOCKET).absolute()))
+        except BadEndpoint as error:
+            raise UpFailed(f"{error}; choose another folder: --state") from None
+
+    def _make_environment(self, name: str) -> dict[str, str] | None:
+        """The environment of a process, with the identity of its role; None: that of this process."""
+        part, _, host = name.partition("/")
+        if self.run.keys is None or part not in _ROLES:
+            return None
+        try:
+            folder = find_identity_folder(self.run.keys, _ROLES[part], host if part == "host" else None)
+        except Refusal as error:
+            raise UpFailed(f"{name}: {error.text}; {error.remedy}") from None
+        return {**os.environ, VARIABLE: str(folder.absolute())}
+
+    async def _start_recorder(self, file: Path) -> None:
+        """Start the recorder; a fleet runs without it as well."""
+        if self.run.record_quota is None:
+            return
+        command = [sys.executable, "-m", "orchestrator.monitor.recording.process", "--fleet", self.fleet.fleet]
+        command += ["--fleet-file", str(file), "--connect", self.connect, "--folder", str(self.state / RECORDINGS)]
+        command += ["--quota", str(self.run.record_quota), "--log", str(self.state / "log" / "recorder.jsonl")]
+        if self.run.metrics_port is not None:
+            command += ["--metrics-port", str(self.run.metrics_port)]
+        try:
+            recorder = await self._start_child(RECORDER, [*command, "--parent", str(os.getpid())])
+            if recorder.ready_output[0]:
+                self.say(recorder.ready_output[0])
+        except UpFailed as error:
+            self.say(f"nothing is recorded: {error}")
+
+    async def _start_gateway(self) -> None:
+        """Start the gateway; a fleet runs without it as well."""
+        web = self.run.web
+        if web is None:
+            return
+        if self.run.private and not (self.state / USERS_FILE).exists():
+            # Otherwise every user of this computer would be an operator, by the page.
+            self.say("no page: with --private it needs users: `tutti user add NAME --role operator`, then start again")
+            return
+        command = [sys.executable, "-m", "orchestrator.gateway.process", "--fleet", self.fleet.fleet]
+        command += ["--connect", self.connect, "--state", str(self.state), "--parent", str(os.getpid())]
+        command += ["--log", str(self.state / "log" / "gateway.jsonl")]
+        command += ["--address", web.host, *([] if web.jobs is None else ["--jobs", str(web.jobs)])]
+        if web.certificate is not None:
+            command += ["--ssl-certfile", str(web.certificate[0]), "--ssl-keyfile", str(web.certificate[1])]
+        port_options = [] if web.port is None else ["--port", str(web.port)]
+        try:
+            gateway = await self._start_child(GATEWAY, [*command, *port_options])
+        except UpFailed as error:
+            self.say(f"no page: {error}")
+            return
+        self.say(gateway.ready_output[0])
+        self.page = gateway.ready_output[0].partition(" on ")[2]
+        # A restart serves under the same address again.
+        gateway.command = [*command, "--port", self.page.rstrip("/").rpartition(":")[2]]
+
+    def _make_simulator_arguments(self, names: Sequence[str]) -> list[str]:
+        """Return the arguments of a simulator for the controllers of one link."""
+        name, config = "+".join(names), self.fleet.controllers[names[0]]
+        if isinstance(config.link, CanBusLink):
+            listen = ["--listen", f"pty:{self.state / 'ports' / name}"]
+        elif isinstance(config.link, SerialLink):
+            # A restart listens at the same endpoint again: the symlink is stable.
+            listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
+            listen += ["--frame", format_serial_frame(config.link)]
+        else:
+            listen = [
+                "--listen",
+                f"{config.link.kind}:127.0.0.1:{self._choose_port()}",
+                "--baud",
+                str(bridge_baud(config)),
+            ]
+        arguments = ["--model", config.adapter, "--name", name, *listen]
+        for each in names:
+            arguments += ["--unit", json.dumps(self._make_simulated_controller(each))]
+        return arguments
+
+    def _choose_port(self) -> int:
+        """Return the port of the next simulated controller on Ethernet."""
+        if not self._next_port:
+            return find_free_port()
+        self._next_port += 1
+        return self._next_port - 1
+
+    def _make_simulated_controller(self, name: str) -> dict[str, object]:
+        """Return the value of `--unit` for a controller."""
+        config = self.fleet.controllers[name]
+        link, simulate = config.link, config.simulate
+        return {
+            "name": name,
+            "address": link.address if isinstance(link, SerialLink | CanBusLink) else None,
+            "options": make_simulator_options(config),
+            "timing": find_timing(config)._asdict(),
+            "oscillator": {
+                "offset_ns": round(simulate.offset_s * 1e9),
+                "drift_ppm": simulate.drift_ppm,
+                "wander_ppm": simulate.wander_ppm,
+            },
+            "world": str(simulation_pipe(self.state, name)),
+            "truth": str(self.state / "truth" / f"{name}.jsonl") if self.run.truth else None,
+            "wires": [
+                {
+                    "output": connection.driven_by.number,
+                    "world": str(simulation_pipe(self.state, connection.target)),
+                    "input": connection.feeds.number,
+                    "level_when_on": connection.input_level(on=True),
+                    "delay_us": sum(connection.delay_us) // 2,
+                }
+                for connection in self.fleet.connections
+                if connection.source == name and connection.target in self._own_controllers()
+            ],
+        }
+
+    def _make_host_command(self, host: str, file: Path) -> list[str]:
+        command = [sys.executable, "-m", "adapters.host.guardian", "--fleet", str(file), "--host", host]
+        command += ["--connect", self.connect, "--state", str(self.state / ADAPTERS), "--parent", str(os.getpid())]
+        return [*command, "--log", str(self.state / "log" / f"host-{host}.jsonl")]
+
+    def _make_coordinator_command(self, file: Path) -> list[str]:
+        command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
+        command += ["--connect", self.connect, "--journal", str(self.state / JOURNAL)]
+        command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
+        if had_journal(self.state) and not self.run.new_journal:
+            command.append(EXISTING_JOURNAL)
+        return [*command, "--take-over"] if self.run.take_over else command
+
+    async def _rotate_logs(self) -> None:
+        """Limit the files that children, and a detached `tutti up`, have open as their standard error."""
+        folder = self.state / "log"
+        while True:
+            await asyncio.sleep(ROTATE_S)
+            for path in (*folder.glob("*.err"), folder / UP_LOG):
+                # A full disk must not end the fleet.
+                with suppress(OSError):
+                    rotate_open_file(path)
+
+    # Children
+
+    async def _start_child(self, name: str, command: Sequence[str], tells: int = 1) -> ChildProcess:
+        log = self.state / "log" / f"{name.replace('/', '-')}.err"
+        child = self.children[name] = ChildProcess(name, command, log, tells)
+        await self._spawn_process(child)
+        child.keeper = asyncio.get_running_loop().create_task(self._supervise_child(child))
+        return child
+
+    async def _spawn_process(self, child: ChildProcess) -> None:
+        """Start the process and wait for its ready lines. Raises `UpFailed` with its output."""
+        rotate_if_large(child.log)
+        with os.fdopen(open_for_append(child.log), "ab") as errors:
+            child.process = await asyncio.create_subprocess_exec(
+                *child.command,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+                env=self._make_environment(child.name),
+            )
+        child.starts += 1
+        assert child.process.stdout is not None
+        try:
+            async with asyncio.timeout(READY_TIMEOUT_S):
+                lines = [await child.process.stdout.readline() for _ in range(child.ready_lines)]
+        except TimeoutError:
+            raise UpFailed(f"{child.name} is not ready after {READY_TIMEOUT_S:g} s; see {child.log}") from None
+        if not all(lines):
+            how = _describe_exit(await child.process.wait())
+            raise UpFailed(f"{child.name} ended ({how}): {child.last_error_line() or f'see {child.log}'}")
+        child.ready_output = [line.decode().strip() for line in lines]
+
+    async def _supervise_child(self, child: ChildProcess) -> None:
+        """Restart a child that died, unless its exit code is final."""
+        while True:
+            assert child.process is not None
+            code = await child.process.wait()
+            if child.ended:
+                return
+            if child.name == "coordinator" and code in EXIT_LEADERSHIP_LOST and not self.run.standby:
+                self.say(
+                    f"{child.name} has lost leadership, another coordinator leads; the adapter hosts here "
+                    "serve that one"
+                )
+                return
+            if code in FINAL_EXIT_CODES and child.name in DISPENSABLE:
+                self.say(f"{DISPENSABLE[child.name]}: {child.last_error_line() or f'exit code {code}'}")
+                return
+            if code in FINAL_EXIT_CODES:
+                self._report_failure(f"{child.name} ended: {child.last_error_line() or f'exit code {code}'}")
+                return
+            pause_s = RESTART_PAUSES_S[min(child.starts, len(RESTART_PAUSES_S)) - 1]
+            self.say(f"{child.name} ended ({_describe_exit(code)}); restarting it in {pause_s:g} s")
+            await asyncio.sleep(pause_s)
+            if child.ended:
+                return
+            try:
+                await self._spawn_process(child)
+            except UpFailed as error:
+                self.say(str(error))
+                if child.process.returncode is None:
+                    child.process.kill()
+
+    def _report_failure(self, text: str) -> None:
+        self.say(text)
+        if self.failed is not None and not self.failed.done():
+            self.failed.set_result(text)
+
+    async def _end_child(self, child: ChildProcess) -> None:
+        child.ended = True
+        process = child.process
+        if process is not None and process.returncode is None:
+            # In this order: a signal to a child that has just ended takes its exit code from asyncio's watcher.
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGTERM)
+            try:
+                async with asyncio.timeout(END_TIMEOUT_S):
+                    await process.wait()
+            except TimeoutError:
+                self.say(f"{child.name} did not end within {END_TIMEOUT_S:g} s and is killed")
+                process.kill()
+                await process.wait()
+        if child.keeper is not None:
+            child.keeper.cancel()
+
+
+def _group_links(controllers: Mapping[str, Controller]) -> Iterator[list[list[str]]]:
+    """Group the links whose controllers one process simulates.
+
+    Controllers of one make on Ethernet share processes: a process that was asleep is woken for each exchange, finds
+    its caches overwritten, and takes several times as long."""
+    ethernet: dict[str, list[list[str]]] = {}
+    for names in group_by_link(controllers):
+        config = controllers[names[0]]
+        if isinstance(config.link, SerialLink | CanBusLink):
+            yield [names]
+        else:
+            ethernet.setdefault(config.adapter, []).append(names)
+    for lines in ethernet.values():
+        for at in range(0, len(lines), CONTROLLERS_PER_SIMULATOR):
+            yield lines[at : at + CONTROLLERS_PER_SIMULATOR]
+
+
+def had_journal(folder: Path) -> bool:
+    """Whether a coordinator has led a fleet with this state folder, and so had a journal there."""
+    stored_memories = [FileStore(path).load() for path in (folder / ADAPTERS).glob("*.json")]
+    return (folder / f"{JOURNAL}.reign").exists() or any(memory.epoch for memory in stored_memories)
+
+
+def simulation_pipe(state: Path, controller: str) -> Path:
+    """Return the pipe for lines that change the physical environment of a simulated controller."""
+    return state / "world" / controller
+
+
+def format_serial_frame(link: SerialLink) -> str:
+    """Return data bits, parity and stop bits in the usual short form, e.g. `8N1`."""
+    return f"{link.data_bits}{link.parity[0].upper()}{link.stop_bits}"
+
+
+def find_free_port() -> int:
+    """Return a TCP port that is not in use."""
+    with closing(socket.socket()) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def _describe_exit(code: int) -> str:
+    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
