@@ -294,14 +294,6 @@ class BlockingTutti(BlockingObject[Tutti]):
         """A session for jobs that a person waits for: they end when its context does, or its process."""
         return BlockingAttendance(self._wrapped.attend(), self._worker)
 
-    def start_queue(self) -> None:
-        """Let the jobs of the queue begin again after a break or a stop. Raises `Refusal`."""
-        self._run(self._wrapped.start_queue())
-
-    def stop_queue(self) -> None:
-        """Let no further job begin; running jobs continue. Raises `Refusal`."""
-        self._run(self._wrapped.stop_queue())
-
     def find_job(self, reference: str) -> QueueEntry:
         """The job that a user means: by the beginning of its id, its name, or `last`, the newest.
 
@@ -347,29 +339,6 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Cancel a queued or running job. Raises `Refusal`."""
         self._run(self._wrapped.cancel_job(job_id))
 
-    def hold_jobs(self, *job_ids: str) -> None:
-        """Hold queued jobs until they are released. Raises `Refusal`: code `not-queued`."""
-        self._run(self._wrapped.hold_jobs(*job_ids))
-
-    def release_jobs(self, *job_ids: str) -> None:
-        """Release held jobs; without ids, all held jobs but those that wait for approval. Raises `Refusal`: code
-        `awaits-approval`."""
-        self._run(self._wrapped.release_jobs(*job_ids))
-
-    def plan_job(self, job_id: str) -> JobPlanned:
-        """What a waiting job would do if it began now, as a plan with a hash, and what differs from the plan that was
-        approved last. Raises `Refusal`: codes `not-queued`, and `absent`, `offline`, `moving` if it is not known."""
-        return self._run(self._wrapped.plan_job(job_id))
-
-    def approve_job(self, job_id: str, plan: JobPlan | str) -> None:
-        """Approve the plan of a proposed job, and release it: it begins only with this plan. plan: the one that was
-        seen, or its hash. Raises `Refusal`: codes `plan-changed`, `not-proposed`, `not-queued`, `journal`."""
-        self._run(self._wrapped.approve_job(job_id, plan))
-
-    def reorder_job(self, job_id: str, before: str) -> None:
-        """Move a queued job before another one, with that one's priority. Raises `Refusal`: code `not-queued`."""
-        self._run(self._wrapped.reorder_job(job_id, before))
-
     def pause_job(self, job_id: str, *, now: bool = False) -> None:
         """Pause a running job after its current step; it keeps its axes. Raises `Refusal`: code `not-running`.
 
@@ -404,11 +373,6 @@ class BlockingTutti(BlockingObject[Tutti]):
             self._wrapped.retry_job(job_id, from_step, dry_run=dry_run, terms=terms, client_key=client_key)
         )
 
-    def prune_jobs(self, older_s: float, keep: int) -> int:
-        """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`; return how
-        many."""
-        return self._run(self._wrapped.prune_jobs(older_s, keep))
-
     def wait_for_job(
         self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0
     ) -> JobReport:
@@ -418,6 +382,42 @@ class BlockingTutti(BlockingObject[Tutti]):
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
         return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s))
+
+    def start_queue(self) -> None:
+        """Let the jobs of the queue begin again after a break or a stop. Raises `Refusal`."""
+        self._run(self._wrapped.start_queue())
+
+    def stop_queue(self) -> None:
+        """Let no further job begin; running jobs continue. Raises `Refusal`."""
+        self._run(self._wrapped.stop_queue())
+
+    def hold_jobs(self, *job_ids: str) -> None:
+        """Hold queued jobs until they are released. Raises `Refusal`: code `not-queued`."""
+        self._run(self._wrapped.hold_jobs(*job_ids))
+
+    def release_jobs(self, *job_ids: str) -> None:
+        """Release held jobs; without ids, all held jobs but those that wait for approval. Raises `Refusal`: code
+        `awaits-approval`."""
+        self._run(self._wrapped.release_jobs(*job_ids))
+
+    def plan_job(self, job_id: str) -> JobPlanned:
+        """What a waiting job would do if it began now, as a plan with a hash, and what differs from the plan that was
+        approved last. Raises `Refusal`: codes `not-queued`, and `absent`, `offline`, `moving` if it is not known."""
+        return self._run(self._wrapped.plan_job(job_id))
+
+    def approve_job(self, job_id: str, plan: JobPlan | str) -> None:
+        """Approve the plan of a proposed job, and release it: it begins only with this plan. plan: the one that was
+        seen, or its hash. Raises `Refusal`: codes `plan-changed`, `not-proposed`, `not-queued`, `journal`."""
+        self._run(self._wrapped.approve_job(job_id, plan))
+
+    def reorder_job(self, job_id: str, before: str) -> None:
+        """Move a queued job before another one, with that one's priority. Raises `Refusal`: code `not-queued`."""
+        self._run(self._wrapped.reorder_job(job_id, before))
+
+    def prune_jobs(self, older_s: float, keep: int) -> int:
+        """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`; return how
+        many."""
+        return self._run(self._wrapped.prune_jobs(older_s, keep))
 
     def send_points(self, job: Job, on_points: OnPoints | None = None) -> Job:
         """Read the points of all scans that are in files or specs, and send them; return the job that names what is

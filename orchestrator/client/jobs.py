@@ -8,7 +8,7 @@ from typing import Self
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
-from orchestrator.client.points import PointRequests
+from orchestrator.client.queue import QueueRequests
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
@@ -18,24 +18,19 @@ from orchestrator.model.jobs.service import (
     DryRunDone,
     FindJob,
     JobReference,
-    JobReferences,
     JobRetried,
     JobsFound,
     JobShown,
-    JobsPruned,
     JobSubmitted,
     ListJobs,
     OverrideJob,
     PauseJob,
-    PruneJobs,
     RecordingReference,
     RecordingReply,
-    ReorderJob,
     RetryJob,
     SubmitJob,
 )
-from orchestrator.model.messages import Reply, Request
-from orchestrator.model.operation.approval import ApproveJob, JobPlan, JobPlanned
+from orchestrator.model.messages import Reply
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
     FINISHED_STATES,
@@ -57,13 +52,12 @@ POLL_S = 1.0  # period of reading the journal while the bus is silent
 DRY_RUN_STEPS = 50  # in one request, so that other requests get their turn
 DRY_RUN_S = 30.0  # for such a part
 SUBMIT_STEP_S = 0.01
-PRUNE_S = 60.0
 MAX_RECORDINGS = 100
 MAX_RESULT_POINTS = 10_000
 
 
-class JobRequests(PointRequests):
-    """Submit jobs, follow them, and change the queue."""
+class JobRequests(QueueRequests):
+    """Submit jobs, follow them, and end them."""
 
     async def submit(
         self,
@@ -85,14 +79,6 @@ class JobRequests(PointRequests):
     def attend(self) -> Attendance:
         """A session for jobs that a person waits for: they end when its context does, or its process."""
         return Attendance(self)
-
-    async def start_queue(self) -> None:
-        """Let the jobs of the queue begin again after a break or a stop. Raises `Refusal`."""
-        await self.request_service("start-queue", Request(**self.request_fields()), Reply)
-
-    async def stop_queue(self) -> None:
-        """Let no further job begin; running jobs continue. Raises `Refusal`."""
-        await self.request_service("stop-queue", Request(**self.request_fields()), Reply)
 
     async def find_job(self, reference: str) -> QueueEntry:
         """The job that a user means: by the beginning of its id, its name, or `last`, the newest.
@@ -203,31 +189,6 @@ class JobRequests(PointRequests):
         """Cancel a queued or running job. Raises `Refusal`."""
         await self.request_service("cancel", JobReference(**self.request_fields(), job_id=job_id), Reply)
 
-    async def hold_jobs(self, *job_ids: str) -> None:
-        """Hold queued jobs until they are released. Raises `Refusal`: code `not-queued`."""
-        await self.request_service("hold", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
-
-    async def release_jobs(self, *job_ids: str) -> None:
-        """Release held jobs; without ids, all held jobs but those that wait for approval. Raises `Refusal`: code
-        `awaits-approval`."""
-        await self.request_service("release", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
-
-    async def plan_job(self, job_id: str) -> JobPlanned:
-        """What a waiting job would do if it began now, as a plan with a hash, and what differs from the plan that was
-        approved last. Raises `Refusal`: codes `not-queued`, and `absent`, `offline`, `moving` if it is not known."""
-        return await self.request_service("plan", JobReference(**self.request_fields(), job_id=job_id), JobPlanned)
-
-    async def approve_job(self, job_id: str, plan: JobPlan | str) -> None:
-        """Approve the plan of a proposed job, and release it: it begins only with this plan. plan: the one that was
-        seen, or its hash. Raises `Refusal`: codes `plan-changed`, `not-proposed`, `not-queued`, `journal`."""
-        approved = plan.hash if isinstance(plan, JobPlan) else plan
-        request = ApproveJob(**self.request_fields(), job_id=job_id, plan=approved)
-        await self.request_service("approve", request, Reply)
-
-    async def reorder_job(self, job_id: str, before: str) -> None:
-        """Move a queued job before another one, with that one's priority. Raises `Refusal`: code `not-queued`."""
-        await self.request_service("reorder", ReorderJob(**self.request_fields(), job_id=job_id, before=before), Reply)
-
     async def pause_job(self, job_id: str, *, now: bool = False) -> None:
         """Pause a running job after its current step; it keeps its axes. Raises `Refusal`: code `not-running`.
 
@@ -271,12 +232,6 @@ class JobRequests(PointRequests):
             client_key=client_key or self.new_id(),
         )
         return await self.request_service("retry", request, JobRetried)
-
-    async def prune_jobs(self, older_s: float, keep: int) -> int:
-        """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`; return how
-        many."""
-        request = PruneJobs(**self.request_fields(), older_s=older_s, keep=keep)
-        return (await self.request_service("prune", request, JobsPruned, PRUNE_S)).jobs
 
     async def wait_for_job(
         self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0

@@ -16,7 +16,8 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.alarms.service import AlarmService
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.certificates import CertificateEnds
-from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
+from orchestrator.coordinator.fleet.lease_states import LeaseUser
+from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.positions import PositionBook

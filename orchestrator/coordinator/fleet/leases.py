@@ -2,60 +2,23 @@
 
 import asyncio
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from datetime import timedelta
-from typing import NamedTuple
+from dataclasses import replace
 
-from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, Priority
+from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.clock.base import NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import LeaseReply, LeaseRequest
 from orchestrator.model.names import controller_of
-from orchestrator.model.queue import format_utc, parse_utc
-from orchestrator.model.report import LeaseState
 
 ANSWER_S = 2.0
 TRIES = 2  # within it, to acquire a lease; a renewal is followed by the next one anyhow
 TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
-SHOWN_FROM_NS = 10 * NS_PER_S  # the end of a lease that its client renews all the time says nothing
-
-
-class LeaseUser(NamedTuple):
-    """What acquires a lease: the holder's id, the user behind it, and the reason that others are shown.
-
-    session: the session that the lease ends with; empty: none."""
-
-    holder: str
-    actor: str
-    what: str
-    session: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class LeaseHold:
-    """The lease of one holder.
-
-    axes: `controller.axis`. until_ns: when it expires unless renewed; None: never.
-    brief: it ends soon; other requests wait for that instead of being refused.
-    idle: the adapters do not have it: the axes are reserved for the holder, which may not move them.
-    acquisition: increases with each acquisition.
-    session: the session that it ends with, enforced by the adapters; empty: none.
-    """
-
-    holder: str
-    actor: str
-    what: str
-    axes: tuple[str, ...]
-    until_ns: int | None
-    brief: bool = False
-    idle: bool = False
-    acquisition: int = 0
-    session: str = ""
 
 
 class AxesInUse(Refusal):
@@ -69,6 +32,7 @@ class LeaseRegistry:
         self._fleet = fleet
         self._bus = bus
         self._keys = keys
+        self._states = LeaseStates(fleet, bus, keys)
         self._held: dict[str, LeaseHold] = {}
         self._given_back = asyncio.Event()
         self._declared: list[BusDeclaration] = []
@@ -95,9 +59,9 @@ class LeaseRegistry:
         controller = sample.key.rpartition("/")[2]
         mine = [held_hold for held_hold in self._held.values() if controller in group_by_controller(held_hold.axes)]
         lease = (
-            self._make_lease_state(mine[0], controller, None, mine[0].holder)
+            self._states.make_state(mine[0], controller, None, mine[0].holder)
             if mine
-            else self._make_free_state(controller)
+            else self._states.make_free_state(controller)
         )
         return lease.to_json()
 
@@ -129,21 +93,14 @@ class LeaseRegistry:
 
     def describe_use(self, held: LeaseHold) -> str:
         """A description of a lease for others that need its axes: by which user, what for, until when."""
-        end = self._find_end_utc(held)
+        end = self._states.find_end_utc(held)
         until = "" if end is None else f", until {end[:19]}Z"
         return f"in use by {held.actor} ({held.what}{until})"
-
-    def _find_end_utc(self, held: LeaseHold) -> str | None:
-        """When a reservation ends by itself; None for a lease that its client renews, or that has no end."""
-        left_ns = 0 if held.until_ns is None else held.until_ns - self._fleet.clock.now_ns()
-        if left_ns <= SHOWN_FROM_NS:
-            return None
-        return format_utc(parse_utc(self._fleet.clock.utc()) + timedelta(microseconds=left_ns / NS_PER_US))
 
     def restore_reservation(self, held: LeaseHold) -> None:
         """Restore a reservation of an earlier coordinator, without the right to move."""
         self._held[held.holder] = replace(held, idle=True)
-        self._publish_lease(held, held.holder)
+        self._states.publish(held, held.holder)
 
     async def suspend_motion(self, holder: str, reason: str) -> None:
         """Keep the axes reserved for `holder` without the right to move them; the adapters stop motion."""
@@ -202,7 +159,7 @@ class LeaseRegistry:
                 raise
             if self._held.get(holder) is not held_hold:
                 raise Refusal("not-leased", "the lease ended while it was being acquired")
-            self._publish_lease(held_hold, holder)
+            self._states.publish(held_hold, holder)
         return whole
 
     async def release(self, holder: str, reason: str = "") -> None:
@@ -222,7 +179,7 @@ class LeaseRegistry:
         self._held.pop(holder, None)
         self._told_ns.pop(holder, None)
         self._given_back.set()
-        self._publish_lease(held_hold, None)
+        self._states.publish(held_hold, None)
         for listener in self._listeners:
             listener(holder)
 
@@ -295,27 +252,6 @@ class LeaseRegistry:
             await self._send_lease(held, TTL_MS)
         except Refusal as error:
             self._fleet.log.warning(f"lease not renewed: {error.text}", holder=held.holder)
-
-    def _publish_lease(self, held: LeaseHold, holder: str | None) -> None:
-        for controller, names in group_by_controller(held.axes).items():
-            whole = set(names) == set(self._fleet.view.fleet.controllers[controller].axes)
-            for axis in [None] if whole else names:
-                lease = self._make_lease_state(held, controller, axis, holder)
-                self._bus.put(self._keys.lease(controller, axis), lease.to_json(), Priority.EVENT)
-
-    def _make_lease_state(self, held: LeaseHold, controller: str, axis: str | None, holder: str | None) -> LeaseState:
-        return LeaseState(
-            controller=controller,
-            axis=axis,
-            holder=holder,
-            actor=held.actor,
-            what=held.what,
-            until_utc=self._find_end_utc(held),
-            epoch=self._fleet.requests.leadership.epoch,
-        )
-
-    def _make_free_state(self, controller: str) -> LeaseState:
-        return LeaseState(controller=controller, holder=None, actor="", epoch=self._fleet.requests.leadership.epoch)
 
 
 def _is_unanswered(reply: LeaseReply | None) -> bool:

@@ -13,7 +13,8 @@ from typing import Any
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.leases import LeaseHold, LeaseRegistry, LeaseUser
+from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseUser
+from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.journal.facts import Reservation
 from orchestrator.coordinator.journal.records import JournalError

@@ -12,7 +12,8 @@ from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.alarms.register import AlarmRegister
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry, LeaseUser
+from orchestrator.coordinator.fleet.lease_states import LeaseUser
+from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.check import check_job, predict_s

@@ -6,7 +6,8 @@ from contextlib import suppress
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.leases import LeaseRegistry, LeaseUser
+from orchestrator.coordinator.fleet.lease_states import LeaseUser
+from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.service import WireFinding
