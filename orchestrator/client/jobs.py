@@ -127,8 +127,8 @@ class JobRequests(PointRequests):
             **self.request_fields(), job=job, client_key=client_key or self.new_id(), terms=terms or QueueTerms()
         )
         # Every step is planned before the job is accepted.
-        written = sum(1 for _ in iterate_steps(job.steps))
-        timeout_s = ANSWER_S + SUBMIT_STEP_S * written * request.terms.repeat
+        step_count = sum(1 for _ in iterate_steps(job.steps))
+        timeout_s = ANSWER_S + SUBMIT_STEP_S * step_count * request.terms.repeat
         entry = (await self.request_service("submit", request, JobSubmitted, timeout_s)).entry
         assert entry is not None
         return entry
@@ -147,11 +147,11 @@ class JobRequests(PointRequests):
         for first in range(0, len(job.steps), DRY_RUN_STEPS):
             part = job.model_copy(update={"steps": job.steps[first : first + DRY_RUN_STEPS]})
             request = DryRun(**self.request_fields(), job=part, first=first, begin=axes)
-            done_service = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
-            axes = done_service.end
-            steps += done_service.forecast.steps
-            problems += done_service.forecast.problems
-            conditions |= dict.fromkeys(done_service.forecast.conditions)
+            reply = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
+            axes = reply.end
+            steps += reply.forecast.steps
+            problems += reply.forecast.problems
+            conditions |= dict.fromkeys(reply.forecast.conditions)
             if on_steps is not None:
                 on_steps(len(steps))
         return JobForecast(steps=steps, problems=problems, conditions=list(conditions))
@@ -220,8 +220,8 @@ class JobRequests(PointRequests):
     async def approve_job(self, job_id: str, plan: JobPlan | str) -> None:
         """Approve the plan of a proposed job, and release it: it begins only with this plan. plan: the one that was
         seen, or its hash. Raises `Refusal`: codes `plan-changed`, `not-proposed`, `not-queued`, `journal`."""
-        approved = plan.hash if isinstance(plan, JobPlan) else plan
-        request = ApproveJob(**self.request_fields(), job_id=job_id, plan=approved)
+        plan_hash = plan.hash if isinstance(plan, JobPlan) else plan
+        request = ApproveJob(**self.request_fields(), job_id=job_id, plan=plan_hash)
         await self.request_service("approve", request, Reply)
 
     async def reorder_job(self, job_id: str, before: str) -> None:
@@ -287,7 +287,7 @@ class JobRequests(PointRequests):
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
         changed_event = asyncio.Event()
-        failed: list[Exception] = []
+        failures: list[Exception] = []
 
         def receive_progress(sample: BusSample) -> None:
             try:
@@ -298,7 +298,7 @@ class JobRequests(PointRequests):
                 try:
                     on_progress(progress)
                 except Exception as error:
-                    failed.append(error)  # raised where the caller waits
+                    failures.append(error)  # raised where the caller waits
                     changed_event.set()
             if progress.state in FINISHED_STATES:
                 changed_event.set()
@@ -306,10 +306,10 @@ class JobRequests(PointRequests):
         subscription = await self.bus.subscribe(self.keys.job_state(job_id), receive_progress)
         try:
             while True:
-                shown = await self.show_job_when_available(job_id, poll_s)
-                if shown.report is not None:
-                    return shown.report
-                entry, job = shown.entry, shown.job
+                shown_job = await self.show_job_when_available(job_id, poll_s)
+                if shown_job.report is not None:
+                    return shown_job.report
+                entry, job = shown_job.entry, shown_job.job
                 if on_progress is not None and entry is not None and job is not None and entry.state == "queued":
                     steps = len(StepOrder(job.steps, entry.terms.repeat))
                     on_progress(make_queued_progress(entry, "queued", entry.reason, entry.submitted_utc, steps))
@@ -319,8 +319,8 @@ class JobRequests(PointRequests):
                         await changed_event.wait()
                 except TimeoutError:
                     continue
-                if failed:
-                    raise failed[0]
+                if failures:
+                    raise failures[0]
         finally:
             await subscription.undeclare()
 
@@ -346,7 +346,7 @@ class SubmittedJob(str):
 
         Ends with the job. Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
-        delivered = 0
+        count = 0
         samples: asyncio.Queue[BusSample] = asyncio.Queue()
         requests = self._requests
         subscription = await requests.bus.subscribe(requests.keys.job_state(self), samples.put_nowait)
@@ -354,11 +354,11 @@ class SubmittedJob(str):
             progress: JobProgress | None = None
             while True:
                 transitions = (await requests.show_job_when_available(self)).transitions
-                for transition in transitions[delivered:]:
+                for transition in transitions[count:]:
                     yield transition
                     if transition.state in FINISHED_STATES:
                         return
-                delivered = len(transitions)
+                count = len(transitions)
                 if progress is not None and progress.state not in FINISHED_STATES:
                     yield progress
                 progress = await _next_progress(samples)
