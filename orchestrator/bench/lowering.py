@@ -286,33 +286,33 @@ def _draw_contour(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
 async def _measure_contour(
     world: _LoweringBench, subject: BenchedMake, profiles: Mapping[str, Profile]
 ) -> tuple[list[float], list[float], float]:
-    profiles_lowered, mapping, t0_ns = await _start_step(world, profiles)
+    lowering, mapping, t0_ns = await _start_step(world, profiles)
     motion_count = len(world.controller.commanded_motions)
     await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
     first_sample = world.sample_at(world.clock.now_ns())
     assert subject.record_samples is not None
     record, samples = (
-        subject.record_samples(profiles_lowered),
-        ceil(profiles_lowered.durations_s[max(profiles)] * 1e9 / profiles_lowered.tick_ns),
+        subject.record_samples(lowering),
+        ceil(lowering.durations_s[max(profiles)] * 1e9 / lowering.tick_ns),
     )
     watching = asyncio.get_running_loop().create_task(_finish_step(world))
-    samples_seen: list[tuple[int, dict[str, float]]] = []
+    sightings: list[tuple[int, dict[str, float]]] = []
     # From some samples before the start, which is not determined yet, to some after the end.
     for sample in range(first_sample + 1, first_sample + samples + 40):
         await sleep_until_ns(world.clock, world.sample_begin_ns(sample))
-        samples_seen.append((sample, {axis: world.controller.position(world.motor_of(axis)) for axis in profiles}))
+        sightings.append((sample, {axis: world.controller.position(world.motor_of(axis)) for axis in profiles}))
     await watching
     start = world.sample_at(min(motion.start_ns for motion in world.controller.commanded_motions[motion_count:]))
     plans = {axis: (profile.start_counts, profile.make_evaluator()) for axis, profile in profiles.items()}
     at_record: list[float] = []
     distances_between: list[float] = []
-    for sample, positions in samples_seen:
+    for sample, positions in sightings:
         time_s = (mapping.to_host_ns(sample) - t0_ns) * 1e-9
         for axis, (origin, plan) in plans.items():
             distance = abs(positions[axis] - origin - plan(time_s).position)
             (distances_between if (sample - start) % record else at_record).append(distance)
     steepest = max(profile.peak_acceleration for profile in profiles.values())
-    return at_record, distances_between, steepest * (record * profiles_lowered.tick_ns * 1e-9) ** 2 / 8
+    return at_record, distances_between, steepest * (record * lowering.tick_ns * 1e-9) ** 2 / 8
 
 
 # Trapezoids

@@ -122,19 +122,19 @@ async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int)
     await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
     sample_numbers = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
-    at, moves_found = 0, list[_PpsmcMove]()
-    while len(moves_found) < moves:
+    at, results = 0, list[_PpsmcMove]()
+    while len(results) < moves:
         profile = _draw_feasible(at, draw)
         if profile is None:
             continue
         lowered_s = driver.lower_profiles({"a": profile}, StartOptions(), None).durations_s["a"]
         rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
         predicted_ms = planned_ms = None
-        if len(moves_found) in sample_numbers:
+        if len(results) in sample_numbers:
             real_s = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             predicted_ms, planned_ms = abs(real_s - lowered_s) * 1e3, abs(real_s - profile.duration_s) * 1e3
-        moves_found.append(
+        results.append(
             _PpsmcMove(
                 rate=rate,
                 duration_s=profile.duration_s,
@@ -145,7 +145,7 @@ async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int)
             )
         )
     await driver.close()
-    return moves_found
+    return results
 
 
 def _measure_proposal_ms(driver: Driver, profile: Profile, answered_s: float) -> float:

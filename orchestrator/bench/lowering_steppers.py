@@ -199,8 +199,8 @@ async def _measure_moves(
     await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
     sample_numbers = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
-    at, found_moves = 0, list[_StepperMove]()
-    while len(found_moves) < moves:
+    at, results = 0, list[_StepperMove]()
+    while len(results) < moves:
         profile = _draw_feasible(subject, at, draw)
         if profile is None:
             continue
@@ -216,13 +216,13 @@ async def _measure_moves(
         predicted_ms = planned_ms = alone_ms = None
         if subject.alone is not None:
             alone_ms = abs(subject.alone(config, profile) - profile.duration_s) * 1e3
-        if len(found_moves) in sample_numbers:
+        if len(results) in sample_numbers:
             start_ns, end_ns = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             device_s = (crystal.device_ns(end_ns) - crystal.device_ns(start_ns)) * 1e-9
             predicted_ms = abs(device_s - predicted_s) * 1e3
             planned_ms = abs((end_ns - start_ns) * 1e-9 - profile.duration_s) * 1e3
-        found_moves.append(
+        results.append(
             _StepperMove(
                 rate,
                 profile.duration_s,
@@ -234,7 +234,7 @@ async def _measure_moves(
             )
         )
     await driver.close()
-    return found_moves
+    return results
 
 
 def _draw_feasible(subject: BenchedStepper, at: int, draw: Random) -> Profile | None:
