@@ -139,8 +139,8 @@ class LineController(ABC):
         def reply(text: str) -> None:
             self.send_text(port, text)
 
-        line_begin = self.take_immediate(data, reply)  # which may empty the buffers
-        self._partial[port] += line_begin
+        remainder = self.take_immediate(data, reply)  # which may empty the buffers
+        self._partial[port] += remainder
         while port in self._partial and self.is_on and self.may_parse():
             line, terminator, tail = self._partial[port].partition(self.firmware.terminator)
             if not terminator:

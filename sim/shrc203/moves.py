@@ -60,8 +60,8 @@ def _set_travel(unit: StageSystem, text: str, *, absolute: bool, pre: bool) -> s
     groups = [match.groups() for match in split_repeated(_AMOUNT, body[1:], len(axes))]
     triples: list[SpeedTriple | None] = [None] * len(axes)
     if speeds is not None:
-        groups_found = split_repeated(TRIPLE, speeds, len(axes))
-        pairs = zip(axes, groups, groups_found, strict=True)
+        speed_groups = split_repeated(TRIPLE, speeds, len(axes))
+        pairs = zip(axes, groups, speed_groups, strict=True)
         triples = [read_triple(axis, letter, match.groups()) for axis, (_, letter, _), match in pairs]
     entries = [
         TravelMove(axis, absolute, _apply_sign(sign, parse_pulses(axis, letter, number)), triple, pre)
