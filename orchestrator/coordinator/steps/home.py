@@ -178,11 +178,11 @@ class HomingSequence:
         first, failure = next(iter(run.failed.items()))
         # The refusal of a whole controller is reported once.
         texts = list(dict.fromkeys(f"{axis.partition('.')[0]}: {details.text}" for axis, details in run.failed.items()))
-        blocked = run.find_blocked()
-        if blocked:
-            causes = ", ".join(sorted(set(blocked.values())))
-            texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked))}")
-        return Refusal(why.code, "; ".join(texts), why.remedy, controller_of(first))
+        blocked_axes = run.find_blocked()
+        if blocked_axes:
+            causes = ", ".join(sorted(set(blocked_axes.values())))
+            texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked_axes))}")
+        return Refusal(failure.code, "; ".join(texts), failure.remedy, controller_of(first))
 
 
 async def run_home(context: StepContext, step: Home) -> ReportFields:
